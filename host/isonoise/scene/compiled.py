@@ -1,0 +1,41 @@
+"""What compiling a scene description yields: flat arrays for the device and the facts that decide the features."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class CompiledScene:
+    """A scene as flat arrays, in world space, with emitters scaled by `radiance_scale`.
+
+    Arrays are C-contiguous; dtypes of records are in `structs`. Absent things are empty arrays, not None.
+    """
+
+    camera: np.ndarray  # (1,) structs.CAMERA
+    filter: str  # 'box', 'tent' or 'gaussian'
+    max_depth: int  # -1: no end
+    rr_depth: int
+    hide_emitters: bool
+    sample_count: int  # the scene's samples per pixel, default of --spp
+    vertices: np.ndarray  # (V, 3) float32
+    faces: np.ndarray  # (T, 3) uint32
+    vertex_normals: np.ndarray  # (V, 3) float32 where some shape has SHAPE_VERTEX_NORMALS, else (0, 3)
+    triangle_shape: np.ndarray  # (T,) uint32: index into shapes
+    analytics: np.ndarray  # (A,) structs.ANALYTIC
+    shapes: np.ndarray  # (S,) structs.SHAPE
+    bsdfs: np.ndarray  # (B,) structs.BSDF
+    lights: np.ndarray  # (L,) structs.LIGHT; pick probabilities sum to 1
+    light_alias: np.ndarray  # (L,) structs.ALIAS
+    environment_light: int  # index of the LIGHT_CONSTANT light, -1 if there is none
+    bounds: np.ndarray  # (2, 3) float32: corners of the box around all surfaces; zeros if there are none
+    radiance_scale: float  # power of two: device radiance = true radiance * radiance_scale
+    hash: str  # hex digest of the description: changes when the picture may
+
+    @property
+    def width(self) -> int:
+        return int(self.camera["crop_size"][0, 0])
+
+    @property
+    def height(self) -> int:
+        return int(self.camera["crop_size"][0, 1])

@@ -1,0 +1,82 @@
+"""Records shared by host and kernels, declared once as numpy dtypes; the C declarations are generated from them.
+
+Every member is 4 bytes wide (uint32, int32, float32 or an array of these), so that no compiler has anything to pad.
+Constants that both sides name stand in `CONSTANTS` and are passed to the kernels as macros.
+"""
+
+import numpy as np
+
+NONE = 0xFFFFFFFF
+"""Marks 'no such index' (a shape without a light, a light without a primitive)."""
+
+ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
+BSDF_DIFFUSE, BSDF_DIELECTRIC, BSDF_CONDUCTOR = range(3)
+(LIGHT_TRIANGLE, LIGHT_SPHERE, LIGHT_DISK, LIGHT_CYLINDER, LIGHT_POINT, LIGHT_DIRECTIONAL, LIGHT_CONSTANT) = range(7)
+SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS = 1, 2
+BSDF_TWOSIDED = 1
+
+CAMERA = np.dtype(
+    [
+        ("to_world", "f4", 12),  # rows of the 3x4 camera-to-world matrix; +z looks ahead, +x points left
+        ("tan_half_fov", "f4", 2),  # tangent of half the field of view of the full film, along x and y
+        ("principal_point", "f4", 2),  # offset of the principal point, in fractions of the film
+        ("near_clip", "f4"),  # distances along the optical axis
+        ("far_clip", "f4"),
+        ("film_size", "u4", 2),  # full film in pixels (width, height)
+        ("crop_offset", "u4", 2),  # pixel of the full film where the image begins
+        ("crop_size", "u4", 2),  # the image in pixels (width, height)
+        ("filter_radius", "f4"),  # tent: radius; gaussian: truncation radius; box: half width (pixels)
+        ("filter_stddev", "f4"),  # gaussian only
+    ]
+)
+
+SHAPE = np.dtype(
+    [
+        ("bsdf", "u4"),
+        ("first_light", "u4"),  # light of the shape's first primitive, NONE if it does not shine
+        ("first_primitive", "u4"),  # triangle index, or index of the analytic primitive
+        ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS
+    ]
+)
+
+ANALYTIC = np.dtype(
+    [
+        ("kind", "u4"),
+        ("shape", "u4"),
+        ("center", "f4", 3),  # sphere
+        ("radius", "f4"),  # sphere
+        ("to_world", "f4", 12),  # disk (unit disk in z = 0), cylinder (x^2 + y^2 = 1, 0 <= z <= 1): rows of 3x4
+        ("to_object", "f4", 12),  # its inverse
+    ]
+)
+
+BSDF = np.dtype(
+    [
+        ("kind", "u4"),
+        ("flags", "u4"),  # BSDF_TWOSIDED
+        ("reflectance", "f4", 3),  # diffuse: reflectance; dielectric, conductor: specular_reflectance
+        ("transmittance", "f4", 3),  # dielectric: specular_transmittance
+        ("eta", "f4", 3),  # dielectric: int_ior / ext_ior in all three; conductor: real part
+        ("k", "f4", 3),  # conductor: imaginary part
+    ]
+)
+
+LIGHT = np.dtype(
+    [
+        ("kind", "u4"),
+        ("primitive", "u4"),  # triangle or analytic index, NONE for lights without surface
+        ("pick_probability", "f4"),  # probability that next-event estimation picks this light
+        ("area", "f4"),  # world area of the primitive, 0 for lights without surface
+        ("radiance", "f4", 3),  # radiance; point: radiant intensity; directional: irradiance. All times radiance_scale
+        ("position", "f4", 3),  # point: position; directional: direction of travel (unit)
+    ]
+)
+
+ALIAS = np.dtype([("threshold", "f4"), ("alias", "u4")])
+"""Walker's alias table over the lights: entry i keeps i if u < threshold, else takes alias."""
+
+CONSTANTS = {
+    name: value
+    for name, value in list(globals().items())
+    if isinstance(value, int) and name.split("_")[0] in ("NONE", "ANALYTIC", "BSDF", "LIGHT", "SHAPE")
+}

@@ -1,0 +1,33 @@
+"""What a strategy is: a schedule of waves, the statistics it reads, and a rule that turns them into an allocation map."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from isonoise.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One wave as the strategy plans it; the renderer cuts the last one to the sample budget or the deadline."""
+
+    kind: Literal["uniform", "adaptive"]
+    spp: float  # mean samples per pixel
+
+
+class Strategy:
+    """Base of all strategies. Parameters are keyword arguments of `__init__`, documented in its docstring."""
+
+    name: ClassVar[str]
+    needs: ClassVar[frozenset[str]] = frozenset()
+    """Statistics it reads beyond those every render keeps: 'median' so far. Only these are kept on the device."""
+
+    def waves(self) -> Iterator[Wave]:
+        """The schedule: an endless iterator; the renderer stops drawing from it when the render is done."""
+        raise NotImplementedError
+
+    def allocate(self, statistics: Statistics, budget: int) -> np.ndarray:
+        """Samples per pixel of the next adaptive wave: uint32, shape (height, width), summing to `budget` exactly."""
+        raise NotImplementedError

@@ -1,0 +1,1 @@
+"""OpenCL C sources of the stages; read with importlib.resources."""
