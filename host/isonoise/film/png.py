@@ -1,0 +1,59 @@
+"""8-bit sRGB pictures for a look: an exposure found from the image and a soft shoulder for the highlights."""
+
+import os
+
+import numpy as np
+
+from isonoise.film.files import write_whole
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Luminance of linear RGB with Rec. 709 primaries (ITU-R BT.709)."""
+
+KEY = 0.18
+"""Display value that the image's log-average luminance gets: middle grey (Reinhard et al. 2002, section 2.1)."""
+
+SHOULDER = 0.6
+"""Display value up to which the curve is a straight line, so that nothing but highlights is bent."""
+
+
+def tone_map(rgb: np.ndarray) -> np.ndarray:
+    """Turn linear RGB of any scale into 8-bit sRGB; depends on the pixels alone, so equal images give equal bytes.
+
+    Exposure: the log-average luminance becomes `KEY` (Reinhard, Stark, Shirley, Ferwerda 2002, equations 1 and 2).
+    The average is over pixels with light, none counted darker than 1e-4 of the mean, so that a black background or
+    a few nearly black pixels do not brighten the rest. Curve, for each of R, G, B: straight to `SHOULDER` s, then
+    s + (1 - s)(1 - exp(-(v - s)/(1 - s))), which continues value and slope and reaches 1 only at infinity.
+    Encoding: IEC 61966-2-1.
+
+    Args:
+        rgb: (height, width, 3), linear, Rec. 709 primaries; negative or not finite values count as 0.
+
+    Returns:
+        (height, width, 3) uint8.
+    """
+    value = np.where(np.isfinite(rgb), rgb, 0).astype(np.float32).clip(min=0)
+    with np.errstate(over="ignore"):  # infinity is white as well
+        value *= np.float32(_exposure(value @ LUMINANCE))
+    above = np.maximum(value - SHOULDER, 0) / (1 - SHOULDER)
+    value = np.where(value <= SHOULDER, value, SHOULDER + (1 - SHOULDER) * -np.expm1(-above))
+    encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.rint(encoded * 255).astype(np.uint8)
+
+
+def write_png(path: str | os.PathLike, rgb: np.ndarray) -> None:
+    """Tone-map linear RGB (height, width, 3) and write it as a PNG that is there whole or not at all.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    from PIL import Image
+
+    picture = Image.fromarray(tone_map(rgb))
+    write_whole(path, lambda temporary: picture.save(temporary, format="PNG"))
+
+
+def _exposure(luminance: np.ndarray) -> float:
+    lit = luminance[luminance > 0]
+    if lit.size == 0:
+        return 1.0
+    return KEY / float(np.exp(np.log(np.maximum(lit, 1e-4 * luminance.mean())).mean()))
