@@ -1,4 +1,4 @@
-"""What a strategy is: a schedule of waves, the statistics it reads, and a rule that turns them into an allocation map."""
+"""What a strategy is: a schedule of waves, the statistics it reads, and a rule that makes allocation maps of them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,0 +1,62 @@
+"""Measures: per-pixel numbers that stand for a standard error, and the floor below which darkness stops counting."""
+
+import numpy as np
+
+from isonoise.statistics import Statistics
+
+
+def image_floor(mean: np.ndarray) -> float:
+    """1 % of the geometric mean of max(L, 1e-4 mean L) over the pixels with L > 0, both means over these pixels.
+
+    `mean` is the luminance image, shape (height, width). 0 if no pixel is positive. Scaling the image by a power of two
+    scales the result exactly.
+    """
+    lit = mean[mean > 0].astype(np.float64)
+    if lit.size == 0:
+        return 0.0
+    average = lit.mean()
+    exponent = int(np.frexp(average)[1])  # the logarithms are taken of numbers that no power-of-two scale changes
+    np.maximum(lit, 1e-4 * average, out=lit)
+    np.log(np.ldexp(lit, -exponent, out=lit), out=lit)
+    return float(np.ldexp(0.01 * np.exp(lit.mean()), exponent))
+
+
+def relative_median(statistics: Statistics, floor: float, kappa: float = 8.0) -> np.ndarray:
+    """e_m = se / max(M_x, mean / kappa, floor), the poster's measure with a denominator that fireflies cannot remove.
+
+    Where more than half of the samples are 0, M_x is 0: `mean / kappa` bounds by what factor such a pixel may look
+    worse than by `relative_mean`. `kappa` = inf is the poster's own form. Float64, shape (height, width).
+
+    A pixel of fewer than two samples is inf: nothing is known. One whose samples were all equal is 0, however few they
+    were: no correction here, the uniform waves between the adaptive ones are what finds it out.
+    """
+    scale = statistics.mean / kappa
+    np.maximum(scale, statistics.median, out=scale)
+    return _ratio(standard_error(statistics), np.maximum(scale, floor, out=scale))
+
+
+def relative_mean(statistics: Statistics, floor: float) -> np.ndarray:
+    """e_a = se / max(mean, floor). Float64, shape (height, width); inf and 0 as in `relative_median`."""
+    return _ratio(standard_error(statistics), np.maximum(statistics.mean, floor))
+
+
+def standard_error(statistics: Statistics) -> np.ndarray:
+    """se = s / sqrt(n) of the luminance mean, float64 (height, width); inf where n < 2: nothing is known there."""
+    error = np.full(statistics.shape, np.inf)
+    known = statistics.count >= 2
+    np.divide(statistics.variance, statistics.count, out=error, where=known)
+    return np.sqrt(error, out=error)
+
+
+def variance_of_one(statistics: Statistics, measure: np.ndarray) -> np.ndarray:
+    """V = n m^2: the variance of one sample in the measure's terms; inf where n < 2."""
+    variance = measure * measure
+    return np.multiply(variance, statistics.count, out=variance, where=np.isfinite(variance))
+
+
+def _ratio(error: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """error / scale, in place of error: 0 / 0 is 0 (a black pixel without noise), and noise over nothing is inf."""
+    lit = scale > 0
+    np.divide(error, scale, out=error, where=lit)
+    error[~lit & (error > 0)] = np.inf
+    return error
