@@ -5,9 +5,8 @@ import os
 import numpy as np
 
 from isonoise.film.files import write_whole
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Luminance of linear RGB with Rec. 709 primaries (ITU-R BT.709)."""
+from isonoise.film.luminance import luminance
+from isonoise.strategies.measures import image_floor
 
 KEY = 0.18
 """Display value that the image's log-average luminance gets: middle grey (Reinhard et al. 2002, section 2.1)."""
@@ -33,7 +32,7 @@ def tone_map(rgb: np.ndarray) -> np.ndarray:
     """
     value = np.where(np.isfinite(rgb), rgb, 0).astype(np.float32).clip(min=0)
     with np.errstate(over="ignore"):  # infinity is white as well
-        value *= np.float32(_exposure(value @ LUMINANCE))
+        value *= np.float32(_exposure(luminance(value)))
     above = np.maximum(value - SHOULDER, 0) / (1 - SHOULDER)
     value = np.where(value <= SHOULDER, value, SHOULDER + (1 - SHOULDER) * -np.expm1(-above))
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
@@ -52,8 +51,6 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray) -> None:
     write_whole(path, lambda temporary: picture.save(temporary, format="PNG"))
 
 
-def _exposure(luminance: np.ndarray) -> float:
-    lit = luminance[luminance > 0]
-    if lit.size == 0:
-        return 1.0
-    return KEY / float(np.exp(np.log(np.maximum(lit, 1e-4 * luminance.mean())).mean()))
+def _exposure(brightness: np.ndarray) -> float:
+    average = 100 * image_floor(brightness)  # the floor is 1 % of the log-average
+    return KEY / average if average > 0 else 1.0

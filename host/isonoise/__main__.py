@@ -1,0 +1,7 @@
+"""`python -m isonoise` is the same as the command `isonoise`."""
+
+import sys
+
+from isonoise.cli import main
+
+sys.exit(main())

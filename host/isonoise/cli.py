@@ -1,0 +1,215 @@
+"""The command line: options, what they may be, and exit codes. Each command is a module of `isonoise.commands`.
+
+Nothing heavy is imported here, so that `isonoise --help` answers at once.
+"""
+
+import argparse
+import importlib
+import math
+import os
+import re
+import sys
+
+from isonoise.errors import UserError
+
+EXIT_DONE, EXIT_ERROR_NOT_MET, EXIT_BAD_INPUT = 0, 1, 2
+"""`EXIT_ERROR_NOT_MET`: --error was asked for and not met within the other limits. After a signal: 128 + its number."""
+
+MAX_PIXELS = 1 << 28
+"""Largest image that --size takes; beyond it the statistics alone need over 10 GiB, so it is most likely a slip."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command that `arguments` (default: the process's own) name; returns the exit code."""
+    try:
+        options = _parser().parse_args(arguments)
+        code = importlib.import_module(f"isonoise.commands.{options.command}").run(options)
+        sys.stdout.flush()
+        return code
+    except UserError as error:
+        print(f"isonoise: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        print("isonoise: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="isonoise", description="An OpenCL path tracer that spends its samples until the noise is the same everywhere."
+    )
+    parser.add_argument("--version", action=_Version)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
+    _add_render(commands)
+    devices = "list the OpenCL devices and say which one is the default"
+    commands.add_parser("devices", help=devices, description=devices.capitalize() + ".")
+    info = commands.add_parser(
+        "info",
+        help="say what a scene contains and which features it compiles to, or how an image was made",
+        description="For a scene: its contents, which features are compiled in, which are left out and why. "
+        "For an .exr file: its layers and how it was made.",
+    )
+    info.add_argument("source", metavar="SCENE|OUT.exr", help="a scene file, the name of a built-in scene, or an image")
+    _add_definitions(info)
+    return parser
+
+
+def _add_render(commands) -> None:
+    render = commands.add_parser(
+        "render",
+        help="render a scene until an error, a time or a number of samples is reached",
+        description="Render a scene. --spp, --time and --error may be combined: the first one reached ends the render. "
+        "With none of them the scene's own sample_count holds. Ctrl-C ends a render with a valid image.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    render.make_epilog = _render_epilog
+    render.add_argument("scene", metavar="SCENE", help="a scene file (.xml, .obj, .ply, .stl, .glb) or a built-in scene")
+    render.add_argument(
+        "-o",
+        "--output",
+        metavar="OUT.exr",
+        action="append",
+        required=True,
+        help=".exr: all layers, float32; .png: tone-mapped for a look; may be given more than once",
+    )
+    limits = render.add_argument_group("when to stop")
+    limits.add_argument("--spp", metavar="N", type=_positive, help="mean samples per pixel")
+    limits.add_argument("--time", metavar="S", type=_positive, help="seconds of rendering; set-up is not counted")
+    limits.add_argument("--error", metavar="E", type=_positive, help="stated relative error, as in 0.02")
+    limits.add_argument(
+        "--quantile",
+        metavar="Q",
+        type=_quantile,
+        default=0.99,
+        help="quantile over the pixels at which --error holds (default: %(default)s)",
+    )
+    how = render.add_argument_group("how to render")
+    how.add_argument("--strategy", metavar="NAME[:k=v,..]", help="how samples are spread over the image; listed below")
+    how.add_argument("--seed", metavar="K", type=_seed, default=0, help="same seed, same image (default: %(default)s)")
+    how.add_argument("--size", metavar="WxH", type=_size, help="image size in pixels instead of the scene's")
+    how.add_argument("--max-depth", metavar="N", type=_max_depth, help="longest path: 1 is emitters only, -1 no end")
+    _add_definitions(how)
+    how.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
+    reports = render.add_argument_group("what to report")
+    reports.add_argument("--reference", metavar="REF.exr", help="converged image: the true error is reported as well")
+    reports.add_argument("--log", metavar="LOG.csv", help="write a row a wave; the columns are listed below")
+    reports.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+
+
+def _add_definitions(parser) -> None:
+    parser.add_argument(
+        "-D",
+        dest="parameters",
+        metavar="name=value",
+        type=_definition,
+        action="append",
+        default=[],
+        help="set a <default> parameter of the scene file; may be given more than once",
+    )
+
+
+def _render_epilog() -> str:
+    import textwrap
+
+    from isonoise.film.log import columns
+    from isonoise.strategies import DEFAULT_STRATEGY, available_strategies
+
+    names = [f"{name} (default)" if name == DEFAULT_STRATEGY else name for name in available_strategies()]
+    meanings = columns(true_errors=True)
+    width = max(map(len, meanings))
+    lines = [f"strategies: {', '.join(names)}, or module:Class for one of your own", ""]
+    lines.append("columns of --log (those that begin with true_ only with --reference):")
+    for name, meaning in meanings.items():
+        lines += textwrap.wrap(meaning, 110, initial_indent=f"  {name:{width}}  ", subsequent_indent=" " * (width + 4))
+    lines += ["", "exit codes: 0 done; 1 --error was not met within the other limits; 2 bad input; 130 after Ctrl-C"]
+    return "\n".join(lines)
+
+
+class _CommandParser(argparse.ArgumentParser):
+    """A parser whose epilog is made only when somebody reads it."""
+
+    make_epilog = None
+
+    def format_help(self) -> str:
+        if self.make_epilog:
+            self.epilog = self.make_epilog()
+        return super().format_help()
+
+
+class _Version(argparse.Action):
+    """Prints the version of the installed package; looked up only when asked for."""
+
+    def __init__(self, option_strings, dest):
+        super().__init__(option_strings, dest, nargs=0, help="print the version")
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        from importlib.metadata import version
+
+        print(f"isonoise {version('isonoise')}")
+        parser.exit()
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
+    return value
+
+
+def _whole(text: str) -> int:
+    if not re.fullmatch(r"[+-]?[0-9]+", text):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number")
+    return int(text)
+
+
+def _positive(text: str) -> float:
+    value = _number(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text} must be more than 0")
+    return value
+
+
+def _quantile(text: str) -> float:
+    value = _number(text)
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1, as in 0.99")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = _whole(text)
+    if not 0 <= value < 1 << 32:
+        raise argparse.ArgumentTypeError(f"{text} must be from 0 to {(1 << 32) - 1}")
+    return value
+
+
+def _max_depth(text: str) -> int:
+    value = _whole(text)
+    if value < 1 and value != -1:
+        raise argparse.ArgumentTypeError(f"{text} must be 1 or more, or -1 for no end")
+    return value
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([0-9]+)[xX]([0-9]+)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a size: write WIDTHxHEIGHT, as in 640x480")
+    width, height = map(int, match.groups())
+    if width < 1 or height < 1:
+        raise argparse.ArgumentTypeError(f"{text} has no pixels: width and height must be 1 or more")
+    if width * height > MAX_PIXELS:
+        raise argparse.ArgumentTypeError(f"{text} has more than {MAX_PIXELS:,} pixels")
+    return width, height
+
+
+def _definition(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form name=value")
+    return name, value

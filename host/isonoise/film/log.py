@@ -1,0 +1,90 @@
+"""The error log: one row a wave, the columns and what they mean, and the CSV file that a render writes as it goes."""
+
+import os
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Literal
+
+from isonoise.errors import UserError
+from isonoise.film.files import check_writable, write_whole
+
+if TYPE_CHECKING:
+    from isonoise.film.true_error import TrueErrors
+
+
+def _column(meaning: str):
+    return field(metadata={"doc": meaning})
+
+
+@dataclass(frozen=True)
+class LogRow:
+    """The state of a render after one wave. Each field is a column; `true` stands for one column a field of its own."""
+
+    elapsed_s: float = _column("seconds of rendering alone: without set-up, writing files and computing true errors")
+    wave: int = _column("number of the wave, from 1")
+    kind: Literal["uniform", "adaptive"] = _column("'uniform' (same count in every pixel) or 'adaptive'")
+    samples: int = _column("samples taken so far, over the whole image")
+    spp: float = _column("samples / pixels")
+    stated_p50: float = _column("stated error e at q = 0.5: mean over the pixels of P(|Z| s_i / max(mean_i, floor) <= e) = q")
+    stated_p95: float = _column("the same at q = 0.95")
+    stated_p99: float = _column("the same at q = 0.99")
+    true: "TrueErrors | None"
+    rejected: int = _column("samples that were not a finite number and enter no statistic, so far")
+
+
+def columns(true_errors: bool) -> dict[str, str]:
+    """Names of the CSV's columns, in order, with their meaning; with `true_errors` those that need a reference too."""
+    found = {f.name: f.metadata["doc"] for f in fields(LogRow) if f.name != "true"}
+    if true_errors:
+        from isonoise.film.true_error import TrueErrors
+
+        found |= {f"true_{f.name}": f.metadata["doc"] for f in fields(TrueErrors)}
+    return found
+
+
+class LogWriter:
+    """Writes rows to a CSV file that other programs can read while the render runs.
+
+    The file appears with its first row, in place of an older one. Every further row is one write to the end of the
+    file, without buffering, so that a reader, or what a crash leaves behind, holds whole rows only.
+
+    Args:
+        path: the file; checked at once, so that a render does not start without a place for its log.
+        true_errors: whether rows come with true errors.
+
+    Raises:
+        UserError: the file cannot be written, here or in `write`.
+    """
+
+    def __init__(self, path: str | os.PathLike, true_errors: bool):
+        self._path = check_writable(path)
+        self._columns = columns(true_errors)
+        self._begun = False
+
+    def write(self, row: LogRow) -> None:
+        """Add one row; it is in the file when this returns, or the file is as it was and an error is raised."""
+        line = (",".join(_text(value) for value in row_values(row).values()) + "\n").encode()
+        if not self._begun:
+            header = (",".join(self._columns) + "\n").encode()
+            write_whole(self._path, lambda temporary: temporary.write_bytes(header + line))
+            self._begun = True
+            return
+        try:
+            with open(self._path, "ab", buffering=0) as file:
+                end = file.tell()
+                if file.write(line) != len(line):
+                    file.truncate(end)
+                    raise UserError(f"cannot write '{self._path}': no space left")
+        except OSError as error:
+            raise UserError(f"cannot write '{self._path}': {error.strerror}") from error
+
+
+def row_values(row: LogRow) -> dict[str, float | int | str]:
+    """A row as column name and value, in the order of `columns`."""
+    values = {f.name: getattr(row, f.name) for f in fields(row) if f.name != "true"}
+    if row.true is not None:
+        values |= {f"true_{f.name}": getattr(row.true, f.name) for f in fields(row.true)}
+    return values
+
+
+def _text(value: float | int | str) -> str:
+    return format(value, ".9g") if isinstance(value, float) else str(value)

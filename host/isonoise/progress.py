@@ -1,0 +1,67 @@
+"""The progress bar of a render: time, samples, stated error and time left, on a terminal only."""
+
+import sys
+
+
+class ProgressBar:
+    """A bar on stderr while the `with` block runs; where stderr is no terminal nothing is shown.
+
+    Call `update` with the render loop's progress.
+    """
+
+    def __enter__(self) -> "ProgressBar":
+        self._progress = None
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn
+
+            self._progress = Progress(
+                BarColumn(bar_width=None),
+                TextColumn("{task.description}"),
+                console=Console(stderr=True),
+                transient=True,
+                expand=True,
+            )
+            self._task = self._progress.add_task("first samples", total=None)
+            self._progress.start()
+        return self
+
+    def __exit__(self, *exception) -> None:
+        if self._progress:
+            self._progress.stop()
+
+    def update(self, elapsed_s: float, samples: int, stated_error: float | None, remaining_s: float | None) -> None:
+        """Show where the render stands; None is what is not known yet."""
+        if not self._progress:
+            return
+        parts = [f"{duration(elapsed_s)}", f"{count(samples)} samples"]
+        if stated_error is not None:
+            parts.append(f"error {percent(stated_error)}")
+        if remaining_s is not None:
+            parts.append(f"{duration(remaining_s)} left")
+        total = None if remaining_s is None else max(elapsed_s + remaining_s, 1e-9)
+        self._progress.update(self._task, completed=elapsed_s, total=total, description=", ".join(parts))
+
+
+def duration(seconds: float) -> str:
+    """A time for people: '0.31 s', '12.3 s', '4:05', '1:02:03'."""
+    if seconds < 9.995:
+        return f"{seconds:.2f} s"
+    if seconds < 59.95:
+        return f"{seconds:.1f} s"
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
+
+
+def count(number: float) -> str:
+    """A count for people, with three digits: '950', '1.23 M', '45.6 G'."""
+    for unit, size in (("T", 1e12), ("G", 1e9), ("M", 1e6), ("k", 1e3)):
+        if number >= 0.9995 * size:
+            return f"{number / size:.3g} {unit}"
+    return f"{number:.0f}"
+
+
+def percent(error: float) -> str:
+    """A relative error for people: '1.98 %', '0.0123 %'."""
+    return f"{100 * error:.3g} %"
