@@ -1,0 +1,8 @@
+"""Scenes: files and dicts in Mitsuba 3's vocabulary, and the flat arrays that the device renders."""
+
+from isonoise.scene.builtin import builtin_scenes
+from isonoise.scene.compile import compile_scene
+from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.load import load
+
+__all__ = ["CompiledScene", "builtin_scenes", "compile_scene", "load"]

@@ -1,0 +1,108 @@
+"""Lights of a scene: one record per emissive primitive or emitter, picked in proportion to their power."""
+
+import math
+
+import numpy as np
+
+from isonoise.errors import SceneError
+from isonoise.scene import structs
+from isonoise.scene.spectra import LUMINANCE, colour_to_rgb
+
+_EXPONENT = 1000  # within float64
+_KINDS = {
+    structs.ANALYTIC_SPHERE: structs.LIGHT_SPHERE,
+    structs.ANALYTIC_DISK: structs.LIGHT_DISK,
+    structs.ANALYTIC_CYLINDER: structs.LIGHT_CYLINDER,
+}
+_VALUES = {"area": "radiance", "constant": "radiance", "point": "intensity", "directional": "irradiance"}
+
+
+def emitted(emitter: dict) -> np.ndarray:
+    """Linear RGB (3,) float64 of what an emitter emits, in its own unit."""
+    return colour_to_rgb(emitter[_VALUES[emitter["type"]]], "radiance")
+
+
+def radiance_scale(values: list[np.ndarray]) -> float:
+    """2^-floor(log2(max luminance)): brings the brightest emitter into [1, 2). 1 without light."""
+    brightest = max((float(value @ LUMINANCE) for value in values), default=0.0)
+    if not brightest > 0:
+        return 1.0
+    return 2.0 ** min(max(1 - math.frexp(brightest)[1], -_EXPONENT), _EXPONENT)
+
+
+def surface_lights(kind: int | None, first: int, areas: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Lights of an emissive shape's primitives, in their order. `kind` is the analytic kind, None for triangles."""
+    lights = np.zeros(len(areas), structs.LIGHT)
+    lights["kind"] = structs.LIGHT_TRIANGLE if kind is None else _KINDS[kind]
+    lights["primitive"] = first + np.arange(len(areas))
+    lights["area"] = areas
+    lights["radiance"] = value
+    return lights
+
+
+def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
+    """The light (1,) of an emitter without surface."""
+    light = np.zeros(1, structs.LIGHT)
+    light["primitive"] = structs.NONE
+    light["radiance"] = value
+    to_world = emitter.get("to_world", np.eye(4))
+    if emitter["type"] == "point":
+        light["kind"] = structs.LIGHT_POINT
+        light["position"] = emitter.get("position", to_world[:3, 3])
+    elif emitter["type"] == "directional":
+        light["kind"] = structs.LIGHT_DIRECTIONAL
+        direction = np.asarray(emitter.get("direction", to_world[:3, 2]), float)
+        length = np.linalg.norm(direction)
+        if not length > 0:
+            raise SceneError("the direction of a directional emitter is zero")
+        light["position"] = direction / length
+    else:
+        light["kind"] = structs.LIGHT_CONSTANT
+    return light
+
+
+def pick_probabilities(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Probabilities (l,) float64 in proportion to power, summing to 1.
+
+    Power is pi A L for a surface, 4 pi I for a point; directional and constant light count what enters the sphere
+    around the scene: pi r^2 E and 4 pi^2 r^2 L (as pbrt's and Mitsuba's power light samplers do). All zero is uniform.
+    """
+    radius = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
+    factor = np.pi * lights["area"].astype(np.float64)
+    factor[lights["kind"] == structs.LIGHT_POINT] = 4.0 * np.pi
+    factor[lights["kind"] == structs.LIGHT_DIRECTIONAL] = np.pi * radius**2
+    factor[lights["kind"] == structs.LIGHT_CONSTANT] = 4.0 * np.pi**2 * radius**2
+    power = factor * (lights["radiance"].astype(np.float64) @ LUMINANCE)
+    largest = power.max()
+    if not largest > 0:
+        return np.full(len(lights), 1.0 / len(lights))
+    power /= largest  # the sum of a million powers of 1e38 is still a number
+    return power / power.sum()
+
+
+def alias_table(probabilities: np.ndarray) -> np.ndarray:
+    """Walker's alias table (n,) of structs.ALIAS, without a loop over the entries.
+
+    Entries below the average are filled from those above it, both in index order (Vose 1991; as prefix sums:
+    Huebschle-Schneider and Sanders 2019, "Parallel Weighted Random Sampling", section 4.2). With the deficits laid end
+    to end and the surpluses too, an entry's alias is the surplus on which its deficit begins; a surplus that the
+    deficit ending beyond it overdraws is filled from the next one.
+    """
+    count = len(probabilities)
+    share = probabilities * (count / probabilities.sum())
+    above = share >= min(1.0, share.max())
+    low, high = np.flatnonzero(~above), np.flatnonzero(above)
+    deficit, surplus = np.cumsum(1.0 - share[low]), np.cumsum(share[high] - 1.0)
+    begins = np.concatenate([[0.0], deficit[:-1]])[: len(low)]
+    threshold, alias = share.copy(), np.arange(count)
+    alias[low] = high[np.minimum(np.searchsorted(surplus, begins, side="right"), len(high) - 1)]
+    overdraws = np.searchsorted(deficit, surplus, side="right")  # the first deficit that ends beyond each surplus
+    kept = np.ones(len(high))
+    drawn = overdraws < len(low)
+    kept[drawn] = 1.0 + surplus[drawn] - deficit[overdraws[drawn]]
+    kept[-1] = 1.0  # what is missing there is rounding
+    threshold[high] = kept
+    alias[high[:-1]] = high[1:]
+    table = np.zeros(count, structs.ALIAS)
+    table["threshold"], table["alias"] = np.clip(threshold, 0.0, 1.0), alias
+    return table

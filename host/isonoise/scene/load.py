@@ -1,0 +1,34 @@
+"""From what the user names to the normalised scene description."""
+
+import os
+from collections.abc import Mapping
+
+from isonoise.errors import SceneError
+from isonoise.scene.builtin import find_scene
+from isonoise.scene.dict_reader import read_dict
+from isonoise.scene.validate import normalise
+from isonoise.scene.xml_reader import read_xml
+
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+
+
+def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None) -> dict:
+    """The normalised description of a scene: a plain dict in Mitsuba 3's vocabulary.
+
+    `source` is a Mitsuba 3 XML file, a mesh (OBJ, PLY, STL, GLB), the name of a built-in scene, or a dict as for
+    Mitsuba's load_dict; `parameters` replace `$name` in XML. Defaults are filled in, references replaced by what they
+    refer to, transforms are (4, 4) float64, file names absolute. Raises SceneError where it is none of these.
+    """
+    parameters = {name: str(value) for name, value in (parameters or {}).items()}
+    if isinstance(source, Mapping):
+        if parameters:
+            raise SceneError("parameters belong to XML scenes; change the dict itself")
+        return normalise(read_dict(source))
+    path = find_scene(source)
+    if path.suffix.lower() in MESH_SUFFIXES:
+        from isonoise.scene.framing import frame_mesh
+
+        if parameters:
+            raise SceneError(f"{path}: parameters belong to XML scenes, this is a mesh")
+        return normalise(read_dict(frame_mesh(path)))
+    return normalise(read_xml(path, parameters))

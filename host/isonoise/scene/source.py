@@ -1,0 +1,53 @@
+"""Where things stand in the user's files, so that every error can say it."""
+
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import NoReturn
+
+from isonoise.errors import SceneError
+
+
+@dataclass(frozen=True)
+class Place:
+    """A spot in the scene: a file and a line, or a path of keys inside a Python dict."""
+
+    file: str = ""
+    line: int = 0
+    element: str = ""
+
+    def __str__(self) -> str:
+        spot = f"{self.file}:{self.line}" if self.line else self.file
+        return ": ".join(part for part in (spot, self.element) if part)
+
+    def fail(self, message: str) -> NoReturn:
+        """Raise a SceneError that begins with this place."""
+        prefix = str(self)
+        raise SceneError(f"{prefix}: {message}" if prefix else message)
+
+
+@dataclass
+class Element:
+    """One object of the scene as it was read, before any check: XML elements and Python dicts both become this."""
+
+    place: Place
+    kind: str  # the XML tag ('bsdf', 'shape', ...); '' where it has to follow from the type (Python dicts)
+    type: str
+    id: str
+    entries: list[tuple[str, object, Place]] = field(default_factory=list)
+    """(name, value, place): nested Elements and References under their name ('' if they have none), else values."""
+    aliases: dict[str, str] = field(default_factory=dict)  # root only: further ids, by the id they stand for
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Stands for the object with this id."""
+
+    id: str
+
+
+def nearest(name: str, choices) -> str:
+    """The one of `choices` that `name` is most likely meant to be ('' if there are none at all)."""
+    ordered = sorted(choices)
+    lowered = {choice.lower(): choice for choice in ordered}
+    match = get_close_matches(name.lower(), list(lowered), n=1, cutoff=0.0)
+    return lowered[match[0]] if match else ""

@@ -1,0 +1,65 @@
+"""Spectra to linear RGB (Rec. 709 primaries), as the rgb variants of Mitsuba 3 do it.
+
+A spectrum is integrated against the CIE 1931 2-degree observer at 1000 points over 360..830 nm, taken to linear sRGB
+and clamped to the gamut. Reflectances and other quantities without a light of their own are seen under D65 and come out
+as RGB (1, 1, 1) where the spectrum is 1; emissions are seen as they are, so a flat one is (1.2048, 0.9483, 0.9089):
+equal energy is not D65. The norms are Mitsuba's: the integral of y, and the luminance of its D65 table relative to it.
+"""
+
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+
+_STEPS, _FIRST, _LAST = 1000, 360.0, 830.0
+_Y_INTEGRAL = 106.7502593994140625  # of the observer's y over wavelength (Mitsuba 3, MI_CIE_Y_NORMALIZATION)
+_D65_SCALE = 98.99741751876255  # mean of D65 weighted with y (Mitsuba 3, MI_CIE_D65_NORMALIZATION)
+_XYZ_TO_RGB = np.array(  # ITU-R Rec. BT.709
+    [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
+)
+LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
+"""Luminance of linear Rec. 709 RGB."""
+
+
+@lru_cache(maxsize=1)
+def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Wavelengths (1000,), RGB weights of an emission (1000, 3), and the same under D65."""
+    with files("isonoise.scene").joinpath("data/cie1931.csv").open() as file:
+        table = np.loadtxt(file, delimiter=",")
+    wavelengths = np.linspace(_FIRST, _LAST, _STEPS)
+    at = [np.interp(wavelengths, table[:, 0], table[:, i]) for i in range(1, 5)]
+    weights = np.stack(at[:3], axis=1) @ _XYZ_TO_RGB.T * ((_LAST - _FIRST) / _STEPS / _Y_INTEGRAL)
+    return wavelengths, weights, weights * (at[3] / _D65_SCALE)[:, None]
+
+
+def spectrum_to_rgb(wavelengths, values, kind: str) -> np.ndarray:
+    """Linear RGB (3,) float64 of a piecewise linear spectrum, zero outside its range.
+
+    `kind` is 'reflectance' (result within [0, 1]), 'unbounded' (eta, k; result >= 0) or 'radiance' (result >= 0).
+    """
+    grid, emitted, under_d65 = _tables()
+    wavelengths = np.asarray(wavelengths, float)
+    sampled = np.interp(grid, wavelengths, values)
+    sampled[(grid < wavelengths[0]) | (grid > wavelengths[-1])] = 0.0
+    rgb = sampled @ (emitted if kind == "radiance" else under_d65)
+    return np.clip(rgb, 0.0, 1.0 if kind == "reflectance" else np.inf)
+
+
+def flat_to_rgb(value: float, kind: str) -> np.ndarray:
+    """Linear RGB of a spectrum with the same value everywhere."""
+    if kind != "radiance":
+        return np.full(3, float(value))
+    return value * _tables()[1].sum(axis=0)
+
+
+def colour_to_rgb(colour, kind: str) -> np.ndarray:
+    """Linear RGB (3,) float64 of a normalised colour value: a float, or a dict of type 'rgb' or 'spectrum'."""
+    if not isinstance(colour, dict):
+        return np.full(3, float(colour))
+    value = colour["value"]
+    if colour["type"] == "rgb":
+        return np.broadcast_to(np.asarray(value, float), 3).copy()
+    if isinstance(value, float):
+        return flat_to_rgb(value, kind)
+    wavelengths, values = np.asarray(value, float).T
+    return spectrum_to_rgb(wavelengths, values, kind)

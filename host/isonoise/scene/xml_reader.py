@@ -1,0 +1,190 @@
+"""Mitsuba 3 XML -> Elements: includes merged, parameters substituted, values parsed, every error with its line."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from isonoise.errors import SceneError
+from isonoise.scene.source import Element, Reference, nearest
+from isonoise.scene.xml_tags import Tag, parse_tags
+from isonoise.scene.xml_values import OPERATIONS, check_attributes, operation, value_of
+
+_INCLUDES = 1000  # files read in all: two includes in each of 30 levels would be a thousand million
+_INCLUDE_DEPTH = 15  # as in Mitsuba 3
+_ATTRIBUTE = 1 << 20  # characters of one attribute after substitution: parameters may name parameters
+_OBJECTS = ("scene", "integrator", "sensor", "film", "rfilter", "sampler", "bsdf", "shape", "emitter", "texture")
+_OBJECTS += ("medium", "phase", "volume")
+_VALUES = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum")
+_OTHERS = ("transform", "ref", "include", "alias", "default", "path")
+
+
+def read_xml(path: Path, parameters: dict[str, str]) -> Element:
+    """The Element tree of a scene file; `parameters` replace `$name` and win over <default>.
+
+    Raises SceneError, naming file, line and element, for whatever is not a scene.
+    """
+    reader = _Reader(parameters)
+    root = reader.file(path, ())
+    for name in parameters:
+        if name not in reader.used:
+            known = ", ".join(sorted(reader.used | set(reader.parameters) - set(parameters))) or "none"
+            raise SceneError(f"{path}: the scene has no parameter '{name}' (it has: {known})")
+    root.aliases = reader.aliases
+    return root
+
+
+class _Reader:
+    """What the files of one scene share."""
+
+    def __init__(self, parameters: dict[str, str]):
+        self.parameters = dict(parameters)
+        self.used: set[str] = set()
+        self.aliases: dict[str, str] = {}
+        self.open: list[Path] = []
+        self.count = 0
+
+    def file(self, path: Path, folders: tuple[Path, ...]) -> Element:
+        self.count += 1
+        if path.resolve() in self.open:
+            raise SceneError(f"{path}: includes itself, directly or through others")
+        if len(self.open) > _INCLUDE_DEPTH or self.count > _INCLUDES:
+            raise SceneError(f"{path}: too many includes")
+        self.open.append(path.resolve())
+        tag = parse_tags(path)
+        if "version" not in tag.attributes:
+            tag.place.fail('the root element lacks its version, such as <scene version="3.0.0">')
+        if tag.attributes["version"].split(".")[0] not in ("2", "3"):
+            tag.place.fail(f"version {tag.attributes['version'][:20]} is not read; isonoise reads versions 2 and 3")
+        root = _File(self, [path.parent, *folders]).object(tag, root=True)
+        self.open.pop()
+        return root
+
+
+class _File:
+    """Turns the tags of one file into Elements; knows where its relative file names begin."""
+
+    def __init__(self, reader: _Reader, folders: list[Path]):
+        self.reader, self.folders = reader, folders
+
+    def object(self, tag: Tag, root: bool = False) -> Element:
+        self.substitute(tag)
+        if tag.name not in (*_OBJECTS, "spectrum"):
+            tag.place.fail(f"unknown element; did you mean <{nearest(tag.name, _OBJECTS)}>?")
+        is_scene = root and tag.name == "scene"
+        check_attributes(
+            tag, () if is_scene else ("type",), ("version", "id", "name", "type") if root else ("id", "name")
+        )
+        kind = "texture" if tag.name == "spectrum" else tag.name
+        type_ = tag.attributes.get("type", "scene")
+        element = Element(tag.place, kind, type_, tag.attributes.get("id", ""))
+        for child in tag.children:
+            self.entry(element, child, root)
+        return element
+
+    def entry(self, parent: Element, tag: Tag, at_root: bool):
+        """Add what one child tag says to its parent."""
+        self.substitute(tag)
+        name = tag.attributes.get("name", "")
+        if tag.name in _OBJECTS or (tag.name == "spectrum" and "type" in tag.attributes):
+            parent.entries.append((name, self.object(tag), tag.place))
+        elif tag.name == "transform":
+            check_attributes(tag, ("name",))
+            parent.entries.append((name, self.transform(tag), tag.place))
+        elif tag.name in _VALUES:
+            value = value_of(tag)
+            if tag.name == "string" and name == "filename":
+                value = str(self.find(tag, value))
+            parent.entries.append((name, value, tag.place))
+            self.no_children(tag)
+        elif tag.name in _OTHERS:
+            getattr(self, f"_{tag.name}")(parent, tag, at_root)
+            self.no_children(tag)
+        elif tag.name in OPERATIONS:
+            tag.place.fail("belongs inside a <transform>")
+        else:
+            hint = nearest(tag.name, (*_OBJECTS, *_VALUES, *_OTHERS))
+            tag.place.fail(f"unknown element; did you mean <{hint}>?")
+
+    def no_children(self, tag: Tag):
+        if tag.children:
+            tag.children[0].place.fail(f"cannot stand inside <{tag.name}>")
+
+    def transform(self, tag: Tag) -> np.ndarray:
+        """Operations apply in the order they are written: each is multiplied from the left."""
+        matrix = np.eye(4)
+        for child in tag.children:
+            self.substitute(child)
+            self.no_children(child)
+            matrix = operation(child) @ matrix
+        return matrix
+
+    def _ref(self, parent: Element, tag: Tag, at_root: bool):
+        check_attributes(tag, ("id",), ("name",))
+        parent.entries.append((tag.attributes.get("name", ""), Reference(tag.attributes["id"]), tag.place))
+
+    def _include(self, parent: Element, tag: Tag, at_root: bool):
+        check_attributes(tag, ("filename",), ("name",))
+        included = self.reader.file(self.find(tag, tag.attributes["filename"]), tuple(self.folders))
+        if included.type == "scene":
+            parent.entries.extend(included.entries)
+        else:
+            parent.entries.append((tag.attributes.get("name", ""), included, tag.place))
+
+    def _alias(self, parent: Element, tag: Tag, at_root: bool):
+        check_attributes(tag, ("id", "as"))
+        if tag.attributes["as"] in self.reader.aliases:
+            tag.place.fail(f"the id '{tag.attributes['as']}' is taken")
+        self.reader.aliases[tag.attributes["as"]] = tag.attributes["id"]
+
+    def _default(self, parent: Element, tag: Tag, at_root: bool):
+        check_attributes(tag, ("name", "value"))
+        self.reader.parameters.setdefault(tag.attributes["name"], tag.attributes["value"])
+        self.reader.used.add(tag.attributes["name"])
+
+    def _path(self, parent: Element, tag: Tag, at_root: bool):
+        check_attributes(tag, ("value",))
+        if not at_root:
+            tag.place.fail("stands only directly below the root")
+        folder = self.find(tag, tag.attributes["value"])
+        if not folder.is_dir():
+            tag.place.fail(f"'{folder}' is not a folder")
+        self.folders.insert(0, folder)
+
+    def find(self, tag: Tag, name: str) -> Path:
+        """The file or folder of this name in the folders where this file looks."""
+        if "\0" in name or not name:
+            tag.place.fail("a file name is needed here")
+        for folder in self.folders:
+            if (folder / name).exists():
+                return folder / name
+        looked = ", ".join(str(folder) for folder in self.folders)
+        tag.place.fail(f"there is no '{name}' (looked in {looked})")
+
+    def substitute(self, tag: Tag):
+        """Replace $name in the attributes; \\$ is a plain $."""
+        for key, text in tag.attributes.items():
+            if "$" in text:
+                tag.attributes[key] = self._substituted(tag, text)
+
+    def _substituted(self, tag: Tag, text: str) -> str:
+        parameters = self.reader.parameters
+        # Longest first, as in Mitsuba 3: $spp_max is not $spp followed by _max where both exist.
+        names = "|".join(re.escape(name) for name in sorted(parameters, key=len, reverse=True))
+        pattern = re.compile(rf"\\\$|\$({names})" if names else r"\\\$|\$(?!)")
+
+        def value(match: re.Match) -> str:
+            if match[0] == "\\$":
+                return "\0"
+            self.reader.used.add(match[1])
+            return parameters[match[1]]
+
+        size = len(text) + sum(len(parameters[m[1]]) for m in pattern.finditer(text) if m[0] != "\\$")
+        if size > _ATTRIBUTE:
+            tag.place.fail("an attribute grows beyond a million characters by its parameters")
+        result = pattern.sub(value, text)
+        unknown = re.search(r"\$(\w*)", result)
+        if unknown:
+            hint = nearest(unknown[1], parameters)
+            tag.place.fail(f"undefined parameter ${unknown[1]}" + (f"; did you mean ${hint}?" if hint else ""))
+        return result.replace("\0", "$")
