@@ -8,12 +8,11 @@ import importlib
 import math
 import os
 import re
+import signal
 import sys
 
+from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.errors import UserError
-
-EXIT_DONE, EXIT_ERROR_NOT_MET, EXIT_BAD_INPUT = 0, 1, 2
-"""`EXIT_ERROR_NOT_MET`: --error was asked for and not met within the other limits. After a signal: 128 + its number."""
 
 MAX_PIXELS = 1 << 28
 """Largest image that --size takes; beyond it the statistics alone need over 10 GiB, so it is most likely a slip."""
@@ -31,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("isonoise: interrupted", file=sys.stderr)
-        return 130
+        return 128 + signal.SIGINT
     except BrokenPipeError:  # whoever read our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
@@ -39,7 +38,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="isonoise", description="An OpenCL path tracer that spends its samples until the noise is the same everywhere."
+        prog="isonoise",
+        description="An OpenCL path tracer that spends its samples until the noise is the same everywhere.",
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
@@ -66,7 +66,9 @@ def _add_render(commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     render.make_epilog = _render_epilog
-    render.add_argument("scene", metavar="SCENE", help="a scene file (.xml, .obj, .ply, .stl, .glb) or a built-in scene")
+    render.add_argument(
+        "scene", metavar="SCENE", help="a scene file (.xml, .obj, .ply, .stl, .glb) or a built-in scene"
+    )
     render.add_argument(
         "-o",
         "--output",

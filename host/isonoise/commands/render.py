@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
-from isonoise.cli import EXIT_DONE, EXIT_ERROR_NOT_MET
+from isonoise.commands import EXIT_DONE, EXIT_ERROR_NOT_MET
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.log import LogRow, LogWriter, row_values

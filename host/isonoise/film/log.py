@@ -24,7 +24,9 @@ class LogRow:
     kind: Literal["uniform", "adaptive"] = _column("'uniform' (same count in every pixel) or 'adaptive'")
     samples: int = _column("samples taken so far, over the whole image")
     spp: float = _column("samples / pixels")
-    stated_p50: float = _column("stated error e at q = 0.5: mean over the pixels of P(|Z| s_i / max(mean_i, floor) <= e) = q")
+    stated_p50: float = _column(
+        "stated error e at q = 0.5: mean over the pixels of P(|Z| s_i / max(mean_i, floor) <= e) = q"
+    )
     stated_p95: float = _column("the same at q = 0.95")
     stated_p99: float = _column("the same at q = 0.99")
     true: "TrueErrors | None"

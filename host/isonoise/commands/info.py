@@ -1,0 +1,84 @@
+"""`isonoise info`: what a scene holds and compiles to, or what an image says about how it was made."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from isonoise.commands import EXIT_DONE
+from isonoise.scene import structs
+from isonoise.scene.compiled import CompiledScene
+
+SHAPES = {structs.ANALYTIC_SPHERE: "spheres", structs.ANALYTIC_DISK: "disks", structs.ANALYTIC_CYLINDER: "cylinders"}
+MATERIALS = {
+    structs.BSDF_DIFFUSE: "diffuse",
+    structs.BSDF_DIELECTRIC: "dielectric",
+    structs.BSDF_CONDUCTOR: "conductor",
+}
+LIGHTS = {
+    structs.LIGHT_TRIANGLE: "triangles",
+    structs.LIGHT_SPHERE: "spheres",
+    structs.LIGHT_DISK: "disks",
+    structs.LIGHT_CYLINDER: "cylinders",
+    structs.LIGHT_POINT: "point",
+    structs.LIGHT_DIRECTIONAL: "directional",
+    structs.LIGHT_CONSTANT: "constant",
+}
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print what there is to say about a scene or an .exr file. Raises UserError if it cannot be read."""
+    if Path(options.source).suffix.lower() == ".exr":
+        _image(options.source)
+    else:
+        _scene(options.source, dict(options.parameters))
+    return EXIT_DONE
+
+
+def _image(path: str) -> None:
+    from isonoise.film.exr import read_header
+
+    channels, (width, height), header = read_header(path)
+    print(f"size      {width}x{height}")
+    print(f"channels  {', '.join(channels)}")
+    for name, value in sorted(header.items()):
+        print(f"{name:24}  {value}")
+
+
+def _scene(source: str, parameters: dict[str, str]) -> None:
+    from isonoise.integrator.features import FEATURES, features
+    from isonoise.scene import compile_scene, load
+    from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
+
+    scene = compile_scene(load(source, parameters))
+    for name, value in _facts(scene).items():
+        print(f"{name:12} {value}")
+    used = features(scene, make_strategy(DEFAULT_STRATEGY).needs)
+    width = max(map(len, used))
+    print(f"\nin, with the strategy {DEFAULT_STRATEGY}:")
+    for name in (name for name, on in used.items() if on):
+        print(f"  {name:{width}}  {FEATURES[name].meaning}: {FEATURES[name].cost}")
+    print("\nleft out, because the scene or the strategy has no use for it:")
+    for name in (name for name, on in used.items() if not on):
+        print(f"  {name:{width}}  {FEATURES[name].meaning}: saves {FEATURES[name].cost}")
+
+
+def _facts(scene: CompiledScene) -> dict[str, str]:
+    """What a person wants to know about a scene, line by line."""
+    depth = "no end" if scene.max_depth < 0 else str(scene.max_depth)
+    low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in scene.bounds)
+    return {
+        "size": f"{scene.width}x{scene.height}, {scene.sample_count} samples per pixel, filter {scene.filter}",
+        "paths": f"max_depth {depth}, russian roulette from depth {scene.rr_depth}",
+        "triangles": f"{len(scene.faces):,} with {len(scene.vertices):,} vertices",
+        "analytic": _counts(SHAPES, scene.analytics["kind"]),
+        "materials": _counts(MATERIALS, scene.bsdfs["kind"]),
+        "lights": _counts(LIGHTS, scene.lights["kind"]),
+        "bounds": f"({low}) to ({high})",
+        "hash": scene.hash,
+    }
+
+
+def _counts(names: dict[int, str], kinds: np.ndarray) -> str:
+    found = zip(*np.unique(kinds, return_counts=True), strict=True)
+    return ", ".join(f"{number:,} {names[kind]}" for kind, number in found) or "none"
