@@ -1,0 +1,129 @@
+"""The one place that owns the OpenCL context and queue: it picks a device, builds programs, makes buffers, launches kernels."""
+
+import os
+import platform
+import warnings
+
+import numpy as np
+
+from isonoise.errors import DeviceError
+
+LOCAL_SIZE = 64
+"""Work-items a group, the same for all kernels: PoCL compiles a kernel anew for every local size."""
+
+
+def _opencl():
+    # PoCL's wheel warns about nothing a user can mend, and a read-only home must not stop a render
+    os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(f"pyopencl cannot be loaded ({error}); install it with: pip install pyopencl") from error
+    return pyopencl
+
+
+def driver_advice() -> str:
+    """Which OpenCL driver to get on this system."""
+    if platform.system() == "Linux" and platform.machine() in ("x86_64", "AMD64"):
+        return "install PoCL for the CPU with: pip install pocl-binary-distribution; or the driver of your GPU's vendor"
+    if platform.system() == "Linux":
+        return "install PoCL from your distribution (package pocl-opencl-icd), or the driver of your GPU's vendor"
+    if platform.system() == "Darwin":
+        return "macOS brings OpenCL with it; make sure that pyopencl comes from its wheel: pip install --force-reinstall pyopencl"
+    return "install the driver of your GPU's vendor, or Intel's OpenCL runtime for the CPU"
+
+
+def list_devices() -> list:
+    """All OpenCL devices, GPUs first, in a stable order; the first is the default. Empty if there is none."""
+    cl = _opencl()
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:
+        return []
+    devices = [device for each in platforms for device in each.get_devices()]
+    return sorted(devices, key=lambda device: not device.type & cl.device_type.GPU)
+
+
+def select_device(choice: str | int | None = None):
+    """The device of the list's place `choice`, or the first whose name or platform contains it; the default if None.
+
+    Raises DeviceError, with the list, if there is none.
+    """
+    devices = list_devices()
+    if not devices:
+        raise DeviceError(f"no OpenCL device found; {driver_advice()}")
+    if choice is None:
+        return devices[0]
+    text = str(choice).strip()
+    if text.isdigit() and int(text) < len(devices):
+        return devices[int(text)]
+    for device in devices:
+        if text and text.lower() in f"{device.platform.name} {device.name}".lower() and not text.isdigit():
+            return device
+    names = "\n".join(f"  {place}: {device.name} ({device.platform.name})" for place, device in enumerate(devices))
+    raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
+
+
+class Device:
+    """Context, in-order queue, buffers and programs on one OpenCL device."""
+
+    def __init__(self, choice: str | int | None = None):
+        self._cl = _opencl()
+        self.device = select_device(choice)
+        self.context = self._cl.Context([self.device])
+        self.queue = self._cl.CommandQueue(self.context)
+        self.allocated = 0
+
+    @property
+    def name(self) -> str:
+        return f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
+
+    @property
+    def is_cpu(self) -> bool:
+        return bool(self.device.type & self._cl.device_type.CPU)
+
+    def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
+        """Builds one text; returns its kernels by name. Raises DeviceError with the compiler's log."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", self._cl.CompilerWarning)  # some drivers report every success
+                program = self._cl.Program(self.context, source).build(options=list(options), cache_dir=False)
+        except self._cl.Error as error:
+            raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
+        return {kernel.function_name: kernel for kernel in program.all_kernels()}
+
+    def buffer(self, size: int | np.ndarray, what: str):
+        """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in error messages."""
+        flags = self._cl.mem_flags
+        nbytes = size.nbytes if isinstance(size, np.ndarray) else int(size)
+        limit = min(self.device.max_mem_alloc_size, self.device.global_mem_size - self.allocated)
+        if nbytes > limit:
+            raise DeviceError(
+                f"{what} needs {nbytes / 2**20:.0f} MiB, but {self.name} gives at most {limit / 2**20:.0f} MiB for one buffer; "
+                "render a smaller image or scene, or choose another device with --device"
+            )
+        self.allocated += nbytes
+        if isinstance(size, np.ndarray) and nbytes:
+            return self._cl.Buffer(self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(size))
+        buffer = self._cl.Buffer(self.context, flags.READ_WRITE, max(nbytes, 4))
+        self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, max(nbytes, 4))
+        return buffer
+
+    def launch(self, kernel, items: int, arguments: tuple) -> None:
+        """Runs a kernel over at least `items` work-items; kernels return at once beyond their own bound."""
+        groups = (items + LOCAL_SIZE - 1) // LOCAL_SIZE
+        kernel(self.queue, (groups * LOCAL_SIZE,), (LOCAL_SIZE,), *arguments)
+
+    def write(self, buffer, array: np.ndarray, offset: int = 0) -> None:
+        self._cl.enqueue_copy(self.queue, buffer, np.ascontiguousarray(array), dst_offset=offset)
+
+    def read(self, buffer, dtype, count: int, offset: int = 0) -> np.ndarray:
+        """`count` numbers from the buffer, from number `offset` on; waits for the device."""
+        dtype = np.dtype(dtype)
+        array = np.empty(count, dtype)
+        if count:
+            self._cl.enqueue_copy(self.queue, array, buffer, src_offset=offset * dtype.itemsize)
+        return array
+
+    def finish(self) -> None:
+        self.queue.finish()

@@ -1,0 +1,63 @@
+"""From kernel sources to one text per stage: includes flattened, records declared, features set; that text is what is built.
+
+One text can be hashed, cached and dumped, and an include path with a space cannot break it.
+"""
+
+import re
+from importlib import resources
+
+import numpy as np
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
+_PRAGMA_ONCE = re.compile(r"^\s*#pragma\s+once")
+_C_TYPES = {"f4": "float", "u4": "uint", "i4": "int"}
+
+
+def kernel_source(name: str) -> str:
+    """Text of one file of `kernels/`."""
+    return resources.files("isonoise.kernels").joinpath(name).read_text(encoding="utf-8")
+
+
+def flatten(name: str, seen: set[str] | None = None) -> str:
+    """The file with its includes in place, each once; `#line` lets compiler messages name file and line."""
+    seen = set() if seen is None else seen
+    seen.add(name)
+    lines = [f'#line 1 "{name}"']
+    for number, line in enumerate(kernel_source(name).splitlines(), start=1):
+        include = _INCLUDE.match(line)
+        if include:
+            if include[1] not in seen:
+                lines.append(flatten(include[1], seen))
+            lines.append(f'#line {number + 1} "{name}"')
+        elif not _PRAGMA_ONCE.match(line):
+            lines.append(line)
+    return "\n".join(lines)
+
+
+def declare_struct(name: str, dtype: np.dtype) -> str:
+    """C declaration of a record whose members are all 4 bytes wide, so that host and device cannot lay it out differently."""
+    members = []
+    for field in dtype.names:
+        base, shape = dtype[field].base, dtype[field].shape
+        c_type = _C_TYPES[base.str[1:]]
+        members.append(f"    {c_type} {field}{''.join(f'[{n}]' for n in shape)};")
+    return "typedef struct {\n" + "\n".join(members) + f"\n}} {name};"
+
+
+def stage_source(
+    name: str, structs: dict[str, np.dtype], constants: dict[str, int], features: dict[str, bool]
+) -> tuple[str, tuple[str, ...]]:
+    """Text of a stage and its build options.
+
+    A feature is a macro FEATURE_<name> of 0 or 1; only those that the text mentions are set, so that a feature of another stage
+    does not build this one anew.
+    """
+    body = flatten(name)
+    prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
+    prelude += [f"#define {key} {value}u" for key, value in constants.items() if re.search(rf"\b{key}\b", body)]
+    prelude += [
+        declare_struct(key, dtype) for key, dtype in structs.items() if re.search(rf"\b{key}\b", body)
+    ]
+    mentioned = sorted(set(re.findall(r"\bFEATURE_(\w+)", body)))
+    options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]
+    return "\n".join([*prelude, body]) + "\n", tuple(options)

@@ -1,0 +1,76 @@
+"""The feature set: what of the program, the buffers and the stages a scene and a strategy need; all else is left out.
+
+Kernels test `FEATURE_<name>` with #if; the host sets every one to 0 or 1.
+"""
+
+from dataclasses import dataclass
+
+from isonoise.scene import structs
+from isonoise.scene.compiled import CompiledScene
+
+
+@dataclass(frozen=True)
+class Feature:
+    """What a feature is and what it costs when it is on."""
+
+    meaning: str
+    cost: str
+
+
+FEATURES = {
+    "TRIANGLES": Feature("triangle meshes", "vertex and index buffers, block test in intersect and shadow"),
+    "VERTEX_NORMALS": Feature("smooth shading by vertex normals", "12 bytes a vertex, interpolation in shade"),
+    "ANALYTICS": Feature("shapes that are not triangles", "a record each, a second kind of leaf"),
+    "SPHERES": Feature("spheres", "sphere test in intersect and shadow"),
+    "DISKS": Feature("disks", "disk test in intersect and shadow"),
+    "CYLINDERS": Feature("cylinders", "cylinder test in intersect and shadow"),
+    "DIFFUSE": Feature("diffuse reflection", "code in shade"),
+    "DIELECTRIC": Feature("smooth glass", "code in shade"),
+    "CONDUCTOR": Feature("smooth metal", "code in shade"),
+    "TWOSIDED": Feature("two-sided materials", "code in shade"),
+    "AREA_LIGHTS": Feature("surfaces that shine", "light table, emission and its weight in shade"),
+    "TRIANGLE_LIGHTS": Feature("triangles that shine", "sampling code in shade"),
+    "SPHERE_LIGHTS": Feature("spheres that shine", "sampling code in shade"),
+    "DISK_LIGHTS": Feature("disks that shine", "sampling code in shade"),
+    "CYLINDER_LIGHTS": Feature("cylinders that shine", "sampling code in shade"),
+    "POINT_LIGHTS": Feature("point lights", "sampling code in shade"),
+    "DIRECTIONAL_LIGHTS": Feature("directional lights", "sampling code in shade"),
+    "CONSTANT_LIGHT": Feature("constant environment", "sampling code and radiance of missed rays in shade"),
+    "NEXT_EVENT": Feature("next-event estimation", "shadow stage, 48 bytes a path"),
+    "RUSSIAN_ROULETTE": Feature("russian roulette", "code in shade"),
+    "HIDE_EMITTERS": Feature("lights hidden from the camera", "code in shade"),
+    "FILTER_TABLE": Feature("pixel filter other than a box", "table of 16 KiB"),
+    "MEDIAN": Feature("chunk medians M_x", "24 bytes a pixel, sorting in reduce"),
+}
+
+
+def features(scene: CompiledScene, needs: frozenset[str] = frozenset()) -> dict[str, bool]:
+    """Which features the scene uses, and the statistics in `needs` ask for. Keys and order as in `FEATURES`."""
+    analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
+    surface_lights = {structs.LIGHT_TRIANGLE, structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER}
+    endless = scene.max_depth < 0
+    return {
+        "TRIANGLES": len(scene.faces) > 0,
+        "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
+        "ANALYTICS": len(scene.analytics) > 0,
+        "SPHERES": structs.ANALYTIC_SPHERE in analytic,
+        "DISKS": structs.ANALYTIC_DISK in analytic,
+        "CYLINDERS": structs.ANALYTIC_CYLINDER in analytic,
+        "DIFFUSE": structs.BSDF_DIFFUSE in bsdf,
+        "DIELECTRIC": structs.BSDF_DIELECTRIC in bsdf,
+        "CONDUCTOR": structs.BSDF_CONDUCTOR in bsdf,
+        "TWOSIDED": bool((scene.bsdfs["flags"] & structs.BSDF_TWOSIDED).any()),
+        "AREA_LIGHTS": bool(light & surface_lights),
+        "TRIANGLE_LIGHTS": structs.LIGHT_TRIANGLE in light,
+        "SPHERE_LIGHTS": structs.LIGHT_SPHERE in light,
+        "DISK_LIGHTS": structs.LIGHT_DISK in light,
+        "CYLINDER_LIGHTS": structs.LIGHT_CYLINDER in light,
+        "POINT_LIGHTS": structs.LIGHT_POINT in light,
+        "DIRECTIONAL_LIGHTS": structs.LIGHT_DIRECTIONAL in light,
+        "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
+        "NEXT_EVENT": bool(light) and structs.BSDF_DIFFUSE in bsdf and (endless or scene.max_depth > 1),
+        "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
+        "HIDE_EMITTERS": scene.hide_emitters,
+        "FILTER_TABLE": scene.filter != "box",
+        "MEDIAN": "median" in needs,
+    }

@@ -1,0 +1,225 @@
+"""The wavefront loop: traces the samples of an allocation map and reduces them, slice by slice.
+
+A slice is a run of a wave's samples, in pixel order, that fits the sample buffer. Its paths run in a pool of slots: every bounce
+launches intersect, shade and shadow over the queue of slots in use, then compacts the queue and lets the slots of ended paths
+begin the next samples. After the last path the samples enter the statistics.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from isonoise.device.opencl import Device
+from isonoise.device.program import stage_source
+from isonoise.integrator.accumulator import BLOCK, CHUNK, Accumulator
+from isonoise.integrator.features import features
+from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
+from isonoise.scene import structs
+from isonoise.scene.bvh import Bvh
+from isonoise.scene.compiled import CompiledScene
+
+STRUCTS = {
+    "Camera": structs.CAMERA,
+    "Shape": structs.SHAPE,
+    "Analytic": structs.ANALYTIC,
+    "Bsdf": structs.BSDF,
+    "Light": structs.LIGHT,
+    "Alias": structs.ALIAS,
+}
+
+# Kernel -> file and arguments, by the names in `Wavefront._arguments` or given at the launch.
+KERNELS = {
+    "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
+    "generate": (
+        "generate.cl",
+        "spawn spawn_count first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count rejected "
+        "ray_origin ray_direction throughput path samples",
+    ),
+    "intersect": (
+        "intersect.cl",
+        "queue queue_length nodes blocks block_count analytics ray_origin ray_direction hit",
+    ),
+    "shade": (
+        "shade.cl",
+        "queue queue_length seed max_depth rr_depth vertices faces vertex_normals triangle_shape analytics shapes bsdfs "
+        "lights light_alias light_count environment_light hit ray_origin ray_direction throughput path shadow_origin "
+        "shadow_direction shadow_radiance samples alive",
+    ),
+    "shadow": (
+        "shadow.cl",
+        "queue queue_length nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance path samples",
+    ),
+    "count_alive": ("compact.cl", "alive queue_length block_size block_alive"),
+    "scan_blocks": ("compact.cl", "block_alive blocks_in_queue total_alive"),
+    "scatter": ("compact.cl", "alive queue_length block_size block_alive samples_left queue next_queue spawn"),
+    "reduce": (
+        "reduce.cl",
+        "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums medians",
+    ),
+}
+
+
+class Wavefront:
+    """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads."""
+
+    def __init__(
+        self,
+        device: Device,
+        scene: CompiledScene,
+        bvh: Bvh,
+        needs: frozenset[str] = frozenset(),
+        seed: int = 0,
+        pool_size: int | None = None,
+    ):
+        self.device, self.scene = device, scene
+        self.features = features(scene, needs)
+        # A CPU's pool fits its cache; a GPU's keeps tens of thousands of lanes busy.
+        self.pool_size = pool_size or (2**16 if device.is_cpu else 2**20)
+        self.slice_samples = 16 * self.pool_size
+        self.block_size = 512 if device.is_cpu else 64
+        self.accumulator = Accumulator(device, (scene.height, scene.width), self.features["MEDIAN"])
+        self._kernels = self._build()
+        self._arguments = self._upload(bvh, seed)
+
+    def _build(self) -> dict[str, object]:
+        constants = {**structs.CONSTANTS, "BLOCK": BLOCK, "CHUNK": CHUNK}
+        kernels = {}
+        for name in dict.fromkeys(file for file, _ in KERNELS.values()):
+            if name == "shadow.cl" and not self.features["NEXT_EVENT"]:
+                continue
+            kernels.update(self.device.build(*stage_source(name, STRUCTS, constants, self.features)))
+        return kernels
+
+    def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
+        scene, device, on = self.scene, self.device, self.features
+        pool, samples = self.pool_size, self.slice_samples
+        pixels = self.accumulator.pixels
+        endless = 0xFFFFFFFF
+
+        def table(array: np.ndarray, what: str):
+            return device.buffer(array, what) if array.size else None
+
+        def per_path(what: str, size: int = 16):
+            return device.buffer(size * pool, what)
+
+        camera = scene.camera[0]
+        filter_table = np.zeros(0, np.float32)
+        if on["FILTER_TABLE"]:
+            filter_table = inverse_cdf(scene.filter, float(camera["filter_radius"]), float(camera["filter_stddev"]))
+        vertex_normals = scene.vertex_normals if on["VERTEX_NORMALS"] else np.zeros(0, np.float32)
+        shadowed = on["NEXT_EVENT"]
+        return {
+            "camera": device.buffer(scene.camera, "the camera"),
+            "inverse_cdf": table(filter_table, "the pixel filter"),
+            "inverse_cdf_cells": np.uint32(CELLS),
+            "nodes": table(bvh.nodes, "the hierarchy's nodes"),
+            "blocks": table(bvh.blocks, "the hierarchy's triangles"),
+            "block_count": np.uint32(len(bvh.blocks)),
+            "vertices": table(scene.vertices, "the vertices"),
+            "faces": table(scene.faces, "the faces"),
+            "vertex_normals": table(vertex_normals, "the vertex normals"),
+            "triangle_shape": table(scene.triangle_shape, "the shapes of the triangles"),
+            "analytics": table(scene.analytics, "the analytic shapes"),
+            "shapes": table(scene.shapes, "the shapes"),
+            "bsdfs": table(scene.bsdfs, "the materials"),
+            "lights": table(scene.lights, "the lights"),
+            "light_alias": table(scene.light_alias, "the light table"),
+            "light_count": np.uint32(len(scene.lights)),
+            "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),
+            "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
+            "rr_depth": np.uint32(scene.rr_depth),
+            "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
+            "queue": per_path("the queue", 4),
+            "next_queue": per_path("the queue", 4),
+            "spawn": per_path("the list of free slots", 4),
+            "alive": per_path("the flags of the paths", 1),
+            "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
+            "block_size": np.uint32(self.block_size),
+            "total_alive": device.buffer(4, "the compaction"),
+            "ray_origin": per_path("the rays"),
+            "ray_direction": per_path("the rays"),
+            "throughput": per_path("the paths"),
+            "path": per_path("the paths"),
+            "hit": per_path("the hits"),
+            "shadow_origin": per_path("the shadow rays") if shadowed else None,
+            "shadow_direction": per_path("the shadow rays") if shadowed else None,
+            "shadow_radiance": per_path("the shadow rays") if shadowed else None,
+            "samples": device.buffer(12 * samples, "the sample buffer"),
+            "sample_pixel": device.buffer(4 * samples, "the sample list"),
+            "pixel_offset": device.buffer(4 * pixels, "the allocation"),
+            "total_pixels": np.uint32(pixels),
+            "count": self.accumulator.count,
+            "rejected": self.accumulator.rejected,
+            "sums": self.accumulator.sums,
+            "block_sums": self.accumulator.block_sums,
+            "medians": self.accumulator.medians,
+        }
+
+    def trace(self, allocation: np.ndarray) -> Iterator[int]:
+        """Traces the allocation map, uint32 of shape (height, width); yields the samples of each slice once they count.
+
+        Whoever stops in between leaves the statistics whole: a slice enters them all at once.
+        """
+        ends = np.cumsum(allocation.ravel(), dtype=np.int64)
+        total = int(ends[-1])
+        for begin in range(0, total, self.slice_samples):
+            end = min(begin + self.slice_samples, total)
+            first, last = np.searchsorted(ends, [begin, end - 1], side="right")
+            starts = ends[first : last + 1] - allocation.ravel()[first : last + 1]
+            self._trace_slice(int(first), np.maximum(starts - begin, 0).astype(np.uint32), end - begin)
+            yield end - begin
+
+    def _trace_slice(self, first_pixel: int, offsets: np.ndarray, samples: int) -> None:
+        """One slice: pixels first_pixel... whose samples begin at `offsets` of the slice's `samples`."""
+        pixels = len(offsets)
+        self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
+        of_slice = {
+            "first_pixel": np.uint32(first_pixel),
+            "pixels": np.uint32(pixels),
+            "slice_samples": np.uint32(samples),
+        }
+        self._launch("list_samples", pixels, **of_slice)
+        if self.scene.max_depth == 0:
+            self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
+        else:
+            self._trace_paths(samples)
+        self._launch("reduce", pixels, **of_slice)
+        self.device.finish()
+
+    def _trace_paths(self, samples: int) -> None:
+        length = spawned = min(samples, self.pool_size)
+        slots = np.arange(length, dtype=np.uint32)
+        self.device.write(self._arguments["queue"], slots)
+        self.device.write(self._arguments["spawn"], slots)
+        self._launch("generate", length, spawn_count=np.uint32(length), first_sample=np.uint32(0))
+        while length:
+            self._bounce(length)
+            alive = self._compact(length, samples - spawned)
+            begun = min(length - alive, samples - spawned)
+            if begun:
+                self._launch("generate", begun, spawn_count=np.uint32(begun), first_sample=np.uint32(spawned))
+            spawned += begun
+            length = alive + begun
+
+    def _bounce(self, length: int) -> None:
+        of_queue = {"queue_length": np.uint32(length)}
+        self._launch("intersect", length, **of_queue)
+        self._launch("shade", length, **of_queue)
+        if self.features["NEXT_EVENT"]:
+            self._launch("shadow", length, **of_queue)
+
+    def _compact(self, length: int, samples_left: int) -> int:
+        """Makes the next queue; returns how many paths go on. Waits for the device."""
+        blocks = -(-length // self.block_size)
+        of_queue = {"queue_length": np.uint32(length)}
+        self._launch("count_alive", blocks, **of_queue)
+        self._launch("scan_blocks", 1, blocks_in_queue=np.uint32(blocks))
+        self._launch("scatter", blocks, samples_left=np.uint32(samples_left), **of_queue)
+        arguments = self._arguments
+        arguments["queue"], arguments["next_queue"] = arguments["next_queue"], arguments["queue"]
+        return int(self.device.read(arguments["total_alive"], np.uint32, 1)[0])
+
+    def _launch(self, name: str, items: int, **given) -> None:
+        names = KERNELS[name][1].split()
+        arguments = tuple(given[each] if each in given else self._arguments[each] for each in names)
+        self.device.launch(self._kernels[name], items, arguments)

@@ -1,0 +1,158 @@
+"""The 8-wide bounding volume hierarchy that the kernels traverse, collapsed from a binary tree.
+
+Layout on the device (all float8, see kernels/bvh.h):
+- node: lower x, y, z and upper x, y, z of 8 children, then 8 child references (int32 bits);
+- block: x, y, z of the first, second and third corners of 8 triangles, then 8 triangle indices (uint32 bits).
+
+A reference >= 0 is a node; ~reference of a negative one is a leaf: a block, or past the blocks an analytic primitive. Unused slots
+of a node are boxes that no ray meets; unused lanes of a block are triangles of zero area.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from isonoise.scene.ploc import BinaryTree, build_binary_tree, half_area
+
+WIDTH = 8
+STACK_SIZE = 256
+"""Entries of a ray's traversal stack (kernels/bvh.h); deeper trees are built again by halving."""
+
+
+@dataclass(frozen=True)
+class Bvh:
+    nodes: np.ndarray  # (N, 7, 8) float32
+    blocks: np.ndarray  # (M, 10, 8) float32
+    stack: int  # stack entries that a traversal may need
+    depth: int  # levels of nodes
+
+
+def build_bvh(corners: np.ndarray, analytic_lower: np.ndarray, analytic_upper: np.ndarray) -> Bvh:
+    """Builds over triangles, corners (T, 3, 3) float32, and the boxes of the analytic primitives, (A, 3) float32."""
+    triangles, analytics = len(corners), len(analytic_lower)
+    if triangles + analytics == 0:
+        return Bvh(_empty_nodes(1), np.zeros((0, 10, 8), np.float32), 1, 1)
+    by_corner = np.ascontiguousarray(corners.transpose(1, 2, 0))  # (corner, axis, triangle)
+    lower = np.concatenate([by_corner.min(axis=0), analytic_lower.T], axis=1).astype(np.float32)
+    upper = np.concatenate([by_corner.max(axis=0), analytic_upper.T], axis=1).astype(np.float32)
+    weight = np.ones(triangles + analytics, np.int32)
+    weight[triangles:] = WIDTH + 1  # an analytic primitive never shares a leaf
+    bvh = _collapse(build_binary_tree(lower, upper), weight, by_corner, triangles)
+    if bvh.stack > STACK_SIZE:
+        bvh = _collapse(_halve(lower, upper), weight, by_corner, triangles)
+    return bvh
+
+
+def _halve(lower: np.ndarray, upper: np.ndarray) -> BinaryTree:
+    """A tree of depth log2 n: neighbours along the Morton curve pair up, round after round."""
+    from isonoise.scene.ploc import morton_order
+
+    n = lower.shape[1]
+    left, right = np.full(2 * n - 1, -1, np.int32), np.full(2 * n - 1, -1, np.int32)
+    lowers, uppers = np.empty((3, 2 * n - 1), np.float32), np.empty((3, 2 * n - 1), np.float32)
+    lowers[:, :n], uppers[:, :n] = lower, upper
+    nodes = morton_order((lower.astype("f8") + upper) * 0.5).astype(np.int32)
+    merges, created = [], n
+    while len(nodes) > 1:
+        a, b = nodes[: len(nodes) // 2 * 2 : 2], nodes[1::2]
+        new = np.arange(created, created + len(a), dtype=np.int32)
+        left[new], right[new] = a, b
+        lowers[:, new] = np.minimum(lowers[:, a], lowers[:, b])
+        uppers[:, new] = np.maximum(uppers[:, a], uppers[:, b])
+        nodes = np.concatenate([new, nodes[len(nodes) // 2 * 2 :]])
+        merges.append(len(new))
+        created += len(new)
+    return BinaryTree(left, right, lowers, uppers, merges)
+
+
+def _empty_nodes(n: int) -> np.ndarray:
+    nodes = np.zeros((n, 7, WIDTH), np.float32)
+    nodes[:, 0:3] = np.inf
+    nodes[:, 3:6] = -np.inf
+    return nodes
+
+
+def _collapse(tree: BinaryTree, weight: np.ndarray, by_corner: np.ndarray, triangles: int) -> Bvh:
+    """Makes wide nodes by opening, again and again, the child of largest area; level by level from the root."""
+    primitives = tree.leaves
+    size = np.ones(len(tree.left), np.int32)  # primitives below
+    load = np.empty(len(tree.left), np.int64)  # weight below: at most WIDTH makes a leaf
+    load[:primitives] = weight
+    for begin, end in tree.rounds():
+        left, right = tree.left[begin:end], tree.right[begin:end]
+        size[begin:end] = size[left] + size[right]
+        load[begin:end] = load[left] + load[right]
+    first = np.zeros(len(tree.left), np.int32)  # place of the first primitive below, in depth-first order
+    for begin, end in reversed(list(tree.rounds())):
+        left, right = tree.left[begin:end], tree.right[begin:end]
+        first[left] = first[begin:end]
+        first[right] = first[begin:end] + size[left]
+    order = np.empty(primitives, np.int32)
+    order[first[:primitives]] = np.arange(primitives, dtype=np.int32)
+
+    area = half_area(tree.lower, tree.upper)
+    is_leaf = load <= WIDTH
+    is_leaf[:primitives] = True
+    root = np.array([len(tree.left) - 1], np.int32)
+    levels, stack_need, frontier, need = [], 1, root, np.ones(1, np.int64)
+    while len(frontier):
+        slots = _open(tree, frontier, area, is_leaf)
+        used = slots >= 0
+        need = need + used.sum(axis=1) - 1
+        stack_need = max(stack_need, int(need.max()))
+        levels.append(slots)
+        inner = used & ~is_leaf[slots]
+        frontier = slots[inner]
+        need = np.repeat(need, inner.sum(axis=1))
+    slots = np.concatenate(levels)
+    return Bvh(*_lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles), stack_need, len(levels))
+
+
+def _open(tree: BinaryTree, frontier: np.ndarray, area: np.ndarray, is_leaf: np.ndarray) -> np.ndarray:
+    """Children of the wide nodes that begin at the binary nodes `frontier`: (len(frontier), WIDTH), -1 where unused."""
+    slots = np.full((len(frontier), WIDTH), -1, np.int32)
+    if is_leaf[frontier[0]]:  # only a root can be: one leaf holds the whole scene
+        slots[:, 0] = frontier
+        return slots
+    slots[:, 0], slots[:, 1] = tree.left[frontier], tree.right[frontier]
+    for used in range(2, WIDTH):
+        gain = np.where((slots >= 0) & ~is_leaf[slots], area[slots], -1)
+        pick = gain.argmax(axis=1)
+        rows = np.flatnonzero(gain[np.arange(len(slots)), pick] >= 0)
+        if not len(rows):
+            break
+        opened = slots[rows, pick[rows]]
+        slots[rows, pick[rows]] = tree.left[opened]
+        # every row that opens has opened in all rounds before, so that its next free slot is `used`
+        slots[rows, used] = tree.right[opened]
+    return slots
+
+
+def _lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles) -> tuple[np.ndarray, np.ndarray]:
+    used = slots >= 0
+    nodes = _empty_nodes(len(slots))
+    for axis in range(3):
+        nodes[:, axis][used] = tree.lower[axis][slots[used]]
+        nodes[:, 3 + axis][used] = tree.upper[axis][slots[used]]
+    inner = used & ~is_leaf[slots]
+    leaf = used & is_leaf[slots]
+    members = slots[leaf]
+    is_block = order[first[members]] < triangles
+    block_nodes = members[is_block]
+    leaf_reference = np.empty(len(members), np.int32)
+    leaf_reference[is_block] = np.arange(len(block_nodes))
+    leaf_reference[~is_block] = len(block_nodes) + order[first[members[~is_block]]] - triangles
+    references = np.zeros(slots.shape, np.int32)
+    references[inner] = 1 + np.arange(np.count_nonzero(inner))  # nodes stand in breadth-first order
+    references[leaf] = ~leaf_reference
+    nodes[:, 6] = references.view(np.float32)
+
+    blocks = np.zeros((len(block_nodes), 10, WIDTH), np.float32)
+    lane = np.arange(WIDTH)
+    filled = lane < size[block_nodes][:, None]
+    ids = order[np.where(filled, first[block_nodes][:, None] + lane, 0)]
+    for corner in range(3):
+        for axis in range(3):
+            blocks[:, 3 * corner + axis][filled] = by_corner[corner, axis][ids[filled]]
+    blocks[:, 9] = np.where(filled, ids, -1).astype(np.int32).view(np.float32)
+    return nodes, blocks

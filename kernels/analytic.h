@@ -1,0 +1,81 @@
+// Spheres, disks and cylinders: where a ray meets them.
+#pragma once
+#include "vectors.h"
+
+#define ANALYTIC_BIT 0x80000000u  // set in a primitive number: the rest is an index into `analytics`
+
+inline void load_matrix(__global const float* from, float* to)
+{
+    for (int i = 0; i < 12; ++i) to[i] = from[i];
+}
+
+#if FEATURE_SPHERES
+// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, 2019: the discriminant from the
+// distance of the centre to the line, the smaller root from the product of the roots.
+inline float sphere_distance(float3 origin, float3 direction, float3 center, float radius, float t_max)
+{
+    const float3 f = origin - center;
+    const float a = dot(direction, direction), b = -dot(f, direction);
+    const float3 closest = f + (b / a) * direction;
+    const float discriminant = radius * radius - dot(closest, closest);
+    if (discriminant < 0.0f) return INFINITY;
+    const float length_f = sqrt(dot(f, f));
+    const float c = (length_f - radius) * (length_f + radius);
+    const float q = b + copysign(sqrt(a * discriminant), b);
+    const float t0 = c / q, t1 = q / a;
+    const float near = LESSER(t0, t1), far = GREATER(t0, t1);
+    const float t = near > 0.0f ? near : far;
+    return t > 0.0f && t < t_max ? t : INFINITY;
+}
+#endif
+
+#if FEATURE_DISKS
+inline float disk_distance(float3 origin, float3 direction, float t_max)
+{
+    const float t = -origin.z / direction.z;
+    const float2 p = fma((float2)(t), direction.xy, origin.xy);
+    return t > 0.0f && t < t_max && dot(p, p) <= 1.0f ? t : INFINITY;
+}
+#endif
+
+#if FEATURE_CYLINDERS
+inline float cylinder_distance(float3 origin, float3 direction, float t_max)
+{
+    const float a = dot(direction.xy, direction.xy), b = -dot(origin.xy, direction.xy);
+    if (a == 0.0f) return INFINITY;
+    const float2 closest = origin.xy + (b / a) * direction.xy;
+    const float discriminant = 1.0f - dot(closest, closest);
+    if (discriminant < 0.0f) return INFINITY;
+    const float distance = sqrt(dot(origin.xy, origin.xy));
+    const float c = (distance - 1.0f) * (distance + 1.0f);
+    const float q = b + copysign(sqrt(a * discriminant), b);
+    const float roots[2] = {LESSER(c / q, q / a), GREATER(c / q, q / a)};
+    for (int i = 0; i < 2; ++i) {
+        const float t = roots[i], z = fma(t, direction.z, origin.z);
+        if (t > 0.0f && t < t_max && z >= 0.0f && z <= 1.0f) return t;
+    }
+    return INFINITY;
+}
+#endif
+
+// Distance along the ray to the analytic primitive, INFINITY if it is not met in (0, t_max).
+inline float analytic_distance(__global const Analytic* shape, float3 origin, float3 direction, float t_max)
+{
+#if FEATURE_SPHERES
+    if (shape->kind == ANALYTIC_SPHERE)
+        return sphere_distance(origin, direction, vload3(0, shape->center), shape->radius, t_max);
+#endif
+#if FEATURE_DISKS || FEATURE_CYLINDERS
+    float to_object[12];
+    load_matrix(shape->to_object, to_object);
+    // affine: distances along the ray are the same in object space
+    const float3 o = transform_point(to_object, origin), d = transform_direction(to_object, direction);
+#endif
+#if FEATURE_DISKS
+    if (shape->kind == ANALYTIC_DISK) return disk_distance(o, d, t_max);
+#endif
+#if FEATURE_CYLINDERS
+    if (shape->kind == ANALYTIC_CYLINDER) return cylinder_distance(o, d, t_max);
+#endif
+    return INFINITY;
+}

@@ -1,0 +1,49 @@
+// Stage: camera rays for the path slots that begin a new sample.
+// Reads spawn (slots, in sample order), the sample list and the per-pixel counts; writes the path state; clears the sample.
+#include "random.h"
+#include "vectors.h"
+
+// Offset of a sample from the pixel's centre along one axis, distributed as the reconstruction filter, so that a sample
+// belongs to one pixel alone. Ernst, Stamminger, Greiner, "Filter Importance Sampling", 2006.
+inline float filter_offset(float u, float radius, __global const float* inverse_cdf, uint cells)
+{
+#if FEATURE_FILTER_TABLE
+    const float at = u * cells;
+    const uint cell = LESSER((uint)at, cells - 1u);
+    return mix(inverse_cdf[cell], inverse_cdf[cell + 1u], at - cell);
+#else
+    return (2.0f * u - 1.0f) * radius;
+#endif
+}
+
+__kernel void generate(__global const uint* spawn, uint spawn_count, uint first_sample, uint2 seed,
+                       __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
+                       __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
+                       __global const uint* rejected, __global float4* ray_origin, __global float4* ray_direction,
+                       __global float4* throughput, __global uint4* path, __global float* samples)
+{
+    const uint i = get_global_id(0);
+    if (i >= spawn_count) return;
+    const uint slot = spawn[i], sample = first_sample + i;
+    const uint pixel = sample_pixel[sample];
+    const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel]);
+
+    const float4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
+    const uint2 crop_size = vload2(0, camera->crop_size);
+    const float2 corner = convert_float2((uint2)(pixel % crop_size.x, pixel / crop_size.x) + vload2(0, camera->crop_offset));
+    const float2 offset = (float2)(filter_offset(u.x, camera->filter_radius, inverse_cdf, inverse_cdf_cells),
+                                   filter_offset(u.y, camera->filter_radius, inverse_cdf, inverse_cdf_cells));
+    const float2 film = (corner + 0.5f + offset) / convert_float2(vload2(0, camera->film_size));
+    const float2 on_plane = (1.0f - 2.0f * (film + vload2(0, camera->principal_point))) * vload2(0, camera->tan_half_fov);
+    const float3 ahead = unit((float3)(on_plane, 1.0f));
+
+    float m[12];
+    for (int k = 0; k < 12; ++k) m[k] = camera->to_world[k];
+    const float3 direction = unit(transform_direction(m, ahead));
+    const float3 origin = (float3)(m[3], m[7], m[11]) + camera->near_clip / ahead.z * direction;
+    ray_origin[slot] = (float4)(origin, (camera->far_clip - camera->near_clip) / ahead.z);
+    ray_direction[slot] = (float4)(direction, -1.0f);
+    throughput[slot] = (float4)(1.0f);
+    path[slot] = (uint4)(sample, pixel, index, 0u);
+    vstore3((float3)(0.0f), sample, samples);
+}

@@ -1,0 +1,85 @@
+// Stage: the closest surface along every ray of the queue.
+// Reads ray_origin, ray_direction; writes hit = (t, u, v, primitive bits).
+#include "bvh.h"
+#include "analytic.h"
+
+__kernel void intersect(__global const uint* queue, uint queue_length, __global const float8* nodes,
+                        __global const float8* blocks, uint block_count, __global const Analytic* analytics,
+                        __global const float4* ray_origin, __global const float4* ray_direction, __global float4* hit)
+{
+    const uint i = get_global_id(0);
+    if (i >= queue_length) return;
+    const uint slot = queue[i];
+    const float4 origin = ray_origin[slot];
+    const Ray ray = make_ray(origin.xyz, ray_direction[slot].xyz);
+
+    float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
+    uint primitive = NONE;
+    int stack[STACK_SIZE];
+    float stack_entry[STACK_SIZE];
+    uint height = 0;
+    int reference = 0;
+    for (;;) {
+        if (reference >= 0) {
+            __global const float8* node = nodes + NODE_STRIDE * reference;
+            __global const int* children = (__global const int*)(node + 6);
+            float8 entry_lanes;
+            uint met = children_met(node, &ray, t_max, &entry_lanes);
+            float entry[8];
+            vstore8(entry_lanes, 0, entry);
+            // nearest on top: insertion into the part of the stack that this node adds
+            const uint base = height;
+            for (; met; met &= met - 1u) {
+                const uint child = lowest_bit(met);
+                uint place = height++;
+                for (; place > base && stack_entry[place - 1] < entry[child]; --place) {
+                    stack[place] = stack[place - 1];
+                    stack_entry[place] = stack_entry[place - 1];
+                }
+                stack[place] = children[child];
+                stack_entry[place] = entry[child];
+            }
+        } else {
+            const uint leaf = (uint)(~reference);
+#if FEATURE_TRIANGLES
+            if (leaf < block_count) {
+                __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+                float8 t, u, v;
+                const uint met = triangles_met(block, &ray, t_max, &t, &u, &v);
+                if (met) {
+                    float distance[8], u_lanes[8], v_lanes[8];
+                    vstore8(t, 0, distance);
+                    vstore8(u, 0, u_lanes);
+                    vstore8(v, 0, v_lanes);
+                    for (uint bits = met; bits; bits &= bits - 1u) {
+                        const uint lane = lowest_bit(bits);
+                        if (distance[lane] < t_max) {
+                            t_max = distance[lane];
+                            hit_u = u_lanes[lane];
+                            hit_v = v_lanes[lane];
+                            primitive = ((__global const uint*)(block + 9))[lane];
+                        }
+                    }
+                }
+            }
+#endif
+#if FEATURE_ANALYTICS
+            if (leaf >= block_count) {
+                const float t = analytic_distance(analytics + (leaf - block_count), ray.origin, ray.direction, t_max);
+                if (t < t_max) {
+                    t_max = t;
+                    primitive = ANALYTIC_BIT | (leaf - block_count);
+                }
+            }
+#endif
+        }
+        do {
+            if (height == 0) {
+                hit[slot] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
+                return;
+            }
+            --height;
+        } while (stack_entry[height] >= t_max);
+        reference = stack[height];
+    }
+}

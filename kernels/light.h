@@ -1,0 +1,177 @@
+// Lights: picking one, sampling a point on it, and the density of that for a direction that was found otherwise.
+#pragma once
+#include "surface.h"
+
+typedef struct {
+    float3 position, error, normal;  // normal is zero where the light has no surface
+    float3 direction;                // unit, from the reference point to the light
+    float3 radiance;                 // what would arrive, before the division by pdf; 0 if the light faces away
+    float pdf;                       // solid angle, times the probability of the pick; of delta lights: the pick alone
+    bool is_delta, is_infinite;
+} LightSample;
+
+#if FEATURE_SPHERE_LIGHTS
+// 1 - cos of half the angle under which a sphere appears, without cancellation when it is far away.
+inline float sphere_one_minus_cos(float radius, float distance2)
+{
+    const float sin2 = radius * radius / distance2;
+    return sin2 / (1.0f + sqrt(GREATER(1.0f - sin2, 0.0f)));
+}
+#endif
+
+// Density with which `sample_light` would have found the point at `distance` along `direction` on this light.
+inline float light_pdf(__global const Light* light, __global const Analytic* analytics, float3 reference,
+                       float3 direction, float distance, float3 normal)
+{
+    const float to_solid_angle = distance * distance / fabs(dot(normal, direction));
+    float density = 0.0f;
+#if FEATURE_SPHERE_LIGHTS
+    if (light->kind == LIGHT_SPHERE) {
+        __global const Analytic* sphere = analytics + light->primitive;
+        const float3 arm = vload3(0, sphere->center) - reference;
+        const float distance2 = dot(arm, arm);
+        density = distance2 > sphere->radius * sphere->radius
+                      ? 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2)
+                      : to_solid_angle / light->area;
+        return density * light->pick_probability;
+    }
+#endif
+    density = to_solid_angle / light->area;
+    return density * light->pick_probability;
+}
+
+// Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
+inline uint pick_light(__global const Alias* table, uint count, float u_high, float u_low)
+{
+    const ulong scaled = (ulong)(u_high * 0x1p24f) * count + (((ulong)(u_low * 0x1p24f) * count) >> 24);
+    const uint index = LESSER((uint)(scaled >> 24), count - 1u);
+    const float fraction = (float)(scaled & 0xFFFFFFu) * 0x1p-24f;
+    return fraction < table[index].threshold ? index : table[index].alias;
+}
+
+#if FEATURE_SPHERE_LIGHTS
+// Seen from outside: uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small
+// cones). From inside: uniform over the area.
+inline float sample_sphere(__global const Analytic* sphere, float3 reference, float2 u, float area, Surface* s)
+{
+    const float3 arm = reference - vload3(0, sphere->center);
+    const float distance2 = dot(arm, arm), radius = sphere->radius;
+    const float phi = 2.0f * M_PI_F * u.y;
+    float cos_alpha, density = 0.0f;
+    float3 axis = (float3)(0.0f, 0.0f, 1.0f);
+    if (distance2 > radius * radius) {
+        const float sin2_max = radius * radius / distance2, sin_max = sqrt(sin2_max);
+        const float cone = sphere_one_minus_cos(radius, distance2);
+        const float one_minus_cos = u.x * cone, sin2 = one_minus_cos * (2.0f - one_minus_cos);
+        // angle at the centre between the reference point and the point sampled
+        cos_alpha = sin2 / sin_max + (1.0f - one_minus_cos) * sqrt(GREATER(1.0f - sin2 / sin2_max, 0.0f));
+        density = 0.5f * M_1_PI_F / cone;
+        axis = unit(arm);
+    } else {
+        cos_alpha = 1.0f - 2.0f * u.x;
+    }
+    cos_alpha = LESSER(cos_alpha, 1.0f);
+    const float sin_alpha = sqrt(GREATER(1.0f - cos_alpha * cos_alpha, 0.0f));
+    float3 x, y;
+    basis(axis, &x, &y);
+    sphere_surface(sphere, unit(sin_alpha * (cos(phi) * x + sin(phi) * y) + cos_alpha * axis), s);
+    return density;
+}
+#endif
+
+#if FEATURE_AREA_LIGHTS
+// A point on the light's surface. Returns its density in solid angle, or 0 where it is uniform over the area instead.
+inline float sample_surface(const Geometry* g, __global const Light* light, float3 reference, float2 u, Surface* s)
+{
+    float density = 0.0f;
+    switch (light->kind) {
+#if FEATURE_TRIANGLE_LIGHTS
+    case LIGHT_TRIANGLE: {
+        const float root = sqrt(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
+        *s = triangle_surface(g, light->primitive, 1.0f - root, root * u.y);
+        break;
+    }
+#endif
+#if FEATURE_SPHERE_LIGHTS
+    case LIGHT_SPHERE: density = sample_sphere(g->analytics + light->primitive, reference, u, light->area, s); break;
+#endif
+#if FEATURE_DISK_LIGHTS
+    case LIGHT_DISK:
+        transformed_surface(g->analytics + light->primitive, (float3)(square_to_disk(u), 0.0f), (float3)(0.0f, 0.0f, 1.0f), s);
+        break;
+#endif
+#if FEATURE_CYLINDER_LIGHTS
+    case LIGHT_CYLINDER: {
+        const float phi = 2.0f * M_PI_F * u.x;
+        const float3 side = (float3)(cos(phi), sin(phi), 0.0f);
+        transformed_surface(g->analytics + light->primitive, (float3)(side.xy, u.y), side, s);
+        break;
+    }
+#endif
+    default: break;
+    }
+#if FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS
+    if (light->kind != LIGHT_TRIANGLE) {
+        s->shape = g->analytics[light->primitive].shape;
+        s->geometric_normal = s->normal;
+    }
+#endif
+    if (g->shapes[s->shape].flags & SHAPE_FLIP_NORMALS) {
+        s->normal = -s->normal;
+        s->geometric_normal = -s->geometric_normal;
+    }
+    return density;
+}
+#endif
+
+// One light, and one point on it, for the surface point `reference`. `u`: pick, position x, position y, pick (low bits).
+inline LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
+                                float3 reference, float4 u)
+{
+    __global const Light* light = lights + pick_light(table, count, u.x, u.w);
+    LightSample sample;
+    sample.radiance = vload3(0, light->radiance);
+    sample.pdf = light->pick_probability;
+    sample.normal = sample.error = (float3)(0.0f);
+    sample.is_delta = sample.is_infinite = false;
+#if FEATURE_POINT_LIGHTS
+    if (light->kind == LIGHT_POINT) {
+        sample.position = vload3(0, light->position);
+        const float3 arm = sample.position - reference;
+        sample.direction = unit(arm);
+        sample.radiance /= dot(arm, arm);
+        sample.is_delta = true;
+        return sample;
+    }
+#endif
+#if FEATURE_DIRECTIONAL_LIGHTS
+    if (light->kind == LIGHT_DIRECTIONAL) {
+        sample.direction = -vload3(0, light->position);
+        sample.is_delta = sample.is_infinite = true;
+        return sample;
+    }
+#endif
+#if FEATURE_CONSTANT_LIGHT
+    if (light->kind == LIGHT_CONSTANT) {
+        const float z = 1.0f - 2.0f * u.y, r = 2.0f * sqrt(GREATER(u.y * (1.0f - u.y), 0.0f)), phi = 2.0f * M_PI_F * u.z;
+        sample.direction = (float3)(r * cos(phi), r * sin(phi), z);
+        sample.pdf *= 0.25f * M_1_PI_F;
+        sample.is_infinite = true;
+        return sample;
+    }
+#endif
+#if FEATURE_AREA_LIGHTS
+    Surface s;
+    const float density = sample_surface(g, light, reference, u.yz, &s);
+    const float3 arm = s.position - reference;
+    const float distance2 = dot(arm, arm);
+    sample.direction = unit(arm);
+    const float cos_light = -dot(s.normal, sample.direction);
+    if (!(cos_light > 0.0f)) sample.radiance = (float3)(0.0f);
+    sample.pdf *= density > 0.0f ? density : distance2 / (cos_light * light->area);
+    sample.position = s.position;
+    sample.error = s.error;
+    sample.normal = s.geometric_normal;
+#endif
+    return sample;
+}

@@ -1,0 +1,135 @@
+// Stage: what happens where the rays of the queue ended: emission, next-event estimation, the next direction, roulette.
+// Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and alive (per queue place).
+#include "bsdf.h"
+#include "light.h"
+#include "random.h"
+
+// Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
+// A negative pdf stands for a delta function, which no other technique can sample.
+inline float mis_weight(float pdf, float other)
+{
+    const float ratio = other / pdf;
+    return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
+}
+
+#if FEATURE_NEXT_EVENT
+// Leaves a shadow ray for one light; returns without one if nothing could arrive.
+inline void next_event(const Geometry* g, __global const Light* lights, __global const Alias* light_alias,
+                       uint light_count, const Surface* s, __global const Bsdf* bsdf, float3 normal, float cos_i, float4 u,
+                       float3 weight, uint slot, __global float4* shadow_origin, __global float4* shadow_direction,
+                       __global float4* shadow_radiance)
+{
+    const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, u);
+    if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
+    float bsdf_pdf;
+    const float3 scattered = diffuse_eval(bsdf, cos_i, dot(normal, light.direction), &bsdf_pdf);
+    const float mis = light.is_delta ? 1.0f : mis_weight(light.pdf, bsdf_pdf);
+    const float3 radiance = weight * scattered * light.radiance * (mis / light.pdf);
+    if (radiance.x + radiance.y + radiance.z == 0.0f) return;
+    const float3 origin = offset_origin(s->position, s->error, s->geometric_normal, light.direction);
+    // to a finite light the ray's length is 1, and both its ends are moved off their surfaces
+    const float3 direction =
+        light.is_infinite ? light.direction
+                          : offset_origin(light.position, light.error, light.normal, -light.direction) - origin;
+    shadow_origin[slot] = (float4)(origin, 0.0f);
+    shadow_direction[slot] = (float4)(direction, light.is_infinite ? INFINITY : 1.0f);
+    shadow_radiance[slot] = (float4)(radiance, 0.0f);
+}
+#endif
+
+__kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, uint max_depth, uint rr_depth,
+                    __global const float* vertices, __global const uint* faces, __global const float* vertex_normals,
+                    __global const uint* triangle_shape, __global const Analytic* analytics, __global const Shape* shapes,
+                    __global const Bsdf* bsdfs, __global const Light* lights, __global const Alias* light_alias,
+                    uint light_count, uint environment_light, __global const float4* hit, __global float4* ray_origin,
+                    __global float4* ray_direction, __global float4* throughput, __global uint4* path,
+                    __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance,
+                    __global float* samples, __global uchar* alive)
+{
+    const uint i = get_global_id(0);
+    if (i >= queue_length) return;
+    const uint slot = queue[i];
+    alive[i] = 0;
+#if FEATURE_NEXT_EVENT
+    shadow_direction[slot] = (float4)(0.0f);
+#endif
+    const Geometry geometry = {vertices, faces, vertex_normals, triangle_shape, analytics, shapes};
+    const float4 h = hit[slot], origin = ray_origin[slot], direction = ray_direction[slot], carried = throughput[slot];
+    const uint4 state = path[slot];
+    const uint primitive = as_uint(h.w), depth = state.w;
+    float3 weight = carried.xyz;
+
+    if (primitive == NONE) {
+#if FEATURE_CONSTANT_LIGHT && FEATURE_HIDE_EMITTERS
+        if (depth == 0u) return;
+#endif
+#if FEATURE_CONSTANT_LIGHT
+        __global const Light* sky = lights + environment_light;
+        const float mis = mis_weight(direction.w, sky->pick_probability * 0.25f * M_1_PI_F);
+        vstore3(vload3(state.x, samples) + weight * vload3(0, sky->radiance) * mis, state.x, samples);
+#endif
+        return;
+    }
+    const Surface s = surface_at(&geometry, primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
+    if (dot(s.geometric_normal, s.geometric_normal) == 0.0f) return;
+
+#if FEATURE_AREA_LIGHTS
+    __global const Shape* shape = shapes + s.shape;
+    if (shape->first_light != NONE) {
+#if FEATURE_HIDE_EMITTERS
+        if (depth == 0u) {  // seen by the camera, the light is not there: the ray goes on behind it
+            ray_origin[slot] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
+            alive[i] = 1;
+            return;
+        }
+#endif
+        if (dot(s.normal, direction.xyz) < 0.0f) {
+            __global const Light* light = lights + shape->first_light + ((primitive & ~ANALYTIC_BIT) - shape->first_primitive);
+            const float pdf = light_pdf(light, analytics, origin.xyz, direction.xyz, h.x, s.normal);
+            const float3 emitted = weight * vload3(0, light->radiance) * mis_weight(direction.w, pdf);
+            vstore3(vload3(state.x, samples) + emitted, state.x, samples);
+        }
+    }
+#endif
+
+    if (depth + 1u >= max_depth) return;
+    __global const Bsdf* bsdf = bsdfs + shapes[s.shape].bsdf;
+    float3 normal = s.normal;
+    float cos_i = -dot(normal, direction.xyz);
+#if FEATURE_TWOSIDED
+    if ((bsdf->flags & BSDF_TWOSIDED) && cos_i < 0.0f) {
+        normal = -normal;
+        cos_i = -cos_i;
+    }
+#endif
+#if FEATURE_NEXT_EVENT
+    if (bsdf_is_smooth(bsdf) && cos_i > 0.0f)
+        next_event(&geometry, lights, light_alias, light_count, &s, bsdf, normal, cos_i,
+                   random_block(seed, state.y, state.z, BLOCK_LIGHT(depth)), weight, slot, shadow_origin,
+                   shadow_direction, shadow_radiance);
+#endif
+    const float4 u = random_block(seed, state.y, state.z, BLOCK_BSDF(depth));
+    const BsdfSample next = bsdf_sample(bsdf, normal, -direction.xyz, cos_i, u.xyz);
+    weight *= next.weight;
+    const float total = weight.x + weight.y + weight.z;
+    if (total == 0.0f) return;
+    if (!(total < INFINITY)) {  // the statistics count such a sample apart; it must not end as a black one
+        vstore3((float3)(NAN), state.x, samples);
+        return;
+    }
+    const float eta = carried.w * next.eta;
+#if FEATURE_RUSSIAN_ROULETTE
+    if (depth + 1u >= rr_depth) {  // Mitsuba 3's rule
+        const float survival = LESSER(largest(weight) * eta * eta, 0.95f);
+        if (u.w >= survival) return;
+        weight /= survival;
+    }
+#endif
+    // refraction and reflection carry a rounding error each; over a long path it would leave the unit sphere
+    const float3 onward = unit(next.direction);
+    ray_origin[slot] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, onward), INFINITY);
+    ray_direction[slot] = (float4)(onward, next.pdf);
+    throughput[slot] = (float4)(weight, eta);
+    path[slot].w = depth + 1u;
+    alive[i] = 1;
+}

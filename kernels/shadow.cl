@@ -1,0 +1,46 @@
+// Stage: the shadow rays that shade has left; what arrives unblocked is added to the path's sample.
+// Reads shadow_origin, shadow_direction (w: length in units of the direction, 0 for none), shadow_radiance; adds to samples.
+#include "bvh.h"
+#include "analytic.h"
+
+__kernel void shadow(__global const uint* queue, uint queue_length, __global const float8* nodes,
+                     __global const float8* blocks, uint block_count, __global const Analytic* analytics,
+                     __global const float4* shadow_origin, __global const float4* shadow_direction,
+                     __global const float4* shadow_radiance, __global const uint4* path, __global float* samples)
+{
+    const uint i = get_global_id(0);
+    if (i >= queue_length) return;
+    const uint slot = queue[i];
+    const float4 direction = shadow_direction[slot];
+    const float t_max = direction.w;
+    if (t_max == 0.0f) return;
+    const Ray ray = make_ray(shadow_origin[slot].xyz, direction.xyz);
+
+    int stack[STACK_SIZE];
+    uint height = 0;
+    int reference = 0;
+    for (;;) {
+        if (reference >= 0) {
+            __global const float8* node = nodes + NODE_STRIDE * reference;
+            __global const int* children = (__global const int*)(node + 6);
+            float8 entry;
+            for (uint met = children_met(node, &ray, t_max, &entry); met; met &= met - 1u)
+                stack[height++] = children[lowest_bit(met)];
+        } else {
+            const uint leaf = (uint)(~reference);
+#if FEATURE_TRIANGLES
+            float8 t, u, v;
+            if (leaf < block_count && triangles_met(blocks + BLOCK_STRIDE * leaf, &ray, t_max, &t, &u, &v)) return;
+#endif
+#if FEATURE_ANALYTICS
+            if (leaf >= block_count &&
+                analytic_distance(analytics + (leaf - block_count), ray.origin, ray.direction, t_max) < t_max)
+                return;
+#endif
+        }
+        if (height == 0) break;
+        reference = stack[--height];
+    }
+    const uint sample = path[slot].x;
+    vstore3(vload3(sample, samples) + shadow_radiance[slot].xyz, sample, samples);
+}
