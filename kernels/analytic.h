@@ -58,9 +58,13 @@ inline float cylinder_distance(float3 origin, float3 direction, float t_max)
 }
 #endif
 
-// Distance along the ray to the analytic primitive, INFINITY if it is not met in (0, t_max).
-inline float analytic_distance(__global const Analytic* shape, float3 origin, float3 direction, float t_max)
+// Distance along the ray to an analytic primitive, INFINITY if it is not met in (0, t_max). The plane of a disk is not met by
+// rays that start or end on it: `skip`. A ray from a sphere or cylinder may meet it on the far side; there the offset of the
+// origin decides.
+inline float analytic_distance(__global const Analytic* analytics, uint index, float3 origin, float3 direction, uint2 skip,
+                               float t_max)
 {
+    __global const Analytic* shape = analytics + index;
 #if FEATURE_SPHERES
     if (shape->kind == ANALYTIC_SPHERE)
         return sphere_distance(origin, direction, vload3(0, shape->center), shape->radius, t_max);
@@ -72,7 +76,8 @@ inline float analytic_distance(__global const Analytic* shape, float3 origin, fl
     const float3 o = transform_point(to_object, origin), d = transform_direction(to_object, direction);
 #endif
 #if FEATURE_DISKS
-    if (shape->kind == ANALYTIC_DISK) return disk_distance(o, d, t_max);
+    if (shape->kind == ANALYTIC_DISK)
+        return any(skip == (ANALYTIC_BIT | index)) ? INFINITY : disk_distance(o, d, t_max);
 #endif
 #if FEATURE_CYLINDERS
     if (shape->kind == ANALYTIC_CYLINDER) return cylinder_distance(o, d, t_max);

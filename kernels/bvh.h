@@ -84,7 +84,9 @@ inline uint children_met(__global const float8* node, const Ray* ray, float t_ma
 // (of the second and third corner). Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2013, without the
 // double precision fall-back: an edge function that rounds to zero counts as inside for both neighbours, so nothing leaks.
 // The edge functions are written without fma: then neighbours get exactly opposite values on a shared edge.
-inline uint triangles_met(__global const float8* block, const Ray* ray, float t_max, float8* t, float8* u, float8* v)
+// A plane cannot be met again by a ray that starts or ends on it, but rounding can say so: the two primitives in `skip` are left
+// out, which needs no epsilon.
+inline uint triangles_met(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t, float8* u, float8* v)
 {
     const int3 k = ray->axis;
     const float3 o = ray->permuted, s = ray->shear;
@@ -100,6 +102,7 @@ inline uint triangles_met(__global const float8* block, const Ray* ray, float t_
     *t = (edge_a * az + edge_b * bz + edge_c * cz) * s.z * inverse;
     *u = edge_b * inverse;
     *v = edge_c * inverse;
-    return mask_bits(inside & (*t > 0.0f) & (*t < t_max));
+    const uint8 ids = as_uint8(block[9]);
+    return mask_bits(inside & (*t > 0.0f) & (*t < t_max) & (ids != skip.x) & (ids != skip.y));
 }
 #endif

@@ -20,7 +20,7 @@ __kernel void generate(__global const uint* spawn, uint spawn_count, uint first_
                        __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
                        __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
                        __global const uint* rejected, __global float4* ray_origin, __global float4* ray_direction,
-                       __global float4* throughput, __global uint4* path, __global float* samples)
+                       __global float4* throughput, __global uint4* path, __global float4* hit, __global float* samples)
 {
     const uint i = get_global_id(0);
     if (i >= spawn_count) return;
@@ -45,5 +45,6 @@ __kernel void generate(__global const uint* spawn, uint spawn_count, uint first_
     ray_direction[slot] = (float4)(direction, -1.0f);
     throughput[slot] = (float4)(1.0f);
     path[slot] = (uint4)(sample, pixel, index, 0u);
+    hit[slot].w = as_float(NONE);  // a camera ray starts on no surface
     vstore3((float3)(0.0f), sample, samples);
 }

@@ -1,5 +1,6 @@
 // Stage: the closest surface along every ray of the queue.
-// Reads ray_origin, ray_direction; writes hit = (t, u, v, primitive bits).
+// Reads ray_origin, ray_direction; writes hit = (t, u, v, primitive bits). Before that, hit holds the primitive that the ray
+// starts on.
 #include "bvh.h"
 #include "analytic.h"
 
@@ -12,6 +13,8 @@ __kernel void intersect(__global const uint* queue, uint queue_length, __global 
     const uint slot = queue[i];
     const float4 origin = ray_origin[slot];
     const Ray ray = make_ray(origin.xyz, ray_direction[slot].xyz);
+
+    const uint2 skip = (uint2)(as_uint(hit[slot].w), NONE);
 
     float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
     uint primitive = NONE;
@@ -45,7 +48,7 @@ __kernel void intersect(__global const uint* queue, uint queue_length, __global 
             if (leaf < block_count) {
                 __global const float8* block = blocks + BLOCK_STRIDE * leaf;
                 float8 t, u, v;
-                const uint met = triangles_met(block, &ray, t_max, &t, &u, &v);
+                const uint met = triangles_met(block, &ray, skip, t_max, &t, &u, &v);
                 if (met) {
                     float distance[8], u_lanes[8], v_lanes[8];
                     vstore8(t, 0, distance);
@@ -65,7 +68,7 @@ __kernel void intersect(__global const uint* queue, uint queue_length, __global 
 #endif
 #if FEATURE_ANALYTICS
             if (leaf >= block_count) {
-                const float t = analytic_distance(analytics + (leaf - block_count), ray.origin, ray.direction, t_max);
+                const float t = analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip, t_max);
                 if (t < t_max) {
                     t_max = t;
                     primitive = ANALYTIC_BIT | (leaf - block_count);

@@ -4,6 +4,7 @@
 
 typedef struct {
     float3 position, error, normal;  // normal is zero where the light has no surface
+    uint primitive;                  // which the position lies on, NONE where the light has no surface
     float3 direction;                // unit, from the reference point to the light
     float3 radiance;                 // what would arrive, before the division by pdf; 0 if the light faces away
     float pdf;                       // solid angle, times the probability of the pick; of delta lights: the pick alone
@@ -133,6 +134,7 @@ inline LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.radiance = vload3(0, light->radiance);
     sample.pdf = light->pick_probability;
     sample.normal = sample.error = (float3)(0.0f);
+    sample.primitive = NONE;
     sample.is_delta = sample.is_infinite = false;
 #if FEATURE_POINT_LIGHTS
     if (light->kind == LIGHT_POINT) {
@@ -172,6 +174,7 @@ inline LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.position = s.position;
     sample.error = s.error;
     sample.normal = s.geometric_normal;
+    sample.primitive = light->kind == LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
 #endif
     return sample;
 }

@@ -31,7 +31,7 @@ inline void next_event(const Geometry* g, __global const Light* lights, __global
     const float3 direction =
         light.is_infinite ? light.direction
                           : offset_origin(light.position, light.error, light.normal, -light.direction) - origin;
-    shadow_origin[slot] = (float4)(origin, 0.0f);
+    shadow_origin[slot] = (float4)(origin, as_float(light.primitive));
     shadow_direction[slot] = (float4)(direction, light.is_infinite ? INFINITY : 1.0f);
     shadow_radiance[slot] = (float4)(radiance, 0.0f);
 }

@@ -1,12 +1,14 @@
 // Stage: the shadow rays that shade has left; what arrives unblocked is added to the path's sample.
-// Reads shadow_origin, shadow_direction (w: length in units of the direction, 0 for none), shadow_radiance; adds to samples.
+// Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
+// shadow_radiance, hit (the primitive it starts on); adds to samples.
 #include "bvh.h"
 #include "analytic.h"
 
 __kernel void shadow(__global const uint* queue, uint queue_length, __global const float8* nodes,
                      __global const float8* blocks, uint block_count, __global const Analytic* analytics,
                      __global const float4* shadow_origin, __global const float4* shadow_direction,
-                     __global const float4* shadow_radiance, __global const uint4* path, __global float* samples)
+                     __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
+                     __global float* samples)
 {
     const uint i = get_global_id(0);
     if (i >= queue_length) return;
@@ -14,7 +16,9 @@ __kernel void shadow(__global const uint* queue, uint queue_length, __global con
     const float4 direction = shadow_direction[slot];
     const float t_max = direction.w;
     if (t_max == 0.0f) return;
-    const Ray ray = make_ray(shadow_origin[slot].xyz, direction.xyz);
+    const float4 origin = shadow_origin[slot];
+    const uint2 skip = (uint2)(as_uint(hit[slot].w), as_uint(origin.w));
+    const Ray ray = make_ray(origin.xyz, direction.xyz);
 
     int stack[STACK_SIZE];
     uint height = 0;
@@ -30,11 +34,11 @@ __kernel void shadow(__global const uint* queue, uint queue_length, __global con
             const uint leaf = (uint)(~reference);
 #if FEATURE_TRIANGLES
             float8 t, u, v;
-            if (leaf < block_count && triangles_met(blocks + BLOCK_STRIDE * leaf, &ray, t_max, &t, &u, &v)) return;
+            if (leaf < block_count && triangles_met(blocks + BLOCK_STRIDE * leaf, &ray, skip, t_max, &t, &u, &v)) return;
 #endif
 #if FEATURE_ANALYTICS
             if (leaf >= block_count &&
-                analytic_distance(analytics + (leaf - block_count), ray.origin, ray.direction, t_max) < t_max)
+                analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip, t_max) < t_max)
                 return;
 #endif
         }

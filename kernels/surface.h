@@ -62,10 +62,13 @@ inline void transformed_surface(__global const Analytic* shape, float3 on_shape,
     load_matrix(shape->to_world, m);
     load_matrix(shape->to_object, inverse);
     s->position = transform_point(m, on_shape);
+    s->normal = unit(transform_normal(inverse, shape_normal));
     float magnitude[12];
     for (int i = 0; i < 12; ++i) magnitude[i] = fabs(m[i]);
     s->error = GAMMA(6) * transform_point(magnitude, fabs(on_shape));
-    s->normal = unit(transform_normal(inverse, shape_normal));
+    // the intersection stage takes the point back to object space, which rounds again
+    for (int i = 0; i < 12; ++i) inverse[i] = fabs(inverse[i]);
+    s->error += GAMMA(5) * transform_direction(magnitude, transform_point(inverse, fabs(s->position)));
 }
 #endif
 

@@ -33,7 +33,7 @@ KERNELS = {
     "generate": (
         "generate.cl",
         "spawn spawn_count first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count rejected "
-        "ray_origin ray_direction throughput path samples",
+        "ray_origin ray_direction throughput path hit samples",
     ),
     "intersect": (
         "intersect.cl",
@@ -47,7 +47,8 @@ KERNELS = {
     ),
     "shadow": (
         "shadow.cl",
-        "queue queue_length nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance path samples",
+        "queue queue_length nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path "
+        "samples",
     ),
     "count_alive": ("compact.cl", "alive queue_length block_size block_alive"),
     "scan_blocks": ("compact.cl", "block_alive blocks_in_queue total_alive"),
