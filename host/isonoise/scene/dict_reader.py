@@ -48,13 +48,11 @@ def _value(value, path: str, key: str, depth: int):
     if isinstance(value, (bool, int, float, str)) or value is None:
         return value
     try:
-        array = np.asarray(getattr(value, "matrix", value), dtype=np.float64)
+        array = np.asarray(getattr(value, "matrix", value))
     except (TypeError, ValueError):
+        array = np.asarray(None)
+    if array.dtype.kind not in "biuf":
         return value  # the check against the parameter's type names it
     if array.ndim == 0:
-        return bool(value) if array.dtype == bool else _scalar(value)
-    return array if array.shape == (4, 4) else tuple(array.tolist())
-
-
-def _scalar(value):
-    return value.item() if isinstance(value, np.generic) else float(value)
+        return array.item()
+    return tuple(array.tolist()) if array.ndim == 1 else array

@@ -65,10 +65,15 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
     elif shape["face_normals"]:
         normals = _EMPTY_NORMALS
     elif len(mesh.normals):
-        normals = _unit(transforms.normals(to_world, mesh.normals))
+        normals = meshes.unit(transforms.normals(to_world, mesh.normals))
         faces = _wound_like(vertices, faces, normals)
+        absent = ~normals.any(axis=1)
+        if absent.any():
+            normals[absent] = meshes.smooth_normals(vertices, faces)[absent]
     else:
         normals = meshes.smooth_normals(vertices, faces)
+    if len(normals):
+        normals = np.where(normals.any(axis=1)[:, None], normals, (0.0, 0.0, 1.0))  # corners of zero area have none
     if shape["flip_normals"]:
         faces, normals = faces[:, ::-1], -normals
     with np.errstate(over="ignore"):
@@ -89,12 +94,6 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Areas (t,) in float64."""
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Normalised; vectors of length 0 stay 0."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
 def _analytic(kind: int, to_world: np.ndarray, where: str) -> np.ndarray:

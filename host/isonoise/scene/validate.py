@@ -4,6 +4,7 @@ Every check of names, types and ranges is here, so that XML files and Python dic
 """
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,7 @@ class _Normaliser:
         element.place.fail(f"unknown {kind} '{element.type}'; did you mean '{hint}'? (supported: {listed})")
 
     def kind(self, element: Element, kinds: tuple[str, ...]) -> str:
-        """The kind of an Element: its tag's, or for dicts the kind that has a plugin of this name, best one of `kinds`."""
+        """The kind of an Element: its tag's; for dicts one that has a plugin of this name, best of `kinds`."""
         if element.kind:
             return element.kind
         known = vocabulary.kinds_of(element.type)
@@ -179,6 +180,12 @@ class _Normaliser:
         if plugin.name == "conductor" and "material" in result and result["material"] not in conductors():
             hint = nearest(result["material"], conductors())
             place.fail(f"unknown conductor '{result['material']}'; did you mean '{hint}'?")
+        if plugin.name == "mesh":
+            count = len(result["vertices"])
+            if len(result.get("normals", result["vertices"])) != count:
+                place.fail("there have to be as many normals as vertices")
+            if not len(result["faces"]) or result["faces"].min() < 0 or result["faces"].max() >= count:
+                place.fail(f"there are no faces, or one names a vertex that does not exist (there are {count})")
         if plugin.name in ("moment", "aov"):
             inner = result["integrator"]
             result.clear()
@@ -234,6 +241,16 @@ def _integer(value) -> int | None:
     return int(value) if isinstance(value, int) and not isinstance(value, bool) else None
 
 
+def _positions(value) -> np.ndarray | None:
+    good = isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 3 and np.isfinite(value).all()
+    return value.astype(np.float64) if good else None
+
+
+def _indices(value) -> np.ndarray | None:
+    good = isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 3 and value.dtype.kind in "iu"
+    return value.astype(np.int64) if good else None
+
+
 _CHECKS = {
     "float": _float,
     "integer": _integer,
@@ -242,6 +259,8 @@ _CHECKS = {
     "file": lambda value: str(Path(value).absolute()) if isinstance(value, str) and value else None,
     "vector": _vector,
     "transform": _transform,
+    "positions": _positions,
+    "indices": _indices,
 }
 _MEANING = {
     "float": "a finite number",
@@ -251,6 +270,8 @@ _MEANING = {
     "file": "a file name",
     "vector": "three finite numbers",
     "transform": "a transform of finite numbers",
+    "positions": "an array of n x 3 finite numbers",
+    "indices": "an array of n x 3 whole numbers",
 }
 
 
@@ -298,7 +319,7 @@ def _spectrum(kind: str, value: dict, place: Place):
         place.fail(f"a spectrum is one number or pairs of wavelength and value, got {_shown(given)}")
     if len(pairs) < 2 or not np.isfinite(pairs).all():
         place.fail("a spectrum needs two or more pairs of finite numbers")
-    if any(b[0] <= a[0] for a, b in zip(pairs, pairs[1:], strict=False)):
+    if any(b[0] <= a[0] for a, b in pairwise(pairs)):
         place.fail("the wavelengths of a spectrum have to increase")
     _bounds("unbounded", [v for _, v in pairs], place)
     return pairs

@@ -1,4 +1,4 @@
-"""The supported subset of Mitsuba 3's scene vocabulary, as tables. Names, units and defaults are those of Mitsuba 3.9."""
+"""The supported subset of Mitsuba 3's scene vocabulary, as tables; names, units and defaults are its own (3.9)."""
 
 from isonoise.scene.registry import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
 
@@ -7,10 +7,6 @@ P = Parameter
 
 def _ignored(type_: str, *names: str) -> tuple[Parameter, ...]:
     return tuple(P(name, type_, status=IGNORED) for name in names)
-
-
-def _unsupported(*names: str) -> tuple[Parameter, ...]:
-    return tuple(P(name, "any", status=UNSUPPORTED) for name in names)
 
 
 _PLACED = (P("to_world", "transform"),)
@@ -129,6 +125,18 @@ PLUGINS: tuple[Plugin, ...] = (
     ),
     Plugin("shape", "obj", (*_MESH, *_ignored("boolean", "flip_tex_coords")), _SHAPE_CHILDREN),
     Plugin("shape", "ply", (*_MESH, *_ignored("boolean", "flip_tex_coords")), _SHAPE_CHILDREN),
+    Plugin(  # isonoise's own: what meshes without a scene become
+        "shape",
+        "mesh",
+        (
+            P("vertices", "positions", required=True),
+            P("faces", "indices", required=True),
+            P("normals", "positions"),
+            *_SHAPE,
+            P("face_normals", "boolean", False),
+        ),
+        _SHAPE_CHILDREN,
+    ),
     Plugin("emitter", "area", (P("radiance", "radiance", 1.0), *_EMITTER)),
     Plugin("emitter", "point", (P("intensity", "radiance", 1.0), P("position", "vector"), *_PLACED, *_EMITTER)),
     Plugin("emitter", "directional", (P("irradiance", "radiance", 1.0), P("direction", "vector"), *_PLACED, *_EMITTER)),
@@ -148,24 +156,23 @@ PLUGINS: tuple[Plugin, ...] = (
 )
 
 ELSEWHERE: dict[str, tuple[str, ...]] = {
-    "sensor": ("batch", "distant", "irradiancemeter", "orthographic", "radiancemeter", "thinlens"),
-    "film": ("specfilm",),
-    "rfilter": ("catmullrom", "lanczos", "mitchell"),
-    "integrator": ("depth", "direct_projective", "prb", "prb_basic", "prb_projective", "prbvolpath", "ptracer")
-    + ("stokes", "volpath", "volpathmis"),
-    "bsdf": ("blendbsdf", "bumpmap", "hair", "mask", "measured", "measured_polarized", "normalmap", "null", "plastic")
-    + ("polarizer", "pplastic", "principled", "principledthin", "retarder", "roughconductor", "roughdielectric")
-    + ("roughplastic", "thindielectric", "circular"),
-    "shape": ("blender", "bsplinecurve", "ellipsoids", "ellipsoidsmesh", "instance", "linearcurve", "merge", "sdfgrid")
-    + ("serialized", "shapegroup"),
-    "emitter": ("directionalarea", "envmap", "projector", "spot", "sunsky", "timed_sunsky"),
-    "texture": ("bitmap", "blackbody", "checkerboard", "d65", "irregular", "mesh_attribute", "rawconstant", "regular")
-    + ("srgb", "uniform", "volume"),
-    "medium": ("heterogeneous", "homogeneous"),
-    "phase": ("blendphase", "hg", "isotropic", "rayleigh", "sggx", "tabphase"),
-    "volume": ("constvolume", "gridvolume"),
+    kind: tuple(names.split())
+    for kind, names in {
+        "sensor": "batch distant irradiancemeter orthographic radiancemeter thinlens",
+        "film": "specfilm",
+        "rfilter": "catmullrom lanczos mitchell",
+        "integrator": "depth direct_projective prb prb_basic prb_projective prbvolpath ptracer stokes volpath volpathmis",
+        "bsdf": "blendbsdf bumpmap circular hair mask measured measured_polarized normalmap null plastic polarizer "
+        "pplastic principled principledthin retarder roughconductor roughdielectric roughplastic thindielectric",
+        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid serialized shapegroup",
+        "emitter": "directionalarea envmap projector spot sunsky timed_sunsky",
+        "texture": "bitmap blackbody checkerboard d65 irregular mesh_attribute rawconstant regular srgb uniform volume",
+        "medium": "heterogeneous homogeneous",
+        "phase": "blendphase hg isotropic rayleigh sggx tabphase",
+        "volume": "constvolume gridvolume",
+    }.items()
 }
-"""Plugins that Mitsuba 3 has and isonoise does not: named in the error, so that nobody takes them for a typing mistake."""
+"""Plugins that Mitsuba 3 has and isonoise does not: named in the error, so that nobody looks for a typing mistake."""
 
 KINDS = tuple(dict.fromkeys(p.kind for p in PLUGINS))
 

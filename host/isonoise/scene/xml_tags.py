@@ -1,4 +1,4 @@
-"""XML files -> bare tags with line numbers. No entities, no DTDs, bounded depth: see defusedxml for what that prevents."""
+"""XML files -> bare tags with line numbers. Bounded depth, no entities and no DTDs (see defusedxml for why)."""
 
 from pathlib import Path
 

@@ -1,0 +1,62 @@
+"""STL and GLB through trimesh: triangles and base colours of every part, as the file has them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from isonoise.errors import SceneError
+from isonoise.scene import transforms
+from isonoise.scene.framing import Part
+from isonoise.scene.meshes import Mesh
+
+
+def read_parts(path: Path) -> list[Part]:
+    """The parts of a file in world space. Raises SceneError where trimesh cannot read it or there are no triangles."""
+    import trimesh
+
+    try:
+        loaded = trimesh.load_scene(str(path), process=False, maintain_order=True)
+        placed = [(loaded.graph.get(name), loaded.geometry) for name in loaded.graph.nodes_geometry]
+        parts = [_part(geometry[key], matrix) for (matrix, key), geometry in placed if hasattr(geometry[key], "faces")]
+    except Exception as error:  # trimesh raises whatever the first unexpected byte leads to
+        reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+        raise SceneError(f"{path}: not a readable {path.suffix[1:].upper()} file ({reason})") from None
+    parts = [part for part in parts if len(part.mesh.faces)]
+    if not parts:
+        raise SceneError(f"{path}: there are no triangles in it")
+    for part in parts:
+        faces, count = part.mesh.faces, len(part.mesh.vertices)
+        if faces.min() < 0 or faces.max() >= count or not np.isfinite(part.mesh.vertices).all():
+            raise SceneError(f"{path}: a vertex is not a finite number, or a face names one that does not exist")
+    return parts
+
+
+def _part(geometry, matrix: np.ndarray) -> Part:
+    vertices = transforms.points(matrix, np.asarray(geometry.vertices, float))
+    faces = np.asarray(geometry.faces, np.int64)
+    normals = np.zeros((0, 3))
+    # Normals that the file brings lie in trimesh's cache; asking for the attribute would make up those it lacks,
+    # where STL and glTF mean flat triangles.
+    if "vertex_normals" in geometry._cache:
+        normals = transforms.normals(matrix, np.asarray(geometry.vertex_normals, float))
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        faces = faces[:, ::-1]
+    reflectance, radiance = _colours(getattr(geometry.visual, "material", None))
+    return Part(Mesh(vertices, faces, normals), reflectance, radiance, flat=not len(normals))
+
+
+def _colours(material) -> tuple[tuple[float, ...], tuple[float, ...] | None]:
+    """(base colour, emission or None) in linear RGB of a glTF material; a texture counts with its mean."""
+    base = getattr(material, "baseColorFactor", None)
+    texture = getattr(material, "baseColorTexture", None)
+    emission = getattr(material, "emissiveFactor", None)
+    if base is None and texture is None and emission is None:
+        return Part.reflectance, None
+    colour = np.ones(3) if base is None else np.asarray(base, float)[:3] / 255.0
+    if texture is not None:
+        encoded = np.asarray(texture.convert("RGB").resize((64, 64)), float) / 255.0
+        # IEC 61966-2-1
+        linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+        colour = colour * linear.mean(axis=(0, 1))
+    shines = emission is not None and np.max(emission) > 0
+    return tuple(np.clip(colour, 0.0, 1.0)), tuple(np.asarray(emission, float)) if shines else None

@@ -1,0 +1,194 @@
+"""Stanford PLY (ASCII and binary), read with numpy. Vertices, normals and faces; polygons become fans of triangles.
+
+A header's counts are held against the size of the file before anything is allocated.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from isonoise.scene.meshes import Mesh, parse_numbers, read_bytes
+from isonoise.scene.source import Place
+
+_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
+_TYPES |= {"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
+_HEADER = 1 << 16  # bytes in which a header has to end
+_LIST = 1 << 16  # longest list of one face
+
+
+@dataclass
+class _Property:
+    name: str
+    type: str  # numpy type of the value, or of the items of a list
+    count: str = ""  # numpy type of a list's length; '' for a single value
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property]
+
+
+def read_ply(path: Path) -> Mesh:
+    """Read a file. Raises SceneError where it is not a PLY mesh, is cut off, or its indices or numbers are bad."""
+    place = Place(str(path))
+    data = read_bytes(path)
+    order, elements, start = _header(data, place)
+    body = _Body(data, start, order, place)
+    vertices = faces = None
+    for element in elements:
+        if element.name == "vertex":
+            vertices = body.table(element)
+        elif element.name == "face":
+            faces = body.triangles(element)
+        else:
+            body.triangles(element)
+        if vertices is not None and faces is not None:
+            break
+    if vertices is None or faces is None or not len(faces):
+        place.fail("a mesh needs vertices and faces")
+    return _mesh(vertices, faces, place)
+
+
+def _mesh(vertices: dict[str, np.ndarray], faces: np.ndarray, place: Place) -> Mesh:
+    if any(axis not in vertices for axis in "xyz"):
+        place.fail("its vertices lack x, y or z")
+    positions = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    normals = np.zeros((0, 3))
+    if all(f"n{axis}" in vertices for axis in "xyz"):
+        normals = np.stack([vertices[f"n{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
+    if not (np.isfinite(positions).all() and np.isfinite(normals).all()):
+        place.fail("a vertex or normal is not a finite number")
+    if faces.min() < 0 or faces.max() >= len(positions):
+        place.fail(f"a face names a vertex that does not exist (there are {len(positions)})")
+    return Mesh(positions, faces, normals)
+
+
+def _header(data: bytes, place: Place) -> tuple[str, list[_Element], int]:
+    """(byte order '<', '>' or '' for ASCII, elements, where the body begins)."""
+    if data[:3] != b"ply":
+        place.fail("not a PLY file")
+    marker = data.find(b"end_header", 0, _HEADER)
+    end = data.find(b"\n", marker)
+    if marker < 0 or end < 0:
+        place.fail("its header has no end")
+    order, elements = None, []
+    for line in data[:marker].decode("ascii", "replace").splitlines():
+        words = line.split()
+        if words[:1] == ["format"]:
+            order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(
+                words[1] if len(words) > 1 else ""
+            )
+        elif words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdigit() or len(words[2]) > 15:
+                place.fail(f"unreadable header line '{line[:60]}'")
+            elements.append(_Element(words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            if not elements:
+                place.fail("its header names a property before any element")
+            elements[-1].properties.append(_property(words, line, place))
+    if order is None:
+        place.fail("its format is neither ascii nor binary_little_endian nor binary_big_endian")
+    return order, elements, end + 1
+
+
+def _property(words: list[str], line: str, place: Place) -> _Property:
+    is_list = words[1:2] == ["list"]
+    types = words[2:4] if is_list else words[1:2]
+    if len(words) != (5 if is_list else 3) or any(type_ not in _TYPES for type_ in types):
+        place.fail(f"unreadable header line '{line[:60]}'")
+    return _Property(words[-1], _TYPES[types[-1]], _TYPES[types[0]] if is_list else "")
+
+
+class _Body:
+    """The records after the header, read in order. An ASCII body is one of 64-bit floats throughout."""
+
+    def __init__(self, data: bytes, start: int, order: str, place: Place):
+        self.place, self.order = place, order
+        self.data = memoryview(data)[start:] if order else memoryview(parse_numbers(data[start:]).tobytes())
+        self.position = 0
+
+    def type(self, name: str) -> str:
+        return self.order + name if self.order else "f8"
+
+    def layout(self, element: _Element, lengths: tuple[int, ...]) -> np.dtype:
+        """The record of an element whose lists have these lengths; list lengths are 'length 0', 'length 1', ..."""
+        fields, remaining = [], list(lengths)
+        for number, item in enumerate(element.properties):
+            if item.count:
+                fields.append((f"length {len(lengths) - len(remaining)}", self.type(item.count)))
+                fields.append((f"{number} {item.name}", self.type(item.type), (remaining.pop(0),)))
+            else:
+                fields.append((f"{number} {item.name}", self.type(item.type)))
+        return np.dtype(fields)
+
+    def table(self, element: _Element) -> dict[str, np.ndarray]:
+        """Columns by name of an element without lists."""
+        if any(item.count for item in element.properties) or not element.properties:
+            self.place.fail(f"element '{element.name}' has to have properties that are single numbers")
+        layout = self.layout(element, ())
+        records = self.view(element, layout, element.count)
+        self.position += records.nbytes
+        return {item.name: records[f"{n} {item.name}"] for n, item in enumerate(element.properties)}
+
+    def triangles(self, element: _Element) -> np.ndarray:
+        """(t, 3) vertex indices of an element of polygons; passes over an element of any other kind.
+
+        Records whose lists are equally long follow each other in runs; each run is one array.
+        """
+        parts, done, window, layouts = [np.zeros((0, 3), np.int64)], 0, max(element.count, 1), {}
+        name = next(
+            (f"{n} {p.name}" for n, p in enumerate(element.properties) if p.name in ("vertex_indices", "vertex_index")),
+            "",
+        )
+        while done < element.count and element.properties:
+            lengths = self.lengths(element)
+            if lengths not in layouts:
+                layouts[lengths] = self.layout(element, lengths)
+            fits = (len(self.data) - self.position) // layouts[lengths].itemsize
+            records = self.view(element, layouts[lengths], max(min(window, element.count - done, fits), 1))
+            same = np.ones(len(records), bool)
+            for number, length in enumerate(lengths):
+                same &= records[f"length {number}"] == length
+            good = len(records) if same.all() else int(np.argmin(same))
+            window = 2 * good + 64
+            self.position += good * layouts[lengths].itemsize
+            done += good
+            if name:
+                parts.append(_fans(records[name][:good].astype(np.int64), self.place))
+        return np.concatenate(parts)
+
+    def view(self, element: _Element, layout: np.dtype, count: int) -> np.ndarray:
+        if count * layout.itemsize > len(self.data) - self.position:
+            self.place.fail(f"cut off, or its header promises too much: {element.count} of element '{element.name}'")
+        return np.frombuffer(self.data, layout, count, self.position)
+
+    def lengths(self, element: _Element) -> tuple[int, ...]:
+        """Lengths of the lists of the next record."""
+        lengths: list[int] = []
+        position = self.position
+        for item in element.properties:
+            if item.count:
+                before, self.position = self.position, position
+                length = self.view(element, np.dtype(self.type(item.count)), 1)[0]
+                self.position = before
+                if not 0 <= length <= _LIST:
+                    self.place.fail(f"a list of element '{element.name}' has {length} entries")
+                lengths.append(int(length))
+                position += (
+                    np.dtype(self.type(item.count)).itemsize + lengths[-1] * np.dtype(self.type(item.type)).itemsize
+                )
+            else:
+                position += np.dtype(self.type(item.type)).itemsize
+        return tuple(lengths)
+
+
+def _fans(polygons: np.ndarray, place: Place) -> np.ndarray:
+    corners = polygons.shape[1]
+    if corners < 3:
+        place.fail("a face has fewer than three corners")
+    triangles = [polygons[:, [0, i, i + 1]] for i in range(1, corners - 1)]
+    return np.stack(triangles, axis=1).reshape(-1, 3)
