@@ -1,0 +1,207 @@
+"""Comparison with another renderer's images: references, their standard errors, and the tests that weigh both.
+
+An image is an `Estimate`: a mean and its standard error for every value. Two estimates of the same picture are compared
+value by value (`assert_agree`) and by their image means (`assert_means_agree`).
+
+What the value-by-value test can and cannot do. A value passes if the difference is no larger than chance allows at
+1 % for the whole image (Sidak: 5.3 standard errors for 65,536 values). It finds what is wrong in a place: a missing
+surface, a light on the wrong side, a shifted edge. It is blind to a bias below the noise of single pixels, and it is
+nearly blind to fireflies: one outlier of size v among n samples moves the mean by v/n and the standard error by as
+much, so that no outlier is ever much more than one standard error off. Hence the means of 8x8 blocks (an eighth of the
+noise, and 64 times the samples for the rare paths to show up in) and the image means, which a wrong weight of any kind
+of path moves.
+"""
+
+import hashlib
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import NormalDist
+
+import numpy as np
+
+from isonoise.film.exr import read_exr, write_exr
+from isonoise.film.luminance import luminance
+from isonoise.statistics import Statistics
+
+ROUNDING = 1e-4
+"""Relative difference that is rounding, not noise: a float32 sum of 1,024 samples of one value is off by up to
+1024 * 2^-24 = 6e-5. Matters where nothing varies: in a pixel that the light fills both standard errors are 0."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Mean and standard error of every value, float64 (height, width, channels), and the degrees of freedom of the
+    standard error: one number, or an array that goes with the values."""
+
+    mean: np.ndarray
+    se: np.ndarray
+    freedom: float | np.ndarray
+
+    def blocks(self, size: int) -> "Estimate":
+        """Means of size x size blocks; the standard error of a block is right if its pixels are independent."""
+        return Estimate(block_means(self.mean, size), np.sqrt(block_means(self.se**2, size)) / size, self.freedom)
+
+
+def block_means(image: np.ndarray, size: int) -> np.ndarray:
+    """Means of size x size blocks of (..., height, width, channels); what fills no block is left out."""
+    *batches, height, width, channels = image.shape
+    rows, columns = height // size, width // size
+    cut = image[..., : rows * size, : columns * size, :]
+    return cut.reshape(*batches, rows, size, columns, size, channels).mean(axis=(-4, -2))
+
+
+def from_batches(batches: np.ndarray) -> Estimate:
+    """Estimate from independent images of equal sample counts, (batches, height, width, channels)."""
+    count = len(batches)
+    batches = np.asarray(batches, dtype=np.float64)
+    return Estimate(batches.mean(axis=0), batches.std(axis=0, ddof=1) / np.sqrt(count), count - 1)
+
+
+def from_statistics(statistics: list[Statistics]) -> Estimate:
+    """Estimate of the luminance, from renders of equal counts with different seeds, by the variance that they state."""
+    mean = np.mean([s.mean for s in statistics], axis=0)
+    squared = np.mean([s.variance / s.count for s in statistics], axis=0) / len(statistics)
+    freedom = sum(s.count.astype(np.float64) - 1 for s in statistics)
+    return Estimate(mean[..., None], np.sqrt(squared)[..., None], freedom[..., None])
+
+
+def read_reference(path: Path) -> Estimate:
+    """A reference file: channels R G B with stderr.R stderr.G stderr.B, and the number of batches in its header."""
+    channels, header = read_exr(path)
+    mean, se = (
+        np.stack([channels[prefix + c] for c in "RGB"], axis=-1, dtype=np.float64) for prefix in ("", "stderr.")
+    )
+    return Estimate(mean, se, int(header["batches"]) - 1)
+
+
+def luminance_of(rgb: Estimate) -> Estimate:
+    """Luminance of an RGB estimate. The channels' errors are taken as fully correlated: the most that it can be, and
+    close to the truth where all channels come from the same paths."""
+    return Estimate(luminance(rgb.mean)[..., None], luminance(rgb.se)[..., None], rgb.freedom)
+
+
+def standard_scores(image: Estimate, reference: Estimate) -> np.ndarray:
+    """Differences in units of their standard error, as standard normal deviates.
+
+    The degrees of freedom of the difference are those of Welch and Satterthwaite; Student's t becomes a normal deviate
+    by D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square distributions" (Annals of
+    Mathematical Statistics 30, 1959), good to 1 % in the tails used here (15 degrees of freedom and more).
+    """
+    squared_image, squared_reference = image.se**2, reference.se**2
+    squared = squared_image + squared_reference
+    difference = image.mean - reference.mean
+    difference[np.abs(difference) <= ROUNDING * np.abs(reference.mean)] = 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = squared**2 / (squared_image**2 / image.freedom + squared_reference**2 / reference.freedom)
+        t = difference / np.sqrt(squared)
+    score = np.sign(t) * np.sqrt(freedom * np.log1p(t**2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3)
+    return np.where(squared > 0, score, np.where(difference == 0, 0.0, np.copysign(np.inf, difference)))
+
+
+def assert_agree(
+    image: Estimate, reference: Estimate, folder: Path, share: float = 0.9975, alpha: float = 0.01
+) -> np.ndarray:
+    """At least `share` of the values agree, each tested so that all of them together fail by chance with probability
+    alpha (Sidak); returns the standard scores.
+
+    The share is Mitsuba 3's (src/render/tests/test_renders.py): it leaves room for pixels on an edge that two renderers
+    round to different sides. With it the false-alarm rate is far below alpha. On failure image, reference and scores
+    are written to `folder` and named in the message.
+    """
+    assert image.mean.shape == reference.mean.shape
+    assert np.isfinite(image.mean).all()
+    scores = standard_scores(image, reference)
+    threshold = NormalDist().inv_cdf(1 - (1 - (1 - alpha) ** (1 / scores.size)) / 2)
+    passed = np.abs(scores) <= threshold
+    if passed.mean() < share:
+        row, column, _ = np.unravel_index(np.argmax(np.abs(scores)), scores.shape)
+        raise AssertionError(
+            f"{passed.mean():.4%} of the values are within {threshold:.2f} standard errors, {share:.2%} wanted; the "
+            f"worst is at column {column}, row {row}: {image.mean[row, column]} for {reference.mean[row, column]}. "
+            f"See {', '.join(map(str, _write_failure(folder, image, reference, scores)))}"
+        )
+    return scores
+
+
+def assert_means_agree(image: Estimate, reference: Estimate, relative: float = 0.003, errors: float = 3.0) -> None:
+    """The mean of every channel over the image agrees within 0.3 %, or three standard errors where that is more.
+
+    Pixels are independent, so their errors add up in squares. Where three standard errors are the wider bound, a
+    correct program fails with probability 0.0027 per channel, by the normal distribution.
+    """
+    means, squared = [], 0.0
+    for estimate in (image, reference):
+        pixels = estimate.mean.shape[0] * estimate.mean.shape[1]
+        means.append(estimate.mean.mean(axis=(0, 1)))
+        squared = squared + (estimate.se**2).sum(axis=(0, 1)) / pixels**2
+    tolerance = np.maximum(relative * means[1], errors * np.sqrt(squared))
+    assert (np.abs(means[0] - means[1]) <= tolerance).all(), (
+        f"image means {means[0]} for {means[1]}, ratio {means[0] / means[1]}, tolerance {tolerance / means[1]}"
+    )
+
+
+def _write_failure(folder: Path, image: Estimate, reference: Estimate, scores: np.ndarray) -> list[Path]:
+    """Writes both images and the scores: EXR for numbers, PNG for a look (white: 6 errors too bright)."""
+    from PIL import Image
+
+    finite = np.nan_to_num(np.broadcast_to(scores, (*scores.shape[:2], 3)))
+    images = {"image": image.mean, "reference": reference.mean, "scores": finite}
+    paths = []
+    for name, pixels in images.items():
+        paths.append(folder / f"{name}.exr")
+        write_exr(paths[-1], {"": np.broadcast_to(pixels, finite.shape).astype(np.float32)}, {})
+    paths.append(folder / "scores.png")
+    Image.fromarray((255 * np.clip(finite / 12 + 0.5, 0, 1)).astype(np.uint8)).save(paths[-1])
+    return paths
+
+
+def resized(scene: Path, side: int, folder: Path) -> Path:
+    """A copy of an XML scene whose film is side x side pixels."""
+    tree = ElementTree.parse(scene)
+    for name in ("width", "height"):
+        tree.find(f"./sensor/film/integer[@name='{name}']").set("value", str(side))
+    path = folder / f"{scene.stem}-{side}.xml"
+    tree.write(path)
+    return path
+
+
+def mitsuba_batches(scene: Path, spp: int, batches: int, folder: Path) -> np.ndarray:
+    """Images of a scene file by Mitsuba 3, (batches, height, width, 3) float32, each with its own seed.
+
+    Rendered by llvm_ad_rgb where a libLLVM serves it, else by scalar_rgb (several times slower), and kept in `folder`
+    under a name that is a hash of all that they depend on. Mitsuba runs in a process of its own: a libLLVM that does
+    not serve it aborts the process, and OpenCL drivers bring an LLVM of theirs.
+    """
+    import mitsuba
+
+    facts = f"{mitsuba.__version__} {spp} {batches}"
+    key = hashlib.sha256(scene.read_bytes() + facts.encode()).hexdigest()[:16]
+    path = folder / f"{scene.stem}-{key}.npy"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(".part.npy")
+        command = [sys.executable, __file__, str(scene), str(part), str(spp), str(batches)]
+        for variant in ("llvm_ad_rgb", "scalar_rgb"):
+            run = subprocess.run([*command, variant], capture_output=True, text=True)
+            if run.returncode == 0:
+                break
+        else:
+            raise RuntimeError(f"Mitsuba cannot render {scene}: {run.stderr}")
+        part.replace(path)
+    return np.load(path)
+
+
+def _mitsuba_main(scene: str, output: str, spp: str, batches: str, variant: str) -> None:
+    import mitsuba
+
+    mitsuba.set_variant(variant)
+    loaded = mitsuba.load_file(scene)
+    images = [np.array(mitsuba.render(loaded, spp=int(spp), seed=seed)) for seed in range(int(batches))]
+    np.save(output, np.stack(images)[..., :3].astype(np.float32))
+
+
+if __name__ == "__main__":
+    _mitsuba_main(*sys.argv[1:])
