@@ -61,7 +61,7 @@ def _add_render(commands) -> None:
     render = commands.add_parser(
         "render",
         help="render a scene until an error, a time or a number of samples is reached",
-        description="Render a scene. --spp, --time and --error may be combined: the first one reached ends the render. "
+        description="Render a scene. --spp, --time and --error may be combined: the first one reached ends the render.\n"
         "With none of them the scene's own sample_count holds. Ctrl-C ends a render with a valid image.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -117,13 +117,18 @@ def _render_epilog() -> str:
     import textwrap
 
     from isonoise.film.log import columns
-    from isonoise.strategies import DEFAULT_STRATEGY, available_strategies
+    from isonoise.strategies import DEFAULT_STRATEGY, available_strategies, describe, make_strategy
 
-    names = [f"{name} (default)" if name == DEFAULT_STRATEGY else name for name in available_strategies()]
+    lines = [f"strategies (default: {DEFAULT_STRATEGY}), with their parameters:"]
+    for name in available_strategies():
+        try:
+            lines.append(f"  {describe(make_strategy(name))}")
+        except UserError as error:  # one that a package brings and that does not work
+            lines.append(f"  {name}: {error}")
+    lines += ["  module:Class for one of your own", ""]
+    lines.append("columns of --log (those that begin with true_ only with --reference):")
     meanings = columns(true_errors=True)
     width = max(map(len, meanings))
-    lines = [f"strategies: {', '.join(names)}, or module:Class for one of your own", ""]
-    lines.append("columns of --log (those that begin with true_ only with --reference):")
     for name, meaning in meanings.items():
         lines += textwrap.wrap(meaning, 110, initial_indent=f"  {name:{width}}  ", subsequent_indent=" " * (width + 4))
     lines += ["", "exit codes: 0 done; 1 --error was not met within the other limits; 2 bad input; 130 after Ctrl-C"]

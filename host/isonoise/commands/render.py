@@ -40,7 +40,7 @@ HEADER = (
 def run(options: argparse.Namespace) -> int:
     """Render as the options say; returns the exit code. Raises UserError for what is the user's to mend."""
     _check_files(options)
-    reference, _ = read_reference(options.reference) if options.reference else (None, None)
+    reference = read_reference(options.reference) if options.reference else None
     log = _Log(options.log, true_errors=reference is not None)
     renderer = _renderer(options)
     _check_shape(options, reference, renderer)
@@ -110,8 +110,8 @@ def _stops(options: argparse.Namespace, renderer: Renderer) -> Stops:
 
 def _check_shape(options: argparse.Namespace, reference, renderer: Renderer) -> None:
     expected = (renderer.scene.height, renderer.scene.width)
-    if reference is not None and reference.shape[:2] != expected:
-        height, width = reference.shape[:2]
+    if reference is not None and reference[0].shape[:2] != expected:
+        height, width = reference[0].shape[:2]
         raise UserError(
             f"reference '{options.reference}' is {width}x{height} and the image {expected[1]}x{expected[0]}: "
             f"render with --size {width}x{height}, or give another reference"
@@ -126,6 +126,7 @@ def _stop_signals() -> Iterator[list[int]]:
     """
     received = []
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: handler for number, handler in before.items() if handler != signal.SIG_IGN}  # as under nohup
 
     def note(number, frame):
         received.append(number)
@@ -217,9 +218,15 @@ def _say_result(say, facts: dict[str, object]) -> None:
     say("rendered", f"{duration(facts['time_s'])}, {facts['samples']:,} samples, {facts['spp']:.4g} per pixel")
     say("stopped", {"interrupted": "on request"}.get(facts["stopped_by"], f"by --{facts['stopped_by']}"))
     say("error", f"{percent(facts['stated_error'])} stated at quantile {facts['quantile']:g}")
-    true = {name: value for name, value in (facts["last_wave"] or {}).items() if name.startswith("true_")}
-    if true:
-        say("", ", ".join(f"{name} {value:.3g}" for name, value in true.items()))
+    last = facts["last_wave"] or {}
+    if "true_p99" in last:
+        quantiles = ", ".join(f"p{q} {percent(last[f'true_p{q}'])}" for q in (50, 95, 99))
+        stated = ", ".join(f"p{q} {percent(last[f'stated_p{q}'])}" for q in (50, 95, 99))
+        say(
+            "",
+            f"true    {quantiles}; relMSE {last['true_rel_mse']:.3g}, image mean ratio {last['true_energy_ratio']:.4f}",
+        )
+        say("", f"stated  {stated}")
     if facts["rejected"]:
         say("rejected", f"{facts['rejected']:,} samples were not finite and are left out")
     for path in facts["output"]:
