@@ -61,8 +61,8 @@ def _add_render(commands) -> None:
     render = commands.add_parser(
         "render",
         help="render a scene until an error, a time or a number of samples is reached",
-        description="Render a scene. --spp, --time and --error may be combined: the first one reached ends the render,\n"
-        "and with none of them the scene's own sample_count. Ctrl-C ends a render with a valid image.",
+        description="Render a scene. --spp, --time and --error may be combined: the first one reached ends the\n"
+        "render, and with none of them the scene's own sample_count. Ctrl-C ends a render with a valid image.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     render.make_epilog = _render_epilog
