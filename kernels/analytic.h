@@ -4,7 +4,7 @@
 
 #define ANALYTIC_BIT 0x80000000u  // set in a primitive number: the rest is an index into `analytics`
 
-inline void load_matrix(__global const float* from, float* to)
+INLINE void load_matrix(__global const float* from, float* to)
 {
     for (int i = 0; i < 12; ++i) to[i] = from[i];
 }
@@ -12,16 +12,16 @@ inline void load_matrix(__global const float* from, float* to)
 #if FEATURE_SPHERES
 // Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, 2019: the discriminant from the
 // distance of the centre to the line, the smaller root from the product of the roots.
-inline float sphere_distance(float3 origin, float3 direction, float3 center, float radius, float t_max)
+INLINE float sphere_distance(float3 origin, float3 direction, float3 center, float radius, float t_max)
 {
     const float3 f = origin - center;
-    const float a = dot(direction, direction), b = -dot(f, direction);
+    const float a = dot3(direction, direction), b = -dot3(f, direction);
     const float3 closest = f + (b / a) * direction;
-    const float discriminant = radius * radius - dot(closest, closest);
+    const float discriminant = radius * radius - dot3(closest, closest);
     if (discriminant < 0.0f) return INFINITY;
-    const float length_f = sqrt(dot(f, f));
+    const float length_f = SQRT(dot3(f, f));
     const float c = (length_f - radius) * (length_f + radius);
-    const float q = b + copysign(sqrt(a * discriminant), b);
+    const float q = b + with_sign(SQRT(a * discriminant), b);
     const float t0 = c / q, t1 = q / a;
     const float near = LESSER(t0, t1), far = GREATER(t0, t1);
     const float t = near > 0.0f ? near : far;
@@ -30,28 +30,28 @@ inline float sphere_distance(float3 origin, float3 direction, float3 center, flo
 #endif
 
 #if FEATURE_DISKS
-inline float disk_distance(float3 origin, float3 direction, float t_max)
+INLINE float disk_distance(float3 origin, float3 direction, float t_max)
 {
     const float t = -origin.z / direction.z;
-    const float2 p = fma((float2)(t), direction.xy, origin.xy);
-    return t > 0.0f && t < t_max && dot(p, p) <= 1.0f ? t : INFINITY;
+    const float2 p = origin.xy + t * direction.xy;
+    return t > 0.0f && t < t_max && dot2(p, p) <= 1.0f ? t : INFINITY;
 }
 #endif
 
 #if FEATURE_CYLINDERS
-inline float cylinder_distance(float3 origin, float3 direction, float t_max)
+INLINE float cylinder_distance(float3 origin, float3 direction, float t_max)
 {
-    const float a = dot(direction.xy, direction.xy), b = -dot(origin.xy, direction.xy);
+    const float a = dot2(direction.xy, direction.xy), b = -dot2(origin.xy, direction.xy);
     if (a == 0.0f) return INFINITY;
     const float2 closest = origin.xy + (b / a) * direction.xy;
-    const float discriminant = 1.0f - dot(closest, closest);
+    const float discriminant = 1.0f - dot2(closest, closest);
     if (discriminant < 0.0f) return INFINITY;
-    const float distance = sqrt(dot(origin.xy, origin.xy));
+    const float distance = SQRT(dot2(origin.xy, origin.xy));
     const float c = (distance - 1.0f) * (distance + 1.0f);
-    const float q = b + copysign(sqrt(a * discriminant), b);
+    const float q = b + with_sign(SQRT(a * discriminant), b);
     const float roots[2] = {LESSER(c / q, q / a), GREATER(c / q, q / a)};
     for (int i = 0; i < 2; ++i) {
-        const float t = roots[i], z = fma(t, direction.z, origin.z);
+        const float t = roots[i], z = origin.z + t * direction.z;
         if (t > 0.0f && t < t_max && z >= 0.0f && z <= 1.0f) return t;
     }
     return INFINITY;
@@ -61,13 +61,13 @@ inline float cylinder_distance(float3 origin, float3 direction, float t_max)
 // Distance along the ray to an analytic primitive, INFINITY if it is not met in (0, t_max). The plane of a disk is not met by
 // rays that start or end on it: `skip`. A ray from a sphere or cylinder may meet it on the far side; there the offset of the
 // origin decides.
-inline float analytic_distance(__global const Analytic* analytics, uint index, float3 origin, float3 direction, uint2 skip,
+INLINE float analytic_distance(__global const Analytic* analytics, uint index, float3 origin, float3 direction, uint2 skip,
                                float t_max)
 {
     __global const Analytic* shape = analytics + index;
 #if FEATURE_SPHERES
     if (shape->kind == ANALYTIC_SPHERE)
-        return sphere_distance(origin, direction, vload3(0, shape->center), shape->radius, t_max);
+        return sphere_distance(origin, direction, LOAD3(0, shape->center), shape->radius, t_max);
 #endif
 #if FEATURE_DISKS || FEATURE_CYLINDERS
     float to_object[12];

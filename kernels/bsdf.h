@@ -10,7 +10,7 @@ typedef struct {
 } BsdfSample;
 
 // Whether next-event estimation can find anything.
-inline bool bsdf_is_smooth(__global const Bsdf* bsdf)
+INLINE bool bsdf_is_smooth(__global const Bsdf* bsdf)
 {
 #if FEATURE_DIFFUSE && (FEATURE_DIELECTRIC || FEATURE_CONDUCTOR)
     return bsdf->kind == BSDF_DIFFUSE;
@@ -21,22 +21,22 @@ inline bool bsdf_is_smooth(__global const Bsdf* bsdf)
 
 #if FEATURE_DIFFUSE
 // bsdf * cos and the pdf of sampling `wo`.
-inline float3 diffuse_eval(__global const Bsdf* bsdf, float cos_i, float cos_o, float* pdf)
+INLINE float3 diffuse_eval(__global const Bsdf* bsdf, float cos_i, float cos_o, float* pdf)
 {
     const bool lit = cos_i > 0.0f && cos_o > 0.0f;
     *pdf = lit ? cos_o * M_1_PI_F : 0.0f;
-    return *pdf * vload3(0, bsdf->reflectance);
+    return *pdf * LOAD3(0, bsdf->reflectance);
 }
 
-inline BsdfSample diffuse_sample(__global const Bsdf* bsdf, float3 normal, float cos_i, float2 u)
+INLINE BsdfSample diffuse_sample(__global const Bsdf* bsdf, float3 normal, float cos_i, float2 u)
 {
     const float2 disk = square_to_disk(u);
-    const float cos_o = sqrt(GREATER(1.0f - dot(disk, disk), 0.0f));
+    const float cos_o = SQRT(GREATER(1.0f - dot2(disk, disk), 0.0f));
     float3 s, t;
     basis(normal, &s, &t);
     BsdfSample sample;
     sample.direction = disk.x * s + disk.y * t + cos_o * normal;
-    sample.weight = cos_i > 0.0f && cos_o > 0.0f ? vload3(0, bsdf->reflectance) : (float3)(0.0f);
+    sample.weight = cos_i > 0.0f && cos_o > 0.0f ? LOAD3(0, bsdf->reflectance) : (float3)(0.0f);
     sample.pdf = cos_o * M_1_PI_F;
     sample.eta = 1.0f;
     return sample;
@@ -46,7 +46,7 @@ inline BsdfSample diffuse_sample(__global const Bsdf* bsdf, float3 normal, float
 #if FEATURE_DIELECTRIC
 // Unpolarised reflectance of a smooth boundary; cos_t gets the cosine of the refracted direction, 0 if all is reflected.
 // Born and Wolf, Principles of Optics, 7th ed., 1.5.2. `eta` is index of the far side over that of the near side.
-inline float fresnel_dielectric(float cos_i, float eta, float* cos_t)
+INLINE float fresnel_dielectric(float cos_i, float eta, float* cos_t)
 {
     const float sin2_t = (1.0f - cos_i * cos_i) / (eta * eta);
     *cos_t = 0.0f;
@@ -55,29 +55,29 @@ inline float fresnel_dielectric(float cos_i, float eta, float* cos_t)
         return 0.0f;
     }
     if (sin2_t >= 1.0f) return 1.0f;
-    *cos_t = sqrt(1.0f - sin2_t);
+    *cos_t = SQRT(1.0f - sin2_t);
     const float parallel = (eta * cos_i - *cos_t) / (eta * cos_i + *cos_t);
     const float perpendicular = (cos_i - eta * *cos_t) / (cos_i + eta * *cos_t);
     return 0.5f * (parallel * parallel + perpendicular * perpendicular);
 }
 
-inline BsdfSample dielectric_sample(__global const Bsdf* bsdf, float3 normal, float3 wi, float cos_i, float u)
+INLINE BsdfSample dielectric_sample(__global const Bsdf* bsdf, float3 normal, float3 wi, float cos_i, float u)
 {
     const bool inside = cos_i < 0.0f;
     const float eta = inside ? 1.0f / bsdf->eta[0] : bsdf->eta[0];
     const float3 facing = inside ? -normal : normal;
     float cos_t;
-    const float reflectance = fresnel_dielectric(fabs(cos_i), eta, &cos_t);
+    const float reflectance = fresnel_dielectric(abs1(cos_i), eta, &cos_t);
     BsdfSample sample;
     sample.pdf = -1.0f;
     if (u <= reflectance) {
-        sample.direction = 2.0f * fabs(cos_i) * facing - wi;
-        sample.weight = vload3(0, bsdf->reflectance);
+        sample.direction = 2.0f * abs1(cos_i) * facing - wi;
+        sample.weight = LOAD3(0, bsdf->reflectance);
         sample.eta = 1.0f;
     } else {
-        sample.direction = (fabs(cos_i) / eta - cos_t) * facing - wi / eta;
+        sample.direction = (abs1(cos_i) / eta - cos_t) * facing - wi / eta;
         // radiance is squeezed into a smaller solid angle: Veach's thesis, 5.2
-        sample.weight = vload3(0, bsdf->transmittance) / (eta * eta);
+        sample.weight = LOAD3(0, bsdf->transmittance) / (eta * eta);
         sample.eta = eta;
     }
     return sample;
@@ -87,7 +87,7 @@ inline BsdfSample dielectric_sample(__global const Bsdf* bsdf, float3 normal, fl
 #if FEATURE_CONDUCTOR
 // Unpolarised reflectance of a metal, from eta + ik per colour. Born and Wolf, 14.2, in the form of
 // S. Lagarde, "Memo on Fresnel equations", 2013.
-inline float3 fresnel_conductor(float cos_i, float3 eta, float3 k)
+INLINE float3 fresnel_conductor(float cos_i, float3 eta, float3 k)
 {
     const float cos2 = cos_i * cos_i, sin2 = 1.0f - cos2;
     const float3 eta2 = eta * eta, k2 = k * k;
@@ -101,13 +101,13 @@ inline float3 fresnel_conductor(float cos_i, float3 eta, float3 k)
     return 0.5f * (parallel + perpendicular);
 }
 
-inline BsdfSample conductor_sample(__global const Bsdf* bsdf, float3 normal, float3 wi, float cos_i)
+INLINE BsdfSample conductor_sample(__global const Bsdf* bsdf, float3 normal, float3 wi, float cos_i)
 {
     BsdfSample sample;
     sample.direction = 2.0f * cos_i * normal - wi;
     sample.weight = (float3)(0.0f);
     if (cos_i > 0.0f)
-        sample.weight = vload3(0, bsdf->reflectance) * fresnel_conductor(cos_i, vload3(0, bsdf->eta), vload3(0, bsdf->k));
+        sample.weight = LOAD3(0, bsdf->reflectance) * fresnel_conductor(cos_i, LOAD3(0, bsdf->eta), LOAD3(0, bsdf->k));
     sample.pdf = -1.0f;
     sample.eta = 1.0f;
     return sample;
@@ -115,7 +115,7 @@ inline BsdfSample conductor_sample(__global const Bsdf* bsdf, float3 normal, flo
 #endif
 
 // `u`: lobe, direction x, direction y.
-inline BsdfSample bsdf_sample(__global const Bsdf* bsdf, float3 normal, float3 wi, float cos_i, float3 u)
+INLINE BsdfSample bsdf_sample(__global const Bsdf* bsdf, float3 normal, float3 wi, float cos_i, float3 u)
 {
     BsdfSample sample;
     sample.weight = (float3)(0.0f);

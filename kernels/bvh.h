@@ -17,19 +17,19 @@ typedef struct {
     float3 permuted;    // origin, permuted
 } Ray;
 
-inline float component(float3 v, int i)
+INLINE float component(float3 v, int i)
 {
     return i == 0 ? v.x : i == 1 ? v.y : v.z;
 }
 
-inline Ray make_ray(float3 origin, float3 direction)
+INLINE Ray make_ray(float3 origin, float3 direction)
 {
     Ray ray;
     ray.origin = origin;
     ray.direction = direction;
-    const float3 size = fabs(direction);
-    ray.inverse = 1.0f / select(direction, copysign((float3)(1e-37f), direction), isless(size, (float3)(1e-37f)));
-    ray.near = select((int3)(0, 1, 2), (int3)(3, 4, 5), isless(ray.inverse, (float3)(0.0f)));
+    const float3 size = abs3(direction);
+    ray.inverse = 1.0f / (size < 1e-37f ? with_sign3((float3)(1e-37f), direction) : direction);
+    ray.near = ray.inverse < 0.0f ? (int3)(3, 4, 5) : (int3)(0, 1, 2);
     const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
     const int next = kz == 2 ? 0 : kz + 1, after = 3 - kz - next;
     // exchanging the first two axes keeps the orientation of triangles for negative directions
@@ -41,7 +41,7 @@ inline Ray make_ray(float3 origin, float3 direction)
     return ray;
 }
 
-inline uint mask_bits(int8 mask)
+INLINE uint mask_bits(int8 mask)
 {
     const int8 lanes = mask & LANE_BITS;
     const int4 half_lanes = lanes.lo | lanes.hi;
@@ -49,21 +49,9 @@ inline uint mask_bits(int8 mask)
     return (uint)(quarter.x | quarter.y);
 }
 
-inline uint lowest_bit(uint bits)
-{
-    return 31u - clz(bits & -bits);
-}
-
-inline float lowest_of(float8 v)
-{
-    const float4 a = LESSER(v.lo, v.hi);
-    const float2 b = LESSER(a.lo, a.hi);
-    return LESSER(b.x, b.y);
-}
-
 // Which of the node's children the ray meets before t_max, as bits; `entry` gets the distances at which it enters them.
 // The far planes are widened by 2 gamma(3), so that rounding never loses a child: Ize, "Robust BVH Ray Traversal", JCGT 2013.
-inline uint children_met(__global const float8* node, const Ray* ray, float t_max, float8* entry)
+INLINE uint children_met(__global const float8* node, const Ray* ray, float t_max, float8* entry)
 {
     const int3 near = ray->near, far = (int3)(3, 5, 7) - near;
     const float8 near_x = (node[near.x] - ray->origin.x) * ray->inverse.x;
@@ -86,14 +74,14 @@ inline uint children_met(__global const float8* node, const Ray* ray, float t_ma
 // The edge functions are written without fma: then neighbours get exactly opposite values on a shared edge.
 // A plane cannot be met again by a ray that starts or ends on it, but rounding can say so: the two primitives in `skip` are left
 // out, which needs no epsilon.
-inline uint triangles_met(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t, float8* u, float8* v)
+INLINE uint triangles_met(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t, float8* u, float8* v)
 {
     const int3 k = ray->axis;
     const float3 o = ray->permuted, s = ray->shear;
     const float8 az = block[k.z] - o.z, bz = block[3 + k.z] - o.z, cz = block[6 + k.z] - o.z;
-    const float8 ax = fma(-s.x, az, block[k.x] - o.x), ay = fma(-s.y, az, block[k.y] - o.y);
-    const float8 bx = fma(-s.x, bz, block[3 + k.x] - o.x), by = fma(-s.y, bz, block[3 + k.y] - o.y);
-    const float8 cx = fma(-s.x, cz, block[6 + k.x] - o.x), cy = fma(-s.y, cz, block[6 + k.y] - o.y);
+    const float8 ax = (block[k.x] - o.x) - s.x * az, ay = (block[k.y] - o.y) - s.y * az;
+    const float8 bx = (block[3 + k.x] - o.x) - s.x * bz, by = (block[3 + k.y] - o.y) - s.y * bz;
+    const float8 cx = (block[6 + k.x] - o.x) - s.x * cz, cy = (block[6 + k.y] - o.y) - s.y * cz;
     const float8 edge_a = cx * by - cy * bx, edge_b = ax * cy - ay * cx, edge_c = bx * ay - by * ax;
     const float8 lowest = LESSER(LESSER(edge_a, edge_b), edge_c), highest = GREATER(GREATER(edge_a, edge_b), edge_c);
     const float8 determinant = edge_a + edge_b + edge_c;

@@ -1,12 +1,13 @@
 // Stages between two bounces: the queue keeps the slots whose paths go on and those that begin a new sample.
 // Stable and without atomics: count per block, scan the blocks, scatter. One work-item a block.
+#include "plain.h"
 
 __kernel void count_alive(__global const uchar* alive, uint queue_length, uint block_size, __global uint* block_alive)
 {
     const uint block = get_global_id(0);
     const uint begin = block * block_size;
     if (begin >= queue_length) return;
-    const uint end = min(begin + block_size, queue_length);
+    const uint end = LESSER(begin + block_size, queue_length);
     uint sum = 0;
     for (uint i = begin; i < end; ++i) sum += alive[i];
     block_alive[block] = sum;
@@ -32,12 +33,12 @@ __kernel void scatter(__global const uchar* alive, uint queue_length, uint block
     const uint block = get_global_id(0);
     const uint begin = block * block_size;
     if (begin >= queue_length) return;
-    const uint end = min(begin + block_size, queue_length);
+    const uint end = LESSER(begin + block_size, queue_length);
     uint living = block_alive[block], dead = begin - living;
     for (uint i = begin; i < end; ++i) {
         const uint slot = queue[i];
         if (alive[i]) {
-            next_queue[living + min(dead, samples_left)] = slot;
+            next_queue[living + LESSER(dead, samples_left)] = slot;
             ++living;
         } else {
             if (dead < samples_left) {

@@ -5,12 +5,12 @@
 
 // Offset of a sample from the pixel's centre along one axis, distributed as the reconstruction filter, so that a sample
 // belongs to one pixel alone. Ernst, Stamminger, Greiner, "Filter Importance Sampling", 2006.
-inline float filter_offset(float u, float radius, __global const float* inverse_cdf, uint cells)
+INLINE float filter_offset(float u, float radius, __global const float* inverse_cdf, uint cells)
 {
 #if FEATURE_FILTER_TABLE
     const float at = u * cells;
     const uint cell = LESSER((uint)at, cells - 1u);
-    return mix(inverse_cdf[cell], inverse_cdf[cell + 1u], at - cell);
+    return inverse_cdf[cell] + (at - cell) * (inverse_cdf[cell + 1u] - inverse_cdf[cell]);
 #else
     return (2.0f * u - 1.0f) * radius;
 #endif
@@ -29,12 +29,13 @@ __kernel void generate(__global const uint* spawn, uint spawn_count, uint first_
     const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel]);
 
     const float4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
-    const uint2 crop_size = vload2(0, camera->crop_size);
-    const float2 corner = convert_float2((uint2)(pixel % crop_size.x, pixel / crop_size.x) + vload2(0, camera->crop_offset));
+    const uint width = camera->crop_size[0], row = pixel / width;
+    const float2 corner = (float2)((float)(camera->crop_offset[0] + pixel - row * width), (float)(camera->crop_offset[1] + row));
     const float2 offset = (float2)(filter_offset(u.x, camera->filter_radius, inverse_cdf, inverse_cdf_cells),
                                    filter_offset(u.y, camera->filter_radius, inverse_cdf, inverse_cdf_cells));
-    const float2 film = (corner + 0.5f + offset) / convert_float2(vload2(0, camera->film_size));
-    const float2 on_plane = (1.0f - 2.0f * (film + vload2(0, camera->principal_point))) * vload2(0, camera->tan_half_fov);
+    const float2 film = (corner + 0.5f + offset) / (float2)((float)camera->film_size[0], (float)camera->film_size[1]);
+    const float2 centered = 1.0f - 2.0f * (film + (float2)(camera->principal_point[0], camera->principal_point[1]));
+    const float2 on_plane = centered * (float2)(camera->tan_half_fov[0], camera->tan_half_fov[1]);
     const float3 ahead = unit((float3)(on_plane, 1.0f));
 
     float m[12];
@@ -46,5 +47,5 @@ __kernel void generate(__global const uint* spawn, uint spawn_count, uint first_
     throughput[slot] = (float4)(1.0f);
     path[slot] = (uint4)(sample, pixel, index, 0u);
     hit[slot].w = as_float(NONE);  // a camera ray starts on no surface
-    vstore3((float3)(0.0f), sample, samples);
+    store3((float3)(0.0f), sample, samples);
 }

@@ -26,42 +26,33 @@ __kernel void intersect(__global const uint* queue, uint queue_length, __global 
         if (reference >= 0) {
             __global const float8* node = nodes + NODE_STRIDE * reference;
             __global const int* children = (__global const int*)(node + 6);
-            float8 entry_lanes;
-            uint met = children_met(node, &ray, t_max, &entry_lanes);
-            float entry[8];
-            vstore8(entry_lanes, 0, entry);
+            Lanes entry;
+            uint met = children_met(node, &ray, t_max, &entry.all);
             // nearest on top: insertion into the part of the stack that this node adds
             const uint base = height;
             for (; met; met &= met - 1u) {
                 const uint child = lowest_bit(met);
                 uint place = height++;
-                for (; place > base && stack_entry[place - 1] < entry[child]; --place) {
+                for (; place > base && stack_entry[place - 1] < entry.lane[child]; --place) {
                     stack[place] = stack[place - 1];
                     stack_entry[place] = stack_entry[place - 1];
                 }
                 stack[place] = children[child];
-                stack_entry[place] = entry[child];
+                stack_entry[place] = entry.lane[child];
             }
         } else {
             const uint leaf = (uint)(~reference);
 #if FEATURE_TRIANGLES
             if (leaf < block_count) {
                 __global const float8* block = blocks + BLOCK_STRIDE * leaf;
-                float8 t, u, v;
-                const uint met = triangles_met(block, &ray, skip, t_max, &t, &u, &v);
-                if (met) {
-                    float distance[8], u_lanes[8], v_lanes[8];
-                    vstore8(t, 0, distance);
-                    vstore8(u, 0, u_lanes);
-                    vstore8(v, 0, v_lanes);
-                    for (uint bits = met; bits; bits &= bits - 1u) {
-                        const uint lane = lowest_bit(bits);
-                        if (distance[lane] < t_max) {
-                            t_max = distance[lane];
-                            hit_u = u_lanes[lane];
-                            hit_v = v_lanes[lane];
-                            primitive = ((__global const uint*)(block + 9))[lane];
-                        }
+                Lanes t, u, v;
+                for (uint met = triangles_met(block, &ray, skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
+                    const uint lane = lowest_bit(met);
+                    if (t.lane[lane] < t_max) {
+                        t_max = t.lane[lane];
+                        hit_u = u.lane[lane];
+                        hit_v = v.lane[lane];
+                        primitive = ((__global const uint*)(block + 9))[lane];
                     }
                 }
             }

@@ -13,24 +13,24 @@ typedef struct {
 
 #if FEATURE_SPHERE_LIGHTS
 // 1 - cos of half the angle under which a sphere appears, without cancellation when it is far away.
-inline float sphere_one_minus_cos(float radius, float distance2)
+INLINE float sphere_one_minus_cos(float radius, float distance2)
 {
     const float sin2 = radius * radius / distance2;
-    return sin2 / (1.0f + sqrt(GREATER(1.0f - sin2, 0.0f)));
+    return sin2 / (1.0f + SQRT(GREATER(1.0f - sin2, 0.0f)));
 }
 #endif
 
 // Density with which `sample_light` would have found the point at `distance` along `direction` on this light.
-inline float light_pdf(__global const Light* light, __global const Analytic* analytics, float3 reference,
+INLINE float light_pdf(__global const Light* light, __global const Analytic* analytics, float3 reference,
                        float3 direction, float distance, float3 normal)
 {
-    const float to_solid_angle = distance * distance / fabs(dot(normal, direction));
+    const float to_solid_angle = distance * distance / abs1(dot3(normal, direction));
     float density = 0.0f;
 #if FEATURE_SPHERE_LIGHTS
     if (light->kind == LIGHT_SPHERE) {
         __global const Analytic* sphere = analytics + light->primitive;
-        const float3 arm = vload3(0, sphere->center) - reference;
-        const float distance2 = dot(arm, arm);
+        const float3 arm = LOAD3(0, sphere->center) - reference;
+        const float distance2 = dot3(arm, arm);
         density = distance2 > sphere->radius * sphere->radius
                       ? 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2)
                       : to_solid_angle / light->area;
@@ -42,7 +42,7 @@ inline float light_pdf(__global const Light* light, __global const Analytic* ana
 }
 
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
-inline uint pick_light(__global const Alias* table, uint count, float u_high, float u_low)
+INLINE uint pick_light(__global const Alias* table, uint count, float u_high, float u_low)
 {
     const ulong scaled = (ulong)(u_high * 0x1p24f) * count + (((ulong)(u_low * 0x1p24f) * count) >> 24);
     const uint index = LESSER((uint)(scaled >> 24), count - 1u);
@@ -53,42 +53,42 @@ inline uint pick_light(__global const Alias* table, uint count, float u_high, fl
 #if FEATURE_SPHERE_LIGHTS
 // Seen from outside: uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small
 // cones). From inside: uniform over the area.
-inline float sample_sphere(__global const Analytic* sphere, float3 reference, float2 u, float area, Surface* s)
+INLINE float sample_sphere(__global const Analytic* sphere, float3 reference, float2 u, float area, Surface* s)
 {
-    const float3 arm = reference - vload3(0, sphere->center);
-    const float distance2 = dot(arm, arm), radius = sphere->radius;
-    const float phi = 2.0f * M_PI_F * u.y;
+    const float3 arm = reference - LOAD3(0, sphere->center);
+    const float distance2 = dot3(arm, arm), radius = sphere->radius;
     float cos_alpha, density = 0.0f;
     float3 axis = (float3)(0.0f, 0.0f, 1.0f);
     if (distance2 > radius * radius) {
-        const float sin2_max = radius * radius / distance2, sin_max = sqrt(sin2_max);
+        const float sin2_max = radius * radius / distance2, sin_max = SQRT(sin2_max);
         const float cone = sphere_one_minus_cos(radius, distance2);
         const float one_minus_cos = u.x * cone, sin2 = one_minus_cos * (2.0f - one_minus_cos);
         // angle at the centre between the reference point and the point sampled
-        cos_alpha = sin2 / sin_max + (1.0f - one_minus_cos) * sqrt(GREATER(1.0f - sin2 / sin2_max, 0.0f));
+        cos_alpha = sin2 / sin_max + (1.0f - one_minus_cos) * SQRT(GREATER(1.0f - sin2 / sin2_max, 0.0f));
         density = 0.5f * M_1_PI_F / cone;
         axis = unit(arm);
     } else {
         cos_alpha = 1.0f - 2.0f * u.x;
     }
     cos_alpha = LESSER(cos_alpha, 1.0f);
-    const float sin_alpha = sqrt(GREATER(1.0f - cos_alpha * cos_alpha, 0.0f));
+    const float sin_alpha = SQRT(GREATER(1.0f - cos_alpha * cos_alpha, 0.0f));
     float3 x, y;
     basis(axis, &x, &y);
-    sphere_surface(sphere, unit(sin_alpha * (cos(phi) * x + sin(phi) * y) + cos_alpha * axis), s);
+    const float2 around = sin_alpha * circle(u.y);
+    sphere_surface(sphere, unit(around.x * x + around.y * y + cos_alpha * axis), s);
     return density;
 }
 #endif
 
 #if FEATURE_AREA_LIGHTS
 // A point on the light's surface. Returns its density in solid angle, or 0 where it is uniform over the area instead.
-inline float sample_surface(const Geometry* g, __global const Light* light, float3 reference, float2 u, Surface* s)
+INLINE float sample_surface(const Geometry* g, __global const Light* light, float3 reference, float2 u, Surface* s)
 {
     float density = 0.0f;
     switch (light->kind) {
 #if FEATURE_TRIANGLE_LIGHTS
     case LIGHT_TRIANGLE: {
-        const float root = sqrt(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
+        const float root = SQRT(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
         *s = triangle_surface(g, light->primitive, 1.0f - root, root * u.y);
         break;
     }
@@ -103,8 +103,7 @@ inline float sample_surface(const Geometry* g, __global const Light* light, floa
 #endif
 #if FEATURE_CYLINDER_LIGHTS
     case LIGHT_CYLINDER: {
-        const float phi = 2.0f * M_PI_F * u.x;
-        const float3 side = (float3)(cos(phi), sin(phi), 0.0f);
+        const float3 side = (float3)(circle(u.x), 0.0f);
         transformed_surface(g->analytics + light->primitive, (float3)(side.xy, u.y), side, s);
         break;
     }
@@ -126,37 +125,37 @@ inline float sample_surface(const Geometry* g, __global const Light* light, floa
 #endif
 
 // One light, and one point on it, for the surface point `reference`. `u`: pick, position x, position y, pick (low bits).
-inline LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
+INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
                                 float3 reference, float4 u)
 {
     __global const Light* light = lights + pick_light(table, count, u.x, u.w);
     LightSample sample;
-    sample.radiance = vload3(0, light->radiance);
+    sample.radiance = LOAD3(0, light->radiance);
     sample.pdf = light->pick_probability;
     sample.normal = sample.error = (float3)(0.0f);
     sample.primitive = NONE;
     sample.is_delta = sample.is_infinite = false;
 #if FEATURE_POINT_LIGHTS
     if (light->kind == LIGHT_POINT) {
-        sample.position = vload3(0, light->position);
+        sample.position = LOAD3(0, light->position);
         const float3 arm = sample.position - reference;
         sample.direction = unit(arm);
-        sample.radiance /= dot(arm, arm);
+        sample.radiance /= dot3(arm, arm);
         sample.is_delta = true;
         return sample;
     }
 #endif
 #if FEATURE_DIRECTIONAL_LIGHTS
     if (light->kind == LIGHT_DIRECTIONAL) {
-        sample.direction = -vload3(0, light->position);
+        sample.direction = -LOAD3(0, light->position);
         sample.is_delta = sample.is_infinite = true;
         return sample;
     }
 #endif
 #if FEATURE_CONSTANT_LIGHT
     if (light->kind == LIGHT_CONSTANT) {
-        const float z = 1.0f - 2.0f * u.y, r = 2.0f * sqrt(GREATER(u.y * (1.0f - u.y), 0.0f)), phi = 2.0f * M_PI_F * u.z;
-        sample.direction = (float3)(r * cos(phi), r * sin(phi), z);
+        const float z = 1.0f - 2.0f * u.y, r = 2.0f * SQRT(GREATER(u.y * (1.0f - u.y), 0.0f));
+        sample.direction = (float3)(r * circle(u.z), z);
         sample.pdf *= 0.25f * M_1_PI_F;
         sample.is_infinite = true;
         return sample;
@@ -166,9 +165,9 @@ inline LightSample sample_light(const Geometry* g, __global const Light* lights,
     Surface s;
     const float density = sample_surface(g, light, reference, u.yz, &s);
     const float3 arm = s.position - reference;
-    const float distance2 = dot(arm, arm);
+    const float distance2 = dot3(arm, arm);
     sample.direction = unit(arm);
-    const float cos_light = -dot(s.normal, sample.direction);
+    const float cos_light = -dot3(s.normal, sample.direction);
     if (!(cos_light > 0.0f)) sample.radiance = (float3)(0.0f);
     sample.pdf *= density > 0.0f ? density : distance2 / (cos_light * light->area);
     sample.position = s.position;

@@ -1,6 +1,7 @@
 // Random numbers: a pure function of (seed, pixel, stream, sample index, dimension), nothing is stored per pixel.
 // Whoever needs numbers names a dimension block and gets its four numbers; how they come about is known here alone.
 #pragma once
+#include "plain.h"
 
 // Dimension blocks. The camera has one; every path vertex has BLOCKS_PER_VERTEX, whatever the features.
 #define BLOCK_CAMERA 0u          // filter x, filter y, lens x, lens y
@@ -10,19 +11,23 @@
 
 // Philox4x32 with 7 rounds, the fewest that pass BigCrush.
 // Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011, section 3.3 and table 2.
-inline uint4 philox(uint4 counter, uint2 key)
+INLINE uint4 philox(uint4 counter, uint2 key)
 {
-    for (int round = 0; round < 7; ++round) {
-        const uint high0 = mul_hi(0xD2511F53u, counter.x), low0 = 0xD2511F53u * counter.x;
-        const uint high1 = mul_hi(0xCD9E8D57u, counter.z), low1 = 0xCD9E8D57u * counter.z;
-        counter = (uint4)(high1 ^ counter.y ^ key.x, low1, high0 ^ counter.w ^ key.y, low0);
-        key += (uint2)(0x9E3779B9u, 0xBB67AE85u);
+    uint a = counter.x, b = counter.y, c = counter.z, d = counter.w;
+    for (uint round = 0; round < 7u; ++round) {
+        // a product of 64 bits is one instruction where mul_hi may be a call
+        const ulong first = (ulong)0xD2511F53u * a, second = (ulong)0xCD9E8D57u * c;
+        a = (uint)(second >> 32) ^ b ^ (key.x + round * 0x9E3779B9u);
+        b = (uint)second;
+        c = (uint)(first >> 32) ^ d ^ (key.y + round * 0xBB67AE85u);
+        d = (uint)first;
     }
-    return counter;
+    return (uint4)(a, b, c, d);
 }
 
 // Four numbers in [0, 1), multiples of 2^-24, of one dimension block of one sample.
-inline float4 random_block(uint2 seed, uint pixel, uint index, uint block)
+INLINE float4 random_block(uint2 seed, uint pixel, uint index, uint block)
 {
-    return convert_float4(philox((uint4)(pixel, index, block, 0u), seed) >> 8u) * 0x1p-24f;
+    const uint4 bits = philox((uint4)(pixel, index, block, 0u), seed) >> 8u;
+    return (float4)((float)bits.x, (float)bits.y, (float)bits.z, (float)bits.w) * 0x1p-24f;
 }

@@ -6,15 +6,9 @@
 
 #define LUMINANCE_LIMIT 0x1p62f  // beyond it a square would leave float32; such a sample counts as not finite
 
-// By the bits: a compiler may fold isfinite away.
-inline bool is_finite(float x)
-{
-    return (as_uint(x) & 0x7F800000u) != 0x7F800000u;
-}
-
 #if FEATURE_MEDIAN
 // The median of the CHUNK values that `pending` holds, by sorting them.
-inline float chunk_median(float* values)
+INLINE float chunk_median(float* values)
 {
     for (int i = 1; i < CHUNK; ++i)
         for (int j = i; j > 0 && values[j] < values[j - 1]; --j) {
@@ -29,7 +23,7 @@ inline float chunk_median(float* values)
 // Merges a finished block into the n samples before it. Its sums are about `shift`: the mean of those, rounded to a float
 // (so `rest` is what the rounding left), or the block's own first sample if it is the first.
 // Chan, Golub, LeVeque, "Algorithms for Computing the Sample Variance", 1983.
-inline void merge_block(uint n, float shift, float rest, float sum, float squares, Compensated* sum_x, Compensated* m2)
+INLINE void merge_block(uint n, float shift, float rest, float sum, float squares, Compensated* sum_x, Compensated* m2)
 {
     const float block_mean = sum / BLOCK;
     *m2 = add(*m2, GREATER(squares - sum * block_mean, 0.0f));
@@ -72,9 +66,9 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
     uint n = count[pixel], dropped = 0;
 
     for (uint at = begin; at < end; ++at) {
-        const float3 rgb = vload3(at, samples);
+        const float3 rgb = LOAD3(at, samples);
         const float x = luminance(rgb);
-        if (!(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && fabs(x) < LUMINANCE_LIMIT)) {
+        if (!(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && abs1(x) < LUMINANCE_LIMIT)) {
             ++dropped;
             continue;
         }

@@ -6,7 +6,7 @@
 
 // Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
 // A negative pdf stands for a delta function, which no other technique can sample.
-inline float mis_weight(float pdf, float other)
+INLINE float mis_weight(float pdf, float other)
 {
     const float ratio = other / pdf;
     return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
@@ -14,7 +14,7 @@ inline float mis_weight(float pdf, float other)
 
 #if FEATURE_NEXT_EVENT
 // Leaves a shadow ray for one light; returns without one if nothing could arrive.
-inline void next_event(const Geometry* g, __global const Light* lights, __global const Alias* light_alias,
+INLINE void next_event(const Geometry* g, __global const Light* lights, __global const Alias* light_alias,
                        uint light_count, const Surface* s, __global const Bsdf* bsdf, float3 normal, float cos_i, float4 u,
                        float3 weight, uint slot, __global float4* shadow_origin, __global float4* shadow_direction,
                        __global float4* shadow_radiance)
@@ -22,7 +22,7 @@ inline void next_event(const Geometry* g, __global const Light* lights, __global
     const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, u);
     if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
     float bsdf_pdf;
-    const float3 scattered = diffuse_eval(bsdf, cos_i, dot(normal, light.direction), &bsdf_pdf);
+    const float3 scattered = diffuse_eval(bsdf, cos_i, dot3(normal, light.direction), &bsdf_pdf);
     const float mis = light.is_delta ? 1.0f : mis_weight(light.pdf, bsdf_pdf);
     const float3 radiance = weight * scattered * light.radiance * (mis / light.pdf);
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
@@ -66,12 +66,12 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
 #if FEATURE_CONSTANT_LIGHT
         __global const Light* sky = lights + environment_light;
         const float mis = mis_weight(direction.w, sky->pick_probability * 0.25f * M_1_PI_F);
-        vstore3(vload3(state.x, samples) + weight * vload3(0, sky->radiance) * mis, state.x, samples);
+        store3(LOAD3(state.x, samples) + weight * LOAD3(0, sky->radiance) * mis, state.x, samples);
 #endif
         return;
     }
     const Surface s = surface_at(&geometry, primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
-    if (dot(s.geometric_normal, s.geometric_normal) == 0.0f) return;
+    if (dot3(s.geometric_normal, s.geometric_normal) == 0.0f) return;
 
 #if FEATURE_AREA_LIGHTS
     __global const Shape* shape = shapes + s.shape;
@@ -83,11 +83,11 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
             return;
         }
 #endif
-        if (dot(s.normal, direction.xyz) < 0.0f) {
+        if (dot3(s.normal, direction.xyz) < 0.0f) {
             __global const Light* light = lights + shape->first_light + ((primitive & ~ANALYTIC_BIT) - shape->first_primitive);
             const float pdf = light_pdf(light, analytics, origin.xyz, direction.xyz, h.x, s.normal);
-            const float3 emitted = weight * vload3(0, light->radiance) * mis_weight(direction.w, pdf);
-            vstore3(vload3(state.x, samples) + emitted, state.x, samples);
+            const float3 emitted = weight * LOAD3(0, light->radiance) * mis_weight(direction.w, pdf);
+            store3(LOAD3(state.x, samples) + emitted, state.x, samples);
         }
     }
 #endif
@@ -95,7 +95,7 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
     if (depth + 1u >= max_depth) return;
     __global const Bsdf* bsdf = bsdfs + shapes[s.shape].bsdf;
     float3 normal = s.normal;
-    float cos_i = -dot(normal, direction.xyz);
+    float cos_i = -dot3(normal, direction.xyz);
 #if FEATURE_TWOSIDED
     if ((bsdf->flags & BSDF_TWOSIDED) && cos_i < 0.0f) {
         normal = -normal;
@@ -114,7 +114,7 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
     const float total = weight.x + weight.y + weight.z;
     if (total == 0.0f) return;
     if (!(total < INFINITY)) {  // the statistics count such a sample apart; it must not end as a black one
-        vstore3((float3)(NAN), state.x, samples);
+        store3((float3)(NAN), state.x, samples);
         return;
     }
     const float eta = carried.w * next.eta;

@@ -46,5 +46,5 @@ __kernel void shadow(__global const uint* queue, uint queue_length, __global con
         reference = stack[--height];
     }
     const uint sample = path[slot].x;
-    vstore3(vload3(sample, samples) + shadow_radiance[slot].xyz, sample, samples);
+    store3(LOAD3(sample, samples) + shadow_radiance[slot].xyz, sample, samples);
 }

@@ -1,0 +1,89 @@
+// Vector arithmetic written out. A driver that keeps its library behind calls (PoCL 3.0 does, even for dot and fabs) pays more
+// for the call than for the work; operators and casts are inlined everywhere. What is left of the library is rare or heavy.
+#pragma once
+
+// Functions of a few lines become part of their caller, so that results travel in registers.
+#define INLINE static inline __attribute__((always_inline))
+
+// Plain comparisons: one instruction where fmin and fmax need three for their NaN rules.
+#define LESSER(a, b) ((a) < (b) ? (a) : (b))
+#define GREATER(a, b) ((a) > (b) ? (a) : (b))
+
+#if defined(__has_builtin)
+#if __has_builtin(__builtin_sqrtf)
+#define SQRT(x) __builtin_sqrtf(x)
+#endif
+#endif
+#ifndef SQRT
+#define SQRT(x) sqrt(x)
+#endif
+
+INLINE float dot3(float3 a, float3 b)
+{
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+INLINE float dot2(float2 a, float2 b)
+{
+    return a.x * b.x + a.y * b.y;
+}
+
+INLINE float3 cross3(float3 a, float3 b)
+{
+    return a.yzx * b.zxy - a.zxy * b.yzx;
+}
+
+INLINE float abs1(float v)
+{
+    return as_float(as_uint(v) & 0x7FFFFFFFu);
+}
+
+INLINE float3 abs3(float3 v)
+{
+    return as_float3(as_uint3(v) & 0x7FFFFFFFu);
+}
+
+// |magnitude| with the sign of `sign`.
+INLINE float with_sign(float magnitude, float sign)
+{
+    return as_float((as_uint(magnitude) & 0x7FFFFFFFu) | (as_uint(sign) & 0x80000000u));
+}
+
+INLINE float3 with_sign3(float3 magnitude, float3 sign)
+{
+    return as_float3((as_uint3(magnitude) & 0x7FFFFFFFu) | (as_uint3(sign) & 0x80000000u));
+}
+
+INLINE float largest(float3 v)
+{
+    return GREATER(GREATER(v.x, v.y), v.z);
+}
+
+// By the bits: a compiler may fold isfinite away.
+INLINE bool is_finite(float x)
+{
+    return (as_uint(x) & 0x7F800000u) != 0x7F800000u;
+}
+
+// Lanes by number.
+typedef union {
+    float8 all;
+    float lane[8];
+} Lanes;
+
+// Place of the lowest bit of a number below 2^24 that is not zero: the exponent of that bit as a float.
+INLINE uint lowest_bit(uint bits)
+{
+    return (as_uint((float)(int)(bits & -bits)) >> 23) - 127u;
+}
+
+// The i-th triple of an array without padding. Macros: the address space of `p` may be any.
+#define LOAD3(i, p) ((float3)((p)[3 * (i)], (p)[3 * (i) + 1], (p)[3 * (i) + 2]))
+#define LOAD3U(i, p) ((uint3)((p)[3 * (i)], (p)[3 * (i) + 1], (p)[3 * (i) + 2]))
+
+INLINE void store3(float3 v, uint i, __global float* p)
+{
+    p[3 * i] = v.x;
+    p[3 * i + 1] = v.y;
+    p[3 * i + 2] = v.z;
+}
