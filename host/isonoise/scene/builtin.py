@@ -15,15 +15,20 @@ def builtin_scenes() -> list[str]:
 
 def find_scene(source: str | os.PathLike) -> Path:
     """The file that a path or the name of a built-in scene stands for. Raises SceneError if there is none."""
-    path = Path(source)
-    names = builtin_scenes()
-    if str(source) in names and not path.is_file():
-        return Path(str(files("isonoise.scenes").joinpath(f"{source}.xml")))
-    if path.is_file():
+    name, names = str(source), builtin_scenes()
+    path = Path(name)
+    try:
+        is_file, is_folder = path.is_file(), path.is_dir()
+    except (OSError, ValueError):  # names that no file can have
+        is_file = is_folder = False
+    if is_file:
         return path.absolute()
-    if path.is_dir():
-        raise SceneError(f"{path}: is a folder; name a scene file in it")
-    listed = ", ".join(names) or "none"
-    hint = nearest(str(source), names)
+    if name in names:
+        return Path(str(files("isonoise.scenes").joinpath(f"{name}.xml")))
+    if is_folder:
+        raise SceneError(f"{name}: is a folder; name a scene file in it")
+    hint = nearest(name, names)
     suggestion = f"; did you mean '{hint}'?" if hint and not path.suffix else ""
-    raise SceneError(f"{source}: there is no such file or built-in scene{suggestion} (built-in: {listed})")
+    raise SceneError(
+        f"{name[:200]}: no such file or built-in scene{suggestion} (built-in: {', '.join(names) or 'none'})"
+    )

@@ -5,62 +5,72 @@ import re
 
 import numpy as np
 
-from isonoise.errors import SceneError
 from isonoise.scene import structs
 
 _GAUSSIAN_RADIUS = 4.0  # in standard deviations, where Mitsuba 3 cuts its gaussian
-_DEFAULT_FOCAL_LENGTH = "50mm"
+_FOCAL_LENGTH = "50mm"
+_GAUSSIAN = {"type": "gaussian", "stddev": 0.5}
+_FILM = {"width": 768, "height": 576}
 
 
 def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarray, str]:
     """(camera record (1,), name of the filter). `size` replaces the film's size and drops its crop window."""
-    film = sensor.get("film", {})
-    width, height = size or (film.get("width", 768), film.get("height", 576))
-    if width < 1 or height < 1:
-        raise SceneError(f"a film of {width}x{height} has no pixels")
-    offset = (0, 0) if size else (film.get("crop_offset_x", 0), film.get("crop_offset_y", 0))
-    crop = (width, height) if size else (film.get("crop_width", width), film.get("crop_height", height))
-    if offset[0] + crop[0] > width or offset[1] + crop[1] > height:
-        raise SceneError(f"film: the crop window {crop[0]}x{crop[1]} at {offset} leaves the film of {width}x{height}")
-    rfilter = film.get("rfilter", {"type": "gaussian", "stddev": 0.5})
+    film = sensor.get("film", _FILM)
+    if size:
+        film = {"width": size[0], "height": size[1], "rfilter": film.get("rfilter", _GAUSSIAN)}
+    width, height, offset, crop = _window(film)
+    rfilter = film.get("rfilter", _GAUSSIAN)
     camera = np.zeros(1, structs.CAMERA)
-    camera["to_world"] = _rigid(sensor.get("to_world", np.eye(4)))[:3].ravel()
-    tan_x = math.tan(0.5 * _fov_x(sensor, width / height))
+    camera["to_world"] = sensor.get("to_world", np.eye(4))[:3].ravel()
+    tan_x = _tan_half_fov_x(sensor, width / height)
     camera["tan_half_fov"] = (tan_x, tan_x * height / width)
     camera["principal_point"] = (sensor["principal_point_offset_x"], sensor["principal_point_offset_y"])
     camera["near_clip"], camera["far_clip"] = sensor["near_clip"], sensor["far_clip"]
     camera["film_size"], camera["crop_offset"], camera["crop_size"] = (width, height), offset, crop
-    camera["filter_stddev"] = rfilter.get("stddev", 0.0)
-    radius = {"box": 0.5, "tent": rfilter.get("radius"), "gaussian": _GAUSSIAN_RADIUS * rfilter.get("stddev", 0.0)}
+    stddev = rfilter.get("stddev", 0.0)
+    camera["filter_stddev"] = stddev
+    radius = {"box": 0.5, "tent": rfilter.get("radius"), "gaussian": _GAUSSIAN_RADIUS * stddev}
     camera["filter_radius"] = radius[rfilter["type"]]
     return camera, rfilter["type"]
 
 
-def _fov_x(sensor: dict, aspect: float) -> float:
-    """Horizontal field of view of the full film in radians, from `fov` and its axis or from the focal length.
+def _window(film: dict) -> tuple[int, int, tuple[int, int], tuple[int, int]]:
+    width, height = film["width"], film["height"]
+    offset = (film.get("crop_offset_x", 0), film.get("crop_offset_y", 0))
+    return width, height, offset, (film.get("crop_width", width), film.get("crop_height", height))
 
-    A focal length is that of a 35 mm camera: its 36 x 24 mm frame's diagonal is the film's.
+
+def fits_film(film: dict) -> bool:
+    """Whether the crop window lies within the film."""
+    width, height, offset, crop = _window(film)
+    return offset[0] + crop[0] <= width and offset[1] + crop[1] <= height
+
+
+def focal_length(text: str) -> float | None:
+    """Millimetres of a text such as '50mm', None if it is none."""
+    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm)?\s*", text)
+    return float(match[1]) if match and float(match[1]) > 0 else None
+
+
+def is_rigid(to_world: np.ndarray) -> bool:
+    """Whether a camera's transform keeps lengths (to 1e-3, as in Mitsuba 3; it may mirror)."""
+    linear = to_world[:3, :3]
+    return bool(np.abs(linear.T @ linear - np.eye(3)).max() <= 1e-3)
+
+
+def _tan_half_fov_x(sensor: dict, aspect: float) -> float:
+    """Tangent of half the horizontal field of view of the full film, from `fov` and its axis or the focal length.
+
+    A focal length is that of a 35 mm camera: the diagonal of its 36 x 24 mm frame is the film's.
     """
     axis = sensor["fov_axis"]
     if "fov" in sensor:
         half = math.tan(0.5 * math.radians(sensor["fov"]))
     else:
-        text = sensor.get("focal_length", _DEFAULT_FOCAL_LENGTH)
-        match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm)?\s*", text)
-        if not match or float(match[1]) <= 0:
-            raise SceneError(f"sensor: a focal length is a number of millimetres such as '50mm', got '{text}'")
-        half, axis = 0.5 * math.hypot(36.0, 24.0) / float(match[1]), "diagonal"
+        half = 0.5 * math.hypot(36.0, 24.0) / focal_length(sensor.get("focal_length", _FOCAL_LENGTH))
+        axis = "diagonal"
     if axis in ("smaller", "larger"):
         axis = "x" if (aspect <= 1.0) == (axis == "smaller") else "y"
     if axis == "y":
-        half *= aspect
-    elif axis == "diagonal":
-        half /= math.sqrt(1.0 + 1.0 / aspect**2)
-    return 2.0 * math.atan(half)
-
-
-def _rigid(to_world: np.ndarray) -> np.ndarray:
-    """The camera's transform, which has to keep lengths (as in Mitsuba 3, to 1e-3; it may mirror)."""
-    if np.abs(to_world[:3, :3].T @ to_world[:3, :3] - np.eye(3)).max() > 1e-3:
-        raise SceneError("sensor: to_world scales or shears; a camera may only be moved, turned and mirrored")
-    return to_world
+        return half * aspect
+    return half / math.hypot(1.0, 1.0 / aspect) if axis == "diagonal" else half

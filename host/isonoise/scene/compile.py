@@ -27,9 +27,7 @@ def compile_scene(
     `size` (width, height) replaces the film's size, `max_depth` the integrator's. Raises SceneError where a mesh
     cannot be read or numbers leave the range of the device.
     """
-    sensor = next(iter(_of_kind(description, "sensor").values()), None)
-    if sensor is None:
-        raise SceneError('the scene has no sensor; add a <sensor type="perspective">')
+    sensor = next(iter(_of_kind(description, "sensor").values()))
     camera, filter_name = compile_camera(sensor, size)
     integrator = next(iter(_of_kind(description, "integrator").values()), _PATH)
     depth = _DIRECT_DEPTH if integrator["type"] == "direct" else integrator["max_depth"]
@@ -189,7 +187,5 @@ def _lights(geometry: _Geometry, emitters: list[dict], bounds: np.ndarray) -> tu
     if not np.isfinite(lights["radiance"]).all():
         raise SceneError("an emitter's colour leaves the range of 32-bit floats")
     constant = np.flatnonzero(lights["kind"] == structs.LIGHT_CONSTANT)
-    if len(constant) > 1:
-        raise SceneError("a scene has only one constant emitter")
     lights["pick_probability"] = lighting.pick_probabilities(lights, bounds)
     return lights, int(constant[0]) if len(constant) else -1, scale

@@ -33,8 +33,8 @@ class Part:
 def frame_mesh(path: Path) -> dict:
     """A scene dict for an OBJ, PLY, STL or GLB file. Raises SceneError where it cannot be read."""
     parts = _read(path)
-    corners = np.concatenate([part.mesh.vertices[part.mesh.faces].reshape(-1, 3) for part in parts])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    points = np.concatenate([_used_vertices(part.mesh) for part in parts])
+    low, high = points.min(axis=0), points.max(axis=0)
     radius = 0.5 * float(np.linalg.norm(high - low))
     if not (math.isfinite(radius) and radius > 0):
         raise SceneError(f"{path}: the mesh has no extent")
@@ -42,7 +42,7 @@ def frame_mesh(path: Path) -> dict:
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": _DEPTH},
-        "sensor": _sensor(corners - center, center, radius),
+        "sensor": _sensor(points - center, center, radius),
     }
     for number, part in enumerate(parts):
         scene[f"part_{number}"] = _shape(part)
@@ -50,6 +50,12 @@ def frame_mesh(path: Path) -> dict:
         scene["sky"] = {"type": "constant", "radiance": 0.5}
         scene["key"] = _key_light(center, radius)
     return scene
+
+
+def _used_vertices(mesh: Mesh) -> np.ndarray:
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
+    return mesh.vertices[used]
 
 
 def _read(path: Path) -> list[Part]:
@@ -68,8 +74,8 @@ def _obj_parts(path: Path) -> list[Part]:
     obj = read_obj(path)
     known: dict[str, dict] = {}
     for library in obj.libraries:
-        if (path.parent / library).is_file():
-            known |= read_mtl(path.parent / library)
+        beside = [path.parent / library, path.parent / Path(library).name]
+        known |= next((read_mtl(file) for file in beside if file.is_file()), {})
     parts = []
     for index in np.unique(obj.face_material):
         colours = known.get(obj.materials[index], {})
@@ -110,11 +116,12 @@ def _shape(part: Part) -> dict:
     return shape
 
 
-def _sensor(corners: np.ndarray, center: np.ndarray, radius: float) -> dict:
+def _sensor(points: np.ndarray, center: np.ndarray, radius: float) -> dict:
     """A square camera at the least distance from which it sees every vertex, with a little margin."""
     to_camera = np.array(_VIEW) / np.linalg.norm(_VIEW)
     axes = transforms.look_at(to_camera, (0, 0, 0), (0, 1, 0))[:3, :3]
-    across, ahead = np.abs(corners @ axes[:, :2]).max(axis=1), corners @ axes[:, 2]
+    left, up, ahead = np.einsum("ij,jk->ki", points, axes)
+    across = np.maximum(np.abs(left), np.abs(up))
     distance = float((across * _MARGIN / math.tan(math.radians(_FOV / 2)) - ahead).max())
     distance = max(distance, 1.5 * radius)
     return {

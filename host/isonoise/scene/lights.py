@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from isonoise.errors import SceneError
 from isonoise.scene import structs
 from isonoise.scene.spectra import LUMINANCE, colour_to_rgb
 
@@ -52,10 +51,7 @@ def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
     elif emitter["type"] == "directional":
         light["kind"] = structs.LIGHT_DIRECTIONAL
         direction = np.asarray(emitter.get("direction", to_world[:3, 2]), float)
-        length = np.linalg.norm(direction)
-        if not length > 0:
-            raise SceneError("the direction of a directional emitter is zero")
-        light["position"] = direction / length
+        light["position"] = direction / np.linalg.norm(direction)
     else:
         light["kind"] = structs.LIGHT_CONSTANT
     return light

@@ -16,12 +16,15 @@ def scale(factors) -> np.ndarray:
 
 
 def rotate(axis, degrees: float) -> np.ndarray:
-    """Rotation about an axis through the origin, counter-clockwise seen from its tip (Rodrigues)."""
-    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
-    angle = np.deg2rad(degrees)
+    """Rotation about an axis through the origin, counter-clockwise seen from its tip (Rodrigues).
+
+    The axis is used as it is: Mitsuba 3 does not normalise it, so one that is not a unit vector scales and shears.
+    """
+    x, y, z = np.asarray(axis, float)
+    sine, cosine = np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     matrix = np.eye(4)
-    matrix[:3, :3] += np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+    matrix[:3, :3] = cosine * np.eye(3) + sine * cross + (1.0 - cosine) * np.outer(axis, axis)
     return matrix
 
 
@@ -65,12 +68,12 @@ def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def points(matrix: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Positions (n, 3) taken through an affine transform."""
-    return positions @ matrix[:3, :3].T + matrix[:3, 3]
+    return np.einsum("ij,kj->ik", positions, matrix[:3, :3]) + matrix[:3, 3]
 
 
 def normals(matrix: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Normals (n, 3) taken through the inverse transpose; not normalised."""
-    return directions @ np.linalg.inv(matrix[:3, :3])
+    return np.einsum("ij,jk->ik", directions, np.linalg.inv(matrix[:3, :3]))
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

@@ -161,10 +161,12 @@ ELSEWHERE: dict[str, tuple[str, ...]] = {
         "sensor": "batch distant irradiancemeter orthographic radiancemeter thinlens",
         "film": "specfilm",
         "rfilter": "catmullrom lanczos mitchell",
-        "integrator": "depth direct_projective prb prb_basic prb_projective prbvolpath ptracer stokes volpath volpathmis",
+        "integrator": "depth direct_projective prb prb_basic prb_projective prbvolpath ptracer stokes volpath "
+        "volpathmis",
         "bsdf": "blendbsdf bumpmap circular hair mask measured measured_polarized normalmap null plastic polarizer "
         "pplastic principled principledthin retarder roughconductor roughdielectric roughplastic thindielectric",
-        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid serialized shapegroup",
+        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid serialized "
+        "shapegroup",
         "emitter": "directionalarea envmap projector spot sunsky timed_sunsky",
         "texture": "bitmap blackbody checkerboard d65 irregular mesh_attribute rawconstant regular srgb uniform volume",
         "medium": "heterogeneous homogeneous",

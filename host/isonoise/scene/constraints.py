@@ -1,0 +1,89 @@
+"""What the parameters of one plugin have to fulfil together; by plugin, called once its defaults are filled in."""
+
+import numpy as np
+
+from isonoise.scene.camera import fits_film, focal_length, is_rigid
+from isonoise.scene.materials import conductors
+from isonoise.scene.source import Place, nearest
+
+_EXCLUSIVE = {
+    "perspective": (("fov", "focal_length"),),
+    "conductor": (("material", "eta"), ("material", "k")),
+    "point": (("position", "to_world"),),
+    "directional": (("direction", "to_world"),),
+}
+
+
+def check_constraints(kind: str, result: dict, place: Place):
+    """Raise SceneError where the normalised object contradicts itself."""
+    name = result["type"]
+    for first, second in _EXCLUSIVE.get(name, ()):
+        if first in result and second in result:
+            place.fail(f"give '{first}' or '{second}', not both")
+    if kind in ("shape", "emitter") and "to_world" in result:
+        _check_invertible(result["to_world"], place)
+    if name in _CHECKS:
+        _CHECKS[name](result, place)
+
+
+def _check_invertible(to_world: np.ndarray, place: Place):
+    determinant = np.linalg.det(to_world[:3, :3])
+    if not np.isfinite(determinant) or determinant == 0 or np.any(to_world[3] != (0, 0, 0, 1)):
+        place.fail("to_world cannot be inverted, or its last row is not 0 0 0 1")
+
+
+def _perspective(sensor: dict, place: Place):
+    if sensor["near_clip"] >= sensor["far_clip"]:
+        place.fail("near_clip has to be smaller than far_clip")
+    if "focal_length" in sensor and focal_length(sensor["focal_length"]) is None:
+        place.fail(f"a focal length is a number of millimetres such as '50mm', got '{sensor['focal_length'][:40]}'")
+    if "to_world" in sensor and not is_rigid(sensor["to_world"]):
+        place.fail("to_world scales or shears; a camera may only be moved, turned and mirrored")
+
+
+def _hdrfilm(film: dict, place: Place):
+    if not fits_film(film):
+        place.fail("the crop window leaves the film; crop_offset plus crop size is at most width and height")
+
+
+def _conductor(bsdf: dict, place: Place):
+    material = bsdf.get("material")
+    if material is not None and material not in conductors():
+        place.fail(f"unknown conductor '{material}'; did you mean '{nearest(material, conductors())}'?")
+
+
+def _cylinder(shape: dict, place: Place):
+    if shape["p0"] == shape["p1"]:
+        place.fail("p0 and p1 have to differ")
+
+
+def _directional(emitter: dict, place: Place):
+    if not any(emitter.get("direction", (0.0, 0.0, 1.0))):
+        place.fail("the direction is zero")
+
+
+def _mesh(shape: dict, place: Place):
+    count, faces = len(shape["vertices"]), shape["faces"]
+    if len(shape.get("normals", shape["vertices"])) != count:
+        place.fail("there have to be as many normals as vertices")
+    if not len(faces) or faces.min() < 0 or faces.max() >= count:
+        place.fail(f"there are no faces, or one names a vertex that does not exist (there are {count})")
+
+
+def _scene(scene: dict, place: Place):
+    constant = [v for v in scene.values() if isinstance(v, dict) and v["type"] == "constant"]
+    if len(constant) > 1:
+        place.fail("a scene has only one constant emitter")
+    if not any(isinstance(v, dict) and v["type"] == "perspective" for v in scene.values()):
+        place.fail('the scene has no sensor; add a <sensor type="perspective">')
+
+
+_CHECKS = {
+    "perspective": _perspective,
+    "hdrfilm": _hdrfilm,
+    "conductor": _conductor,
+    "cylinder": _cylinder,
+    "directional": _directional,
+    "mesh": _mesh,
+    "scene": _scene,
+}
