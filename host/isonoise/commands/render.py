@@ -17,7 +17,7 @@ from isonoise.film.log import LogRow, LogWriter, row_values
 from isonoise.film.output import check_output, image_layers, write_image
 from isonoise.film.stated_error import stated_error
 from isonoise.progress import ProgressBar, duration, percent
-from isonoise.render import Outcome, Stops, render_loop
+from isonoise.rendering import Outcome, Stops, render_loop
 from isonoise.renderer import Renderer
 from isonoise.strategies import describe
 

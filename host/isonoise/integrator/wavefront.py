@@ -156,10 +156,20 @@ class Wavefront:
             "medians": self.accumulator.medians,
         }
 
-    def trace(self, allocation: np.ndarray) -> Iterator[int]:
-        """Traces the allocation map, uint32 of shape (height, width); yields the samples of each slice once they count.
+    def warm_up(self) -> None:
+        """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid."""
+        nothing = dict.fromkeys(("pixels", "slice_samples", "spawn_count", "queue_length", "blocks_in_queue"), np.uint32(0))
+        nothing |= dict.fromkeys(("first_pixel", "first_sample", "samples_left"), np.uint32(0))
+        for items in (1, self.pool_size):
+            for name in self._kernels:
+                self._launch(name, items, **nothing)
+        self.device.finish()
 
-        Whoever stops in between leaves the statistics whole: a slice enters them all at once.
+    def trace(self, allocation: np.ndarray) -> Iterator[int]:
+        """Traces the allocation map, uint32 of shape (height, width).
+
+        Yields the samples that have entered the statistics since the last time: a slice's all at once, and 0 after every
+        bounce, so that whoever drives this can stop there. Stopping leaves the statistics whole.
         """
         ends = np.cumsum(allocation.ravel(), dtype=np.int64)
         total = int(ends[-1])
@@ -167,10 +177,9 @@ class Wavefront:
             end = min(begin + self.slice_samples, total)
             first, last = np.searchsorted(ends, [begin, end - 1], side="right")
             starts = ends[first : last + 1] - allocation.ravel()[first : last + 1]
-            self._trace_slice(int(first), np.maximum(starts - begin, 0).astype(np.uint32), end - begin)
-            yield end - begin
+            yield from self._trace_slice(int(first), np.maximum(starts - begin, 0).astype(np.uint32), end - begin)
 
-    def _trace_slice(self, first_pixel: int, offsets: np.ndarray, samples: int) -> None:
+    def _trace_slice(self, first_pixel: int, offsets: np.ndarray, samples: int) -> Iterator[int]:
         """One slice: pixels first_pixel... whose samples begin at `offsets` of the slice's `samples`."""
         pixels = len(offsets)
         self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
@@ -183,11 +192,12 @@ class Wavefront:
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
-            self._trace_paths(samples)
+            yield from self._trace_paths(samples)
         self._launch("reduce", pixels, **of_slice)
         self.device.finish()
+        yield samples
 
-    def _trace_paths(self, samples: int) -> None:
+    def _trace_paths(self, samples: int) -> Iterator[int]:
         length = spawned = min(samples, self.pool_size)
         slots = np.arange(length, dtype=np.uint32)
         self.device.write(self._arguments["queue"], slots)
@@ -201,6 +211,7 @@ class Wavefront:
                 self._launch("generate", begun, spawn_count=np.uint32(begun), first_sample=np.uint32(spawned))
             spawned += begun
             length = alive + begun
+            yield 0
 
     def _bounce(self, length: int) -> None:
         of_queue = {"queue_length": np.uint32(length)}

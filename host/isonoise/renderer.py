@@ -1,0 +1,134 @@
+"""A render in progress: a scene on a device and a strategy that decides, wave by wave, where the samples go."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from isonoise.device.opencl import Device
+from isonoise.errors import UserError
+from isonoise.integrator.wavefront import Wavefront
+from isonoise.scene.bounds import analytic_bounds
+from isonoise.scene.bvh import build_bvh
+from isonoise.scene.compile import compile_scene
+from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.load import load
+from isonoise.statistics import Statistics
+from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
+from isonoise.strategies.allocation import uniform_allocation
+
+
+@dataclass(frozen=True)
+class WaveRecord:
+    """What one call of `Renderer.step` did."""
+
+    kind: str  # 'uniform' or 'adaptive'
+    samples: int  # that entered the statistics, rejected ones included
+    planned: int  # that the wave wanted; more than `samples` where it was stopped
+    seconds: float
+
+
+class Renderer:
+    """Renders a scene wave by wave.
+
+    Args:
+        scene: path of a scene or mesh file, name of a built-in scene, or a dict in Mitsuba 3's vocabulary.
+        device: number or part of the name of an OpenCL device; None takes the first GPU, else the first CPU.
+        strategy: `NAME[:key=value,...]`, `module:Class`, or a `Strategy`.
+        seed: whole number from 0 to 2^64 - 1; the same seed gives the same samples.
+        size: (width, height) in place of the film's.
+        max_depth: in place of the integrator's.
+        parameters: values for the scene file's `$names`.
+        pool_size: paths in flight; None chooses for the device. It changes no pixel.
+
+    Raises:
+        SceneError, DeviceError, UserError: with a message for the user.
+    """
+
+    def __init__(
+        self,
+        scene,
+        device: str | int | None = None,
+        strategy: str | Strategy = DEFAULT_STRATEGY,
+        seed: int = 0,
+        size: tuple[int, int] | None = None,
+        max_depth: int | None = None,
+        parameters: dict[str, str] | None = None,
+        pool_size: int | None = None,
+    ):
+        if not 0 <= seed < 2**64:
+            raise UserError(f"seed {seed} is outside 0 to 2^64 - 1")
+        self.strategy = make_strategy(strategy)
+        self.setup_times: dict[str, float] = {}
+        clock = time.perf_counter()
+
+        def lap(name: str) -> None:
+            nonlocal clock
+            clock, begun = time.perf_counter(), clock
+            self.setup_times[name] = clock - begun
+
+        self.scene: CompiledScene = compile_scene(load(scene, parameters), size=size, max_depth=max_depth)
+        lap("load")
+        bvh = build_bvh(self.scene.vertices[self.scene.faces], *analytic_bounds(self.scene.analytics))
+        lap("build")
+        on_device = Device(device)
+        self.device_name = on_device.name
+        self._wavefront = Wavefront(on_device, self.scene, bvh, self.strategy.needs, seed, pool_size)
+        self._wavefront.warm_up()
+        lap("compile")
+        self._schedule = self.strategy.waves()
+        self._cut_short: Wave | None = None
+        self._waves = 0
+
+    @property
+    def features(self) -> dict[str, bool]:
+        """The feature set of scene and strategy: name -> whether it is built in."""
+        return self._wavefront.features
+
+    def step(self, samples: int | None = None, goes_on: Callable[[int], bool] = lambda entered: True) -> WaveRecord:
+        """Renders the strategy's next wave, of at most `samples` samples; what is cut off a uniform wave comes next time.
+
+        `goes_on` is asked after every bounce, with the samples of the wave that have entered the statistics; the wave ends there
+        when it returns False, and what it has brought by then stays.
+        """
+        begun = time.perf_counter()
+        wave = self._cut_short or next(self._schedule)
+        self._cut_short = None
+        pixels = self.scene.width * self.scene.height
+        budget = max(1, round(wave.spp * pixels))
+        if samples is not None and samples < budget:
+            if wave.kind == "uniform":
+                self._cut_short = replace(wave, spp=wave.spp - samples / pixels)
+            budget = samples
+        if wave.kind == "uniform":
+            allocation = uniform_allocation((self.scene.height, self.scene.width), budget, self._waves)
+        else:
+            allocation = self._checked(self.strategy.allocate(self.statistics(), budget), budget)
+        self._waves += 1
+        entered = 0
+        for more in self._wavefront.trace(allocation):
+            entered += more
+            if not goes_on(entered):
+                break
+        return WaveRecord(wave.kind, entered, budget, time.perf_counter() - begun)
+
+    def statistics(self) -> Statistics:
+        """The statistics of every pixel so far, as numpy arrays in the scene's units. Waits for the device."""
+        return self._wavefront.accumulator.statistics(self.scene.radiance_scale)
+
+    def image(self) -> np.ndarray:
+        """Mean linear RGB, float32 (height, width, 3)."""
+        return self.statistics().rgb
+
+    def _checked(self, allocation: np.ndarray, budget: int) -> np.ndarray:
+        """A strategy may be anybody's: its map is checked before it reaches the device."""
+        allocation = np.asarray(allocation)
+        shape = (self.scene.height, self.scene.width)
+        total = int(allocation.sum(dtype=np.int64)) if allocation.shape == shape else None
+        if allocation.dtype != np.uint32 or total != budget:
+            raise UserError(
+                f"strategy '{self.strategy.name}' returned an allocation map of {allocation.dtype}, shape {allocation.shape}, "
+                f"sum {total}; it has to be uint32, shape {shape}, sum {budget}"
+            )
+        return allocation
