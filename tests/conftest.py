@@ -15,3 +15,17 @@ def public_scenes() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no folder {folder}: set ISONOISE_TEST_SCENES to the folder with the public test scenes")
     return folder
+
+
+@pytest.fixture
+def scene_of(tmp_path):
+    """Loads a scene from the inside of its <scene> element; a sensor is added where there is none."""
+    from isonoise.scene import load
+
+    def make(inside: str, **parameters) -> dict:
+        sensor = "" if "<sensor" in inside else '<sensor type="perspective"/>'
+        path = tmp_path / "scene.xml"
+        path.write_text(f'<scene version="3.0.0">\n{inside}\n{sensor}\n</scene>')
+        return load(path, parameters)
+
+    return make

@@ -16,6 +16,7 @@ from isonoise.scene.surfaces import Surface, make_surface
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none
 _PATH = {"type": "path", "max_depth": -1, "rr_depth": 5, "hide_emitters": False}
 _DIRECT_DEPTH = 2  # light that arrives over one bounce
+_FARTHEST = 1e18  # the square of a distance, 1.2e37 at most, fits in 32-bit floats
 _SAMPLE_COUNT = 4  # Mitsuba 3's, where there is no sampler
 
 
@@ -33,9 +34,9 @@ def compile_scene(
     depth = _DIRECT_DEPTH if integrator["type"] == "direct" else integrator["max_depth"]
     shapes = _of_kind(description, "shape")
     surfaces = [make_surface(shape, f"shape '{name}'") for name, shape in shapes.items()]
-    bounds = _bounds(surfaces)
+    bounds = _bounds(list(shapes), surfaces)
     geometry = _Geometry(list(shapes.values()), surfaces)
-    lights, environment, scale = _lights(geometry, list(_of_kind(description, "emitter").values()), bounds)
+    lights, alias, environment, scale = _lights(geometry, list(_of_kind(description, "emitter").values()), bounds)
     arrays = {
         "camera": camera,
         "vertices": geometry.vertices,
@@ -46,7 +47,7 @@ def compile_scene(
         "shapes": geometry.shapes,
         "bsdfs": geometry.bsdfs,
         "lights": lights,
-        "light_alias": lighting.alias_table(lights["pick_probability"].astype(np.float64)) if len(lights) else _alias(),
+        "light_alias": alias,
         "bounds": bounds.astype(np.float32),
     }
     facts = {
@@ -66,10 +67,6 @@ def _of_kind(description: dict, kind: str) -> dict[str, dict]:
     return {k: v for k, v in description.items() if isinstance(v, dict) and v["type"] in names}
 
 
-def _alias() -> np.ndarray:
-    return np.zeros(0, structs.ALIAS)
-
-
 def _hash(arrays: dict[str, np.ndarray], facts: dict) -> str:
     """Digest of everything that the picture follows from; file names and ids are not in it."""
     digest = hashlib.blake2b(repr(sorted(facts.items())).encode(), digest_size=16)
@@ -79,11 +76,16 @@ def _hash(arrays: dict[str, np.ndarray], facts: dict) -> str:
     return digest.hexdigest()
 
 
-def _bounds(surfaces: list[Surface]) -> np.ndarray:
+def _bounds(names: list[str], surfaces: list[Surface]) -> np.ndarray:
     """(2, 3) float64 corners of the box around all surfaces, zeros if there are none."""
     if not surfaces:
         return np.zeros((2, 3))
     boxes = np.stack([surface.bounds for surface in surfaces])
+    farthest = int(np.argmax(np.abs(boxes).max(axis=(1, 2))))
+    if not np.abs(boxes[farthest]).max() <= _FARTHEST:
+        raise SceneError(
+            f"shape '{names[farthest]}' reaches beyond {_FARTHEST:g}: its distances overflow 32-bit floats"
+        )
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
@@ -165,8 +167,8 @@ def _bsdf(bsdf: dict) -> np.ndarray:
     return record
 
 
-def _lights(geometry: _Geometry, emitters: list[dict], bounds: np.ndarray) -> tuple[np.ndarray, int, float]:
-    """(lights, index of the constant light or -1, radiance_scale); enters `first_light` into the shapes."""
+def _lights(geometry: _Geometry, emitters: list[dict], bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, float]:
+    """(lights, alias table, index of the constant light or -1, radiance_scale); enters first_light into the shapes."""
     values = [lighting.emitted(emitter) for _, emitter, _ in geometry.emissive]
     values += [lighting.emitted(emitter) for emitter in emitters]
     scale = lighting.radiance_scale(values)
@@ -182,10 +184,11 @@ def _lights(geometry: _Geometry, emitters: list[dict], bounds: np.ndarray) -> tu
         for emitter, value in zip(emitters, values[len(geometry.emissive) :], strict=True)
     ]
     if not parts:
-        return np.zeros(0, structs.LIGHT), -1, scale
+        return np.zeros(0, structs.LIGHT), np.zeros(0, structs.ALIAS), -1, scale
     lights = np.concatenate(parts)
     if not np.isfinite(lights["radiance"]).all():
         raise SceneError("an emitter's colour leaves the range of 32-bit floats")
     constant = np.flatnonzero(lights["kind"] == structs.LIGHT_CONSTANT)
-    lights["pick_probability"] = lighting.pick_probabilities(lights, bounds)
-    return lights, int(constant[0]) if len(constant) else -1, scale
+    alias = lighting.alias_table(lighting.pick_probabilities(lights, bounds))
+    lights["pick_probability"] = lighting.picked(alias)
+    return lights, alias, int(constant[0]) if len(constant) else -1, scale

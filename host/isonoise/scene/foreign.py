@@ -1,5 +1,6 @@
 """STL and GLB through trimesh: triangles and base colours of every part, as the file has them."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ def read_parts(path: Path) -> list[Part]:
     """The parts of a file in world space. Raises SceneError where trimesh cannot read it or there are no triangles."""
     import trimesh
 
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # or it prints tracebacks of its own
     try:
         loaded = trimesh.load_scene(str(path), process=False, maintain_order=True)
         placed = [(loaded.graph.get(name), loaded.geometry) for name in loaded.graph.nodes_geometry]

@@ -102,3 +102,9 @@ def alias_table(probabilities: np.ndarray) -> np.ndarray:
     table = np.zeros(count, structs.ALIAS)
     table["threshold"], table["alias"] = np.clip(threshold, 0.0, 1.0), alias
     return table
+
+
+def picked(table: np.ndarray) -> np.ndarray:
+    """Probabilities (n,) float64 with which an alias table, its thresholds rounded as they are, picks each entry."""
+    kept = table["threshold"].astype(np.float64)
+    return (kept + np.bincount(table["alias"], 1.0 - kept, len(table))) / len(table)

@@ -55,9 +55,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def parse_numbers(text: bytes) -> np.ndarray:
-    """All numbers of a text, float64; ends at the first word that is none."""
+    """All numbers of a text, float64; none, or those before it, where a word is no number."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # how numpy says that it met such a word
+        warnings.simplefilter("ignore", DeprecationWarning)  # older numpy stops at such a word, newer raises
         try:
             return np.fromstring(text, np.float64, sep=" ") if text.strip() else np.zeros(0)
         except ValueError:

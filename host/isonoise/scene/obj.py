@@ -188,7 +188,7 @@ def read_mtl(path: Path) -> dict[str, dict[str, list[float]]]:
     materials: dict[str, dict[str, list[float]]] = {}
     current: dict[str, list[float]] = {}
     for line in read_bytes(path).decode("utf-8", "replace").splitlines():
-        key, _, rest = line.strip().partition(" ")
+        key, _, rest = line.partition("#")[0].strip().partition(" ")
         if key == "newmtl":
             current = materials.setdefault(rest.strip(), {})
         elif key in ("Kd", "Ke"):

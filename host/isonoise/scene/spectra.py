@@ -46,10 +46,8 @@ def spectrum_to_rgb(wavelengths, values, kind: str) -> np.ndarray:
 
 
 def flat_to_rgb(value: float, kind: str) -> np.ndarray:
-    """Linear RGB of a spectrum with the same value everywhere."""
-    if kind != "radiance":
-        return np.full(3, float(value))
-    return value * _tables()[1].sum(axis=0)
+    """Linear RGB of a spectrum with the same value everywhere; as emission it is equal energy, X = Y = Z."""
+    return value * (_XYZ_TO_RGB.sum(axis=1) if kind == "radiance" else np.ones(3))
 
 
 def colour_to_rgb(colour, kind: str) -> np.ndarray:

@@ -159,7 +159,7 @@ class _Normaliser:
             if parameter.required:
                 place.fail(f"{plugin.kind} '{plugin.name}' needs a '{parameter.name}'")
             if parameter.default is not None:
-                result[parameter.name] = parameter.default
+                result[parameter.name] = check_value(parameter, parameter.default, place)
         for child in plugin.children:
             if sum(1 for v in result.values() if isinstance(v, dict) and self.is_kind(v, child.kind)) < child.least:
                 place.fail(f"{plugin.kind} '{plugin.name}' needs a nested {child.kind}")

@@ -1,0 +1,160 @@
+"""Lights: order, power, the alias table, the scale."""
+
+import numpy as np
+import pytest
+
+from isonoise.scene import compile_scene, load, structs
+from isonoise.scene.lights import alias_table, picked
+from isonoise.scene.spectra import LUMINANCE
+
+
+def _scene(**objects) -> dict:
+    return load({"type": "scene", "sensor": {"type": "perspective"}, **objects})
+
+
+def _distributions() -> list[np.ndarray]:
+    rng = np.random.default_rng(7)
+    weights = []
+    for count in (1, 2, 3, 17, 1000, 200_000):
+        weights += [np.ones(count), rng.random(count) + 1e-3, rng.pareto(0.5, count) + 1e-12]
+        weights.append(np.where(rng.random(count) < 0.9, 0.0, rng.random(count)) + np.eye(1, count, count // 2)[0])
+        weights.append(np.eye(1, count, count - 1)[0])
+    return weights
+
+
+@pytest.mark.parametrize("weights", _distributions())
+def test_alias_table_picks_in_proportion(weights):
+    probabilities = weights / weights.sum()
+    table = alias_table(probabilities)
+    result = picked(table)
+    # A threshold rounds by 2^-24 at most: kept parts relatively, passed on parts absolutely, in units of 1/n.
+    np.testing.assert_allclose(result, probabilities, rtol=1e-6, atol=0)
+    assert np.all(result[probabilities == 0] == 0)
+    assert result.sum() == pytest.approx(1.0, abs=1e-12)
+    assert table["threshold"].min() >= 0
+    assert table["threshold"].max() <= 1
+
+
+def test_alias_table_sums_exactly_to_the_stated_probabilities():
+    scene = compile_scene(
+        _scene(
+            a={"type": "cube", "emitter": {"type": "area", "radiance": 3.0}},
+            b={"type": "disk", "emitter": {"type": "area", "radiance": 0.1}},
+            c={"type": "point", "intensity": 0.7},
+        )
+    )
+    assert np.array_equal(picked(scene.light_alias).astype(np.float32), scene.lights["pick_probability"])
+
+
+def test_lights_of_a_shape_follow_its_primitives():
+    scene = compile_scene(
+        _scene(
+            dark={"type": "cube"},
+            ball={"type": "sphere"},
+            first={"type": "rectangle", "emitter": {"type": "area", "radiance": 2.0}},
+            second={"type": "cube", "emitter": {"type": "area", "radiance": 1.0}},
+            lamp={"type": "sphere", "radius": 0.5, "emitter": {"type": "area", "radiance": 1.0}},
+        )
+    )
+    assert scene.shapes["first_light"].tolist() == [structs.NONE, structs.NONE, 0, 2, 14]
+    assert scene.shapes["first_primitive"].tolist() == [0, 0, 12, 14, 1]
+    assert scene.lights["primitive"].tolist() == [*range(12, 26), 1]
+    assert scene.lights["kind"][-1] == structs.LIGHT_SPHERE
+    for light, face in zip(scene.lights[:14], scene.faces[12:], strict=True):
+        a, b, c = scene.vertices[face]
+        assert light["area"] == pytest.approx(0.5 * np.linalg.norm(np.cross(b - a, c - a)))
+
+
+def test_power_decides_the_pick():
+    """Powers in closed form: pi A L, 4 pi I, pi r^2 E, 4 pi^2 r^2 L with r of the sphere around the scene's box."""
+    scene = compile_scene(
+        _scene(
+            quad={"type": "rectangle", "emitter": {"type": "area", "radiance": 3.0}},
+            ball={"type": "sphere", "radius": 0.5, "emitter": {"type": "area", "radiance": 5.0}},
+            disk={"type": "disk", "emitter": {"type": "area", "radiance": 7.0}},
+            tube={"type": "cylinder", "radius": 0.5, "emitter": {"type": "area", "radiance": 11.0}},
+            point={"type": "point", "intensity": 13.0},
+            sun={"type": "directional", "irradiance": 17.0},
+            sky={"type": "constant", "radiance": 19.0},
+        )
+    )
+    radius_squared = 0.25 * (2**2 + 2**2 + 1.5**2)  # x, y in -1..1, z in -0.5..1
+    powers = np.array(
+        [
+            *[np.pi * 2 * 3.0] * 2,
+            np.pi * np.pi * 5.0,
+            np.pi * np.pi * 7.0,
+            np.pi * np.pi * 11.0,
+            4 * np.pi * 13.0,
+            np.pi * radius_squared * 17.0,
+            4 * np.pi**2 * radius_squared * 19.0,
+        ]
+    )
+    np.testing.assert_allclose(scene.lights["pick_probability"], powers / powers.sum(), rtol=2e-6)
+    assert scene.environment_light == 7
+
+
+def test_dark_and_degenerate_primitives_are_never_picked():
+    scene = compile_scene(
+        _scene(
+            black={"type": "rectangle", "emitter": {"type": "area", "radiance": 0.0}},
+            sliver={
+                "type": "mesh",
+                "vertices": np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0.0]]),
+                "faces": np.array([[0, 1, 2], [0, 1, 3]]),
+                "emitter": {"type": "area", "radiance": 1.0},
+            },
+        )
+    )
+    assert scene.lights["pick_probability"].tolist() == [0, 0, 0, 1]
+
+
+def test_lights_without_power_and_scenes_without_light():
+    dark = compile_scene(_scene(sky={"type": "constant", "radiance": 0.0}))
+    assert dark.radiance_scale == 1.0
+    assert dark.lights["pick_probability"].tolist() == [1.0]
+    none = compile_scene(_scene())
+    assert none.radiance_scale == 1.0
+    assert len(none.lights) == len(none.light_alias) == 0
+    assert none.environment_light == -1
+
+
+@pytest.mark.parametrize("exponent", [-60, -20, 20, 60])
+def test_scaling_all_lights_by_a_power_of_two_changes_nothing_but_the_scale(exponent):
+    def scene(factor):
+        return compile_scene(
+            _scene(
+                quad={"type": "rectangle", "emitter": {"type": "area", "radiance": 3.3 * factor}},
+                point={"type": "point", "intensity": {"type": "rgb", "value": [0.1 * factor, 0.7 * factor, 0]}},
+                sky={"type": "constant", "radiance": {"type": "spectrum", "value": 0.01 * factor}},
+            )
+        )
+
+    plain, scaled = scene(1.0), scene(2.0**exponent)
+    assert scaled.radiance_scale == plain.radiance_scale * 2.0**-exponent
+    assert plain.lights.tobytes() == scaled.lights.tobytes()
+    assert plain.light_alias.tobytes() == scaled.light_alias.tobytes()
+    assert plain.hash != scaled.hash
+
+
+def test_the_scale_brings_the_brightest_emitter_near_one():
+    for value in (1e-30, 0.3, 1.0, 1.9999, 2.0, 17.0, 1e30):
+        scene = compile_scene(_scene(sky={"type": "constant", "radiance": value}))
+        assert np.log2(scene.radiance_scale) % 1 == 0
+        assert 1.0 <= scene.lights["radiance"][0].astype(float) @ LUMINANCE * (1 + 1e-6) < 2.0 * (1 + 1e-5)
+
+
+def test_a_million_emissive_triangles():
+    side = 724
+    x, y = np.meshgrid(np.arange(side), np.arange(side))
+    corner = (y[:-1, :-1] * side + x[:-1, :-1]).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + 1, corner + side], 1), np.stack([corner + 1, corner + side + 1, corner + side], 1)]
+    )
+    rng = np.random.default_rng(3)
+    vertices = np.stack([x.ravel(), y.ravel(), rng.random(side * side)], 1).astype(float)
+    shape = {"type": "mesh", "vertices": vertices, "faces": faces, "emitter": {"type": "area", "radiance": 1.0}}
+    scene = compile_scene(_scene(field=shape))
+    assert len(scene.lights) == 2 * (side - 1) ** 2 > 10**6
+    areas = scene.lights["area"].astype(float)
+    np.testing.assert_allclose(scene.lights["pick_probability"], areas / areas.sum(), rtol=2e-6)
