@@ -13,6 +13,7 @@ of path moves.
 """
 
 import hashlib
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -166,6 +167,13 @@ def resized(scene: Path, side: int, folder: Path) -> Path:
     path = folder / f"{scene.stem}-{side}.xml"
     tree.write(path)
     return path
+
+
+def cache_folder(cache) -> Path | None:
+    """Folder that outlives a run: ISONOISE_REFERENCE_CACHE, else one in pytest's cache; None where that is off."""
+    if folder := os.environ.get("ISONOISE_REFERENCE_CACHE"):
+        return Path(folder)
+    return Path(cache.mkdir("mitsuba")) if cache else None
 
 
 def mitsuba_batches(scene: Path, spp: int, batches: int, folder: Path) -> np.ndarray:
