@@ -6,6 +6,8 @@
 
 #define LUMINANCE_LIMIT 0x1p62f  // beyond it a square would leave float32; such a sample counts as not finite
 
+#define MEAN_NOISE 0x1p-44f  // the same in host/isonoise/integrator/accumulator.py
+
 #if FEATURE_MEDIAN
 // The median of the CHUNK values that `pending` holds, by sorting them.
 INLINE float chunk_median(float* values)
@@ -28,7 +30,9 @@ INLINE void merge_block(uint n, float shift, float rest, float sum, float square
     const float block_mean = sum / BLOCK;
     *m2 = add(*m2, GREATER(squares - sum * block_mean, 0.0f));
     if (n > 0) {
-        const float difference = block_mean - rest;
+        float difference = block_mean - rest;
+        // a mean is known to 2^-48 of itself: equal samples must not seem to vary by its rounding
+        if (abs1(difference) < MEAN_NOISE * abs1(shift)) difference = 0.0f;
         *m2 = add(*m2, difference * difference * (BLOCK / (1.0f + BLOCK / (float)n)));
     }
     *sum_x = add(add(*sum_x, shift * BLOCK), sum);

@@ -10,6 +10,9 @@ BLOCK = 16
 CHUNK = 5
 """Samples of a chunk, whose median enters M_x; odd."""
 
+MEAN_NOISE = 2.0**-44
+"""Differences of means below this share of them are rounding, and count as none (kernels/reduce.cl)."""
+
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x, and of M2, over the full blocks
 _OPEN = 6  # planes of the unfinished block: sums of red, green, blue; shift; sums of x - shift and its square
 _MEDIANS = 2 + CHUNK - 1  # planes: high and low part of the sum of the chunk medians; x of the unfinished chunk
@@ -47,6 +50,7 @@ class Accumulator:
         open_mean += self._open(3)
         full_sum = self._sum(6)
         difference = np.where((opened > 0) & (full > 0), open_mean - full_sum / np.maximum(full, 1), 0)
+        difference[np.abs(difference) < MEAN_NOISE * np.abs(open_mean)] = 0
         # Chan, Golub, LeVeque 1983: the unfinished block merged as the kernel merges a full one
         m2 += difference * difference * (full * (opened / some))
         del difference
