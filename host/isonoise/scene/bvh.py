@@ -132,8 +132,11 @@ def _lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles) -> 
     used = slots >= 0
     nodes = _empty_nodes(len(slots))
     for axis in range(3):
-        nodes[:, axis][used] = tree.lower[axis][slots[used]]
-        nodes[:, 3 + axis][used] = tree.upper[axis][slots[used]]
+        lower, upper = tree.lower[axis][slots[used]], tree.upper[axis][slots[used]]
+        # one unit in the last place wider: a ray that runs in the plane of a box's side has to meet the edges that lie there
+        margin = np.float32(2.0**-23) * np.maximum(np.abs(lower), np.abs(upper))
+        nodes[:, axis][used] = lower - margin
+        nodes[:, 3 + axis][used] = upper + margin
     inner = used & ~is_leaf[slots]
     leaf = used & is_leaf[slots]
     members = slots[leaf]
