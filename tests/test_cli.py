@@ -149,7 +149,7 @@ def test_a_signal_ends_the_render_with_a_valid_image(number):
         ("--quantile", "0", "between 0 and 1"),
         ("--seed", "-1", "from 0"),
         ("--seed", "1.5", "not a whole number"),
-        ("--seed", str(2**32), "from 0"),
+        ("--seed", str(2**64), "from 0"),
         ("--size", "0x0", "no pixels"),
         ("--size", "640", "WIDTHxHEIGHT"),
         ("--size", "100000x100000", "more than"),

@@ -191,8 +191,8 @@ def _quantile(text: str) -> float:
 
 def _seed(text: str) -> int:
     value = _whole(text)
-    if not 0 <= value < 1 << 32:
-        raise argparse.ArgumentTypeError(f"{text} must be from 0 to {(1 << 32) - 1}")
+    if not 0 <= value < 1 << 64:
+        raise argparse.ArgumentTypeError(f"{text} must be from 0 to {(1 << 64) - 1}")
     return value
 
 

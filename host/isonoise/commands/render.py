@@ -17,8 +17,8 @@ from isonoise.film.log import LogRow, LogWriter, row_values
 from isonoise.film.output import check_output, image_layers, write_image
 from isonoise.film.stated_error import stated_error
 from isonoise.progress import ProgressBar, duration, percent
-from isonoise.rendering import Outcome, Stops, render_loop
 from isonoise.renderer import Renderer
+from isonoise.rendering import Outcome, Stops, render_loop
 from isonoise.strategies import describe
 
 HEADER = (
@@ -183,7 +183,7 @@ def _facts(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcom
         "floor": outcome.floor,
         "stopped_by": outcome.reason,
         "quantile": stops.quantile,
-        "stated_error": stated_error(statistics, outcome.floor, stops.quantile),
+        "stated_error": float(stated_error(statistics, [stops.quantile], outcome.floor)[0]),
         "waves": len(outcome.rows),
         "last_wave": row_values(outcome.rows[-1]) if outcome.rows else None,
         "output": options.output,

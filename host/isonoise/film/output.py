@@ -8,6 +8,7 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable
+from isonoise.film.stated_error import relative_standard_error
 from isonoise.statistics import Statistics
 
 EXTENSIONS = (".exr", ".png")
@@ -20,9 +21,7 @@ def image_layers(statistics: Statistics, floor: float) -> dict[str, np.ndarray]:
     relative standard error of the pixel's luminance, se / max(mean, floor), inf where n < 2, and `M_x` the running mean
     of the chunk medians where the strategy keeps it (all (height, width)).
     """
-    from isonoise.strategies.measures import relative_mean
-
-    layers = {"": statistics.rgb, "samples": statistics.count, "error": relative_mean(statistics, floor)}
+    layers = {"": statistics.rgb, "samples": statistics.count, "error": relative_standard_error(statistics, floor)}
     if statistics.median is not None:
         layers["M_x"] = statistics.median
     return layers
