@@ -1,12 +1,12 @@
 """Frees the per-pixel relative variances of their own noise, so that their distribution over the image is the true one.
 
-A variance estimated from a few skewed samples is itself noisy, and quantiles over pixels of noisy variances are too wide.
-The image is taken apart into sums over 2x2 groups, level by level (a Haar pyramid). On every level the scatter of the
-children about their group's value is compared with what their noise alone would give, and deviations are scaled down
-by sqrt(b), b the true share of the scatter, so that the scatter that remains is the true one (Louis 1984, "Estimating a
-population of parameter values using Bayes and empirical Bayes methods", JASA 79; b itself, plain empirical Bayes, gives
-the best single values and too narrow a distribution). The value of a whole group is kept. So variances end up pooled
-where they are smooth and stay what they were where they are not.
+A variance estimated from a few skewed samples is itself noisy, and quantiles over the pixels of such variances are too
+wide. The image is taken apart into sums over 2x2 groups, level by level (a Haar pyramid). On every level the scatter of
+the children about their group's value is compared with what their noise alone would give, and deviations are scaled
+down by sqrt(b), b the true share of the scatter, so that the scatter that remains is the true one (Louis 1984,
+"Estimating a population of parameter values using Bayes and empirical Bayes methods", JASA 79; b itself, plain
+empirical Bayes, gives the best single values and too narrow a distribution). The value of a whole group is kept. So
+variances end up pooled where they are smooth and stay what they were where they are not.
 
 How noisy a variance is depends on the fourth moment of the samples, which is not kept. The third shows in the
 statistics, because Cov(mean, s^2) = mu_3 / n; the fourth is taken from it as in a gamma distribution, where the excess

@@ -31,11 +31,14 @@ class TrueError:
     | `p50`, `p95`, `p99`, `max` | quantiles over the pixels of abs(x - r) / max(r, floor) |
     | `rel_mse` | mean of (x - r)^2 / (r^2 + 0.01) |
     | `rel_mse_floor` | mean of (x - r)^2 / (r^2 + floor^2) |
-    | `rel_mse_trimmed`, `rel_mse_floor_trimmed` | the same without the 0.1 % of the pixels where it is largest (rounded down) |
+    | `rel_mse_trimmed`, `rel_mse_floor_trimmed` | the same without the 0.1 % of the pixels where each is largest |
     | `energy_ratio` | mean of x / mean of r |
-    | `energy_ratio_se` | its standard error from s^2 / n and, where given, the reference's; nan without statistics |
-    | `coverage` | share of the pixels with an interval (n >= 2) with abs(x - r) <= sqrt(h^2 + (1.96 se_ref)^2), h the half-width of Student's 95 % interval; nan without statistics |
+    | `energy_ratio_se` | its standard error, from s^2 / n and the reference's standard errors where given |
+    | `coverage` | share of pixels with abs(x - r) <= sqrt(h^2 + (1.96 se_ref)^2), h from `half_width_95` |
     | `floor` | 1 % of the geometric mean of max(r, 1e-4 mean r) over r > 0 |
+
+    0.1 % of the pixels is rounded down. The coverage is over the pixels that have an interval (n >= 2) and allows for
+    float32 rounding. Without statistics, `energy_ratio_se` and `coverage` are nan.
     """
 
     p50: float
@@ -96,8 +99,8 @@ def true_error(
 
 
 def reference_serves(p99_compared: Sequence[float], reference: np.ndarray, reference_se: np.ndarray) -> bool:
-    """Whether the reference can tell the compared images apart: the p99 over its pixels of se / max(r, floor) is at most
-    a quarter of the smallest p99 compared."""
+    """Whether the reference can tell the compared images apart: its own p99 over the pixels of se / max(r, floor) is at
+    most a quarter of the smallest p99 compared."""
     r = luminance(reference)
     relative = _relative(_luminance_se(reference_se), r, image_floor(r))
     return bool(np.quantile(relative, 0.99) <= min(p99_compared) / 4)

@@ -1,0 +1,116 @@
+"""Measures and the floor: closed forms, the edge cases, and what scaling the light leaves unchanged."""
+
+import numpy as np
+import pytest
+
+from isonoise.statistics import Statistics
+from isonoise.strategies import make_strategy
+from isonoise.strategies.measures import (
+    image_floor,
+    relative_mean,
+    relative_median,
+    standard_error,
+    variance_of_one,
+)
+
+
+def statistics(count, mean, variance, median=None) -> Statistics:
+    count, mean, variance = (np.atleast_2d(np.asarray(a)) for a in (count, mean, variance))
+    rgb = np.repeat(mean[..., None], 3, axis=-1).astype(np.float32)
+    median = np.zeros(mean.shape) if median is None else np.atleast_2d(np.asarray(median, dtype=np.float64))
+    count = np.broadcast_to(count, mean.shape).astype(np.uint32)
+    return Statistics(count, np.zeros_like(count), rgb, mean.astype(np.float64), variance.astype(np.float64), median)
+
+
+def of_samples(x) -> Statistics:
+    """Statistics of samples (n, height, width), with M_x the mean of the medians of chunks of 5."""
+    chunks = x[: len(x) // 5 * 5].reshape(-1, 5, *x.shape[1:])
+    return statistics(len(x), x.mean(axis=0), x.var(axis=0, ddof=1), np.median(chunks, axis=1).mean(axis=0))
+
+
+def test_floor_is_one_percent_of_the_geometric_mean():
+    assert image_floor(np.array([[1.0, 100.0]])) == pytest.approx(0.1)
+    assert image_floor(np.array([[1.0, 100.0, 0.0, -3.0]])) == pytest.approx(0.1)
+    # mean 1e8 / 2: the dark pixel counts as 1e-4 of it
+    assert image_floor(np.array([[1e8, 1.0]])) == pytest.approx(0.01 * np.sqrt(1e8 * 5000.00005))
+    assert image_floor(np.zeros((3, 3))) == 0.0
+
+
+@pytest.mark.parametrize("power", [-100, -20, -1, 1, 20, 100])
+def test_floor_scales_exactly_with_powers_of_two(power):
+    image = np.random.default_rng(1).lognormal(0, 4, size=(50, 50))
+    assert image_floor(np.ldexp(image, power)) == np.ldexp(image_floor(image), power)
+
+
+def test_measures_are_their_formulas():
+    s = statistics(16, [[2.0, 2.0, 2.0, 0.01]], [[4.0, 4.0, 4.0, 4.0]], [[1.5, 0.1, 5.0, 0.0]])
+    assert standard_error(s) == pytest.approx(np.full((1, 4), 0.5))
+    assert relative_mean(s, 0.1)[0] == pytest.approx([0.25, 0.25, 0.25, 5.0])
+    assert relative_median(s, 0.1)[0] == pytest.approx([0.5 / 1.5, 0.5 / 0.25, 0.1, 5.0])
+    assert relative_median(s, 0.1, kappa=np.inf)[0] == pytest.approx([0.5 / 1.5, 5.0, 0.1, 5.0])
+    assert variance_of_one(s, relative_mean(s, 0.1))[0] == pytest.approx([1.0, 1.0, 1.0, 400.0])
+
+
+def test_unknown_is_inf_and_noiseless_is_zero():
+    s = statistics([[0, 1, 2, 16, 16]], [[0.0, 3.0, 3.0, 0.0, 3.0]], np.zeros((1, 5)))
+    for measure in (relative_mean(s, 0.01), relative_median(s, 0.01)):
+        assert measure.tolist() == [[np.inf, np.inf, 0.0, 0.0, 0.0]]
+        assert variance_of_one(s, measure).tolist() == [[np.inf, np.inf, 0.0, 0.0, 0.0]]
+
+
+def test_a_black_image_has_no_floor_and_no_nan():
+    s = statistics(16, np.zeros((2, 2)), np.zeros((2, 2)))
+    assert (relative_mean(s, image_floor(s.mean)) == 0).all()
+    assert (relative_median(s, image_floor(s.mean)) == 0).all()
+    noisy = statistics(16, [[0.0, -1.0]], [[1.0, 1.0]])  # negative samples can do it: noise without a scale
+    assert np.isposinf(relative_mean(noisy, image_floor(noisy.mean))).all()
+
+
+def test_with_the_bare_floor_pixels_of_zero_median_take_the_whole_budget():
+    """One sample in 8 is 24, the rest 0, among pixels of the same relative variance 7: kappa = 8 bounds what it may claim."""
+    x = np.random.default_rng(2).lognormal(0, np.sqrt(np.log(8)), size=(800, 10, 10))
+    x[:, 5, 5] = np.where(np.arange(800) % 8 == 0, 24.0, 0.0)
+    s = of_samples(x)
+    assert s.median[5, 5] == 0
+    floor = image_floor(s.mean)
+    by_mean = relative_mean(s, floor)
+    bare, bounded = relative_median(s, floor, kappa=np.inf), relative_median(s, floor)
+    assert bare[5, 5] / by_mean[5, 5] == pytest.approx(s.mean[5, 5] / floor)
+    assert bare[5, 5] / by_mean[5, 5] > 50
+    assert bounded[5, 5] / by_mean[5, 5] == pytest.approx(8)
+    budget = 20_000
+    assert make_strategy("relative-median:kappa=inf,clip=1,cap=inf").allocate(s, budget)[5, 5] == budget
+    assert make_strategy("relative-mean:clip=1,cap=inf").allocate(s, budget)[5, 5] < 0.1 * budget
+
+
+@pytest.mark.parametrize("spec", ["relative-mean", "relative-median", "relative-median:kappa=inf"])
+def test_scaling_the_light_changes_no_allocation(spec):
+    rng = np.random.default_rng(3)
+    x = rng.gamma(0.3, size=(20, 30, 40)) * np.exp(rng.normal(0, 2, size=(30, 40)))
+    strategy = make_strategy(spec)
+    plain = strategy.allocate(of_samples(x), 5000)
+    assert plain.sum() == 5000
+    for power in (-20, -3, 20):
+        assert (strategy.allocate(of_samples(np.ldexp(x, power)), 5000) == plain).all()
+    change = strategy.allocate(of_samples(x * 0.3), 5000).astype(int) - plain
+    assert np.abs(change).max() <= 1
+    assert np.count_nonzero(change) <= 4  # pixels whose remainders tie but for the last bit
+
+
+def test_the_map_sends_samples_where_the_relative_error_is():
+    """Half of the image has twice the relative error of the other: water-filling wants counts of 1 to 4."""
+    rng = np.random.default_rng(4)
+    sigma = np.where(np.arange(64) < 32, 0.1, 0.2)
+    brightness = np.exp(rng.normal(0, 1, size=(64, 64)))  # takes no part in a relative error
+    x = brightness * (1 + sigma * rng.normal(size=(400, 64, 64)))
+    counts = 400 + make_strategy("relative-mean:clip=1,cap=inf").allocate(of_samples(x), 1600 * 64 * 64)
+    # 2000 on average: 800 and 3200. The variance's noise, sqrt(2 / 399) a pixel, averages out over 2048 pixels.
+    assert counts[:, :32].mean() == pytest.approx(800, rel=0.02)
+    assert counts[:, 32:].mean() == pytest.approx(3200, rel=0.02)
+
+
+def test_a_black_image_is_sampled_uniformly():
+    s = statistics(16, np.zeros((6, 5)), np.zeros((6, 5)))
+    for spec in ("relative-mean", "relative-median"):
+        allocation = make_strategy(spec).allocate(s, 30 * 4)
+        assert (allocation == 4).all()
