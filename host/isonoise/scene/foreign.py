@@ -18,7 +18,7 @@ def read_parts(path: Path) -> list[Part]:
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # or it prints tracebacks of its own
     try:
         loaded = trimesh.load_scene(str(path), process=False, maintain_order=True)
-        placed = [(loaded.graph.get(name), loaded.geometry) for name in loaded.graph.nodes_geometry]
+        placed = [(loaded.graph.get(name), loaded.geometry) for name in sorted(loaded.graph.nodes_geometry)]
         parts = [_part(geometry[key], matrix) for (matrix, key), geometry in placed if hasattr(geometry[key], "faces")]
     except Exception as error:  # trimesh raises whatever the first unexpected byte leads to
         reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__

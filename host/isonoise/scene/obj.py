@@ -82,15 +82,14 @@ class _Lines:
             return np.zeros((0, 3))
         text = self.text(chosen, 2)
         values = parse_numbers(text)
-        if len(values) == 3 * len(chosen):
-            return _finite(values.reshape(-1, 3), place)
-        columns = len(values) // len(chosen)
-        if len(values) != columns * len(chosen) or columns < 3:
-            values = parse_numbers(b"\n".join(b" ".join(line.split()[:3]) for line in text.splitlines()))
-            columns = 3
-        if len(values) != columns * len(chosen):
+        _, sizes = _words(np.frombuffer(text, np.uint8))
+        if sizes.min() < 3 or len(values) != sizes.sum():
             place.fail(f"a line that begins with '{key.decode().strip()}' does not hold three numbers")
-        return _finite(values.reshape(len(chosen), columns)[:, :3], place)
+        first = np.cumsum(sizes) - sizes
+        result = values[first[:, None] + np.arange(3)]
+        if not np.isfinite(result).all():
+            place.fail("a vertex or normal is not a finite number")
+        return result
 
     def faces(self, place: Place) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Corners (c, 3) of (vertex, texture, normal), 0 where left out; number of corners and line of each face."""
@@ -99,10 +98,7 @@ class _Lines:
             return np.zeros((0, 3), np.int64), np.zeros(0, np.int64), chosen
         text = self.text(chosen, 2)
         data = np.frombuffer(text, np.uint8)
-        blank = (data == 32) | (data == 9) | (data == _NEWLINE)
-        begins = np.flatnonzero(~blank & np.concatenate([[True], blank[:-1]]))  # of corners
-        line_ends = np.flatnonzero(data == _NEWLINE)
-        sizes = np.diff(np.searchsorted(begins, line_ends), prepend=0)
+        begins, sizes = _words(data)
         if sizes.min() < 3:
             place.fail("a face has fewer than three corners")
         slashes = np.flatnonzero(data == _SLASH)
@@ -146,10 +142,11 @@ class _Lines:
             yield line, word, name.strip().decode("utf-8", "replace")
 
 
-def _finite(values: np.ndarray, place: Place) -> np.ndarray:
-    if not np.isfinite(values).all():
-        place.fail("a vertex or normal is not a finite number")
-    return values
+def _words(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(where each word of a text begins, how many words each of its lines has)."""
+    blank = (data == ord(" ")) | (data == ord("\t")) | (data == _NEWLINE)
+    begins = np.flatnonzero(~blank & np.concatenate([[True], blank[:-1]]))
+    return begins, np.diff(np.searchsorted(begins, np.flatnonzero(data == _NEWLINE)), prepend=0)
 
 
 def _absolute(index: np.ndarray, before: np.ndarray, count: int, name: str, place: Place) -> np.ndarray:

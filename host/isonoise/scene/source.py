@@ -45,6 +45,11 @@ class Reference:
     id: str
 
 
+def a(noun: str) -> str:
+    """The noun with its indefinite article."""
+    return f"an {noun}" if noun[:1] in "aeiou" else f"a {noun}"
+
+
 def nearest(name: str, choices) -> str:
     """The one of `choices` that `name` is most likely meant to be ('' if there are none at all)."""
     ordered = sorted(choices)

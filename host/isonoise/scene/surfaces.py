@@ -125,7 +125,7 @@ def _cylinder(shape: dict, to_world: np.ndarray, where: str) -> Surface:
     placed = to_world @ transforms.translate(foot) @ along @ transforms.scale((radius, radius, length))
     rotation, stretch = transforms.polar(placed)
     _warn_if_stretched(stretch, (0, 1), where)
-    size = (abs(stretch[0, 0]), abs(stretch[0, 0]), abs(stretch[2, 2]))
+    size = (stretch[0, 0], stretch[0, 0], stretch[2, 2])  # negative if mirrored: the tube goes the mirrored way
     placed[:3, :3] = rotation * size
     return _analytic_surface(_analytic(structs.ANALYTIC_CYLINDER, placed, where), shape["flip_normals"])
 

@@ -6,7 +6,7 @@ Every check of names, types and ranges is here, so that XML files and Python dic
 from isonoise.scene import vocabulary
 from isonoise.scene.constraints import check_constraints
 from isonoise.scene.registry import IGNORED, SUPPORTED, UNSUPPORTED, Child, Plugin
-from isonoise.scene.source import Element, Place, Reference, nearest
+from isonoise.scene.source import Element, Place, Reference, a, nearest
 from isonoise.scene.values import check_value
 
 
@@ -107,10 +107,12 @@ class _Normaliser:
             if kind in ("texture", "medium", "phase", "volume") or not kinds:
                 self.plugin(element, (kind,))
             listed = ", ".join(kinds) or "no objects"
-            place.fail(f"a {plugin.kind} '{plugin.name}' cannot hold a {kind} (it may hold: {listed})")
+            place.fail(f"{a(plugin.kind)} '{plugin.name}' cannot hold {a(kind)} (it may hold: {listed})")
         nested = self.object(element, *kinds)
         if child.types and nested["type"] not in child.types:
-            place.fail(f"{plugin.name} cannot hold a {kind} '{nested['type']}' (it may hold: {', '.join(child.types)})")
+            place.fail(
+                f"{plugin.name} cannot hold {a(kind)} '{nested['type']}' (it may hold: {', '.join(child.types)})"
+            )
         self.enter(plugin, child, result, name or element.id, nested, place)
 
     def enter(self, plugin: Plugin, child: Child, result: dict, name: str, nested: dict, place: Place):

@@ -7,6 +7,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.source import Element, Reference, nearest
+from isonoise.scene.vocabulary import kinds_of
 from isonoise.scene.xml_tags import Tag, parse_tags
 from isonoise.scene.xml_values import OPERATIONS, check_attributes, operation, value_of
 
@@ -17,6 +18,12 @@ _OBJECTS = ("scene", "integrator", "sensor", "film", "rfilter", "sampler", "bsdf
 _OBJECTS += ("medium", "phase", "volume")
 _VALUES = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum")
 _OTHERS = ("transform", "ref", "include", "alias", "default", "path")
+
+
+def _meant(name: str, choices: tuple[str, ...]) -> str:
+    """What an unknown element probably stands for: <sphere> is <shape type="sphere">."""
+    kinds = kinds_of(name)
+    return f'<{kinds[0]} type="{name}">' if kinds else f"<{nearest(name, choices)}>"
 
 
 def read_xml(path: Path, parameters: dict[str, str]) -> Element:
@@ -70,7 +77,7 @@ class _File:
     def object(self, tag: Tag, root: bool = False) -> Element:
         self.substitute(tag)
         if tag.name not in (*_OBJECTS, "spectrum"):
-            tag.place.fail(f"unknown element; did you mean <{nearest(tag.name, _OBJECTS)}>?")
+            tag.place.fail(f"unknown element; did you mean {_meant(tag.name, _OBJECTS)}?")
         is_scene = root and tag.name == "scene"
         check_attributes(
             tag, () if is_scene else ("type",), ("version", "id", "name", "type") if root else ("id", "name")
@@ -103,8 +110,7 @@ class _File:
         elif tag.name in OPERATIONS:
             tag.place.fail("belongs inside a <transform>")
         else:
-            hint = nearest(tag.name, (*_OBJECTS, *_VALUES, *_OTHERS))
-            tag.place.fail(f"unknown element; did you mean <{hint}>?")
+            tag.place.fail(f"unknown element; did you mean {_meant(tag.name, (*_OBJECTS, *_VALUES, *_OTHERS))}?")
 
     def no_children(self, tag: Tag):
         if tag.children:

@@ -1,0 +1,265 @@
+"""Wrong scenes: one clear SceneError each, naming file, line, element and what to do; never anything else."""
+
+import math
+
+import numpy as np
+import pytest
+
+from isonoise.errors import SceneError
+from isonoise.scene import compile_scene, load
+
+SPHERE = '<shape type="sphere">{}</shape>'
+FLOAT = '<float name="radius" value="{}"/>'
+
+INSIDE = [
+    # names
+    ('<bsdf type="difuse"/>', "unknown bsdf 'difuse'; did you mean 'diffuse'"),
+    ('<bsdf type="roughconductor"/>', "'roughconductor' is not supported .*nearest: 'conductor'"),
+    ('<bsdf type="thindielectric"/>', "'thindielectric' is not supported .*nearest: 'dielectric'"),
+    ('<shape type="serialized"/>', "shape 'serialized' is not supported"),
+    ('<emitter type="envmap"/>', "emitter 'envmap' is not supported"),
+    ('<sensor type="thinlens"/>', "sensor 'thinlens' is not supported .*nearest: 'perspective'"),
+    ('<integrator type="volpath"/>', "integrator 'volpath' is not supported .*nearest: 'path'"),
+    ('<sensor type="perspective"><film type="specfilm"/></sensor>', "film 'specfilm' is not supported"),
+    ('<medium type="homogeneous"/>', "medium 'homogeneous' is not supported"),
+    ("<sphere/>", 'unknown element; did you mean <shape type="sphere">'),
+    ('<shap type="sphere"/>', "unknown element; did you mean <shape>"),
+    (SPHERE.format('<flaot name="radius" value="1"/>'), "unknown element; did you mean <float>"),
+    (SPHERE.format('<float name="radus" value="1"/>'), "no parameter 'radus'; did you mean 'radius'"),
+    ('<shape type="sphere" foo="1"/>', "unexpected attribute 'foo'"),
+    ("<shape/>", "attribute 'type' is missing"),
+    (SPHERE.format('<float value="1"/>'), "attribute 'name' is missing"),
+    (SPHERE.format('<ref id="nothing"/>'), "nothing has the id 'nothing'"),
+    ('<bsdf type="diffuse" id="a"/><bsdf type="diffuse" id="a"/>', "the id 'a' is taken"),
+    ('<alias id="a" as="b"/>', "the alias 'b' stands for 'a', which does not exist"),
+    (SPHERE.format(FLOAT.format("$r")), "undefined parameter \\$r"),
+    ('<include filename="nothing.xml"/>', "there is no 'nothing.xml'"),
+    ('<path value="nothing"/>', "there is no 'nothing'"),
+    ('<shape type="obj"/>', "needs a 'filename'"),
+    ('<shape type="obj"><string name="filename" value="no.obj"/></shape>', "there is no 'no.obj'"),
+    # numbers
+    (SPHERE.format(FLOAT.format("1cm")), "'1cm' is not a finite number"),
+    (SPHERE.format(FLOAT.format("nan")), "'nan' is not a finite number"),
+    (SPHERE.format(FLOAT.format("inf")), "'inf' is not a finite number"),
+    (SPHERE.format(FLOAT.format("1e400")), "'1e400' is not a finite number"),
+    (SPHERE.format(FLOAT.format("")), "'' is not a finite number"),
+    (SPHERE.format(FLOAT.format("0")), r"'radius' has to lie in \(0, inf\), got 0.0"),
+    (SPHERE.format('<string name="radius" value="1"/>'), "'radius' is a finite number, got '1'"),
+    (SPHERE.format('<point name="center" x="1" y="2"/>'), "attribute 'z' is missing"),
+    (SPHERE.format('<point name="center" value="1 2"/>'), "one or three numbers, got 2"),
+    (SPHERE.format('<boolean name="flip_normals" value="1"/>'), "'1' is neither true nor false"),
+    ('<integrator type="path"><integer name="max_depth" value="4.0"/></integrator>', "'4.0' is not a whole number"),
+    ('<integrator type="path"><float name="max_depth" value="4"/></integrator>', "'max_depth' is a whole number"),
+    ('<integrator type="path"><integer name="max_depth" value="-2"/></integrator>', r"has to lie in \[-1, "),
+    ('<integrator type="path"><integer name="rr_depth" value="0"/></integrator>', r"has to lie in \[1, "),
+    # transforms
+    (SPHERE.format('<transform name="to_world"><scale value="0"/></transform>'), "to_world cannot be inverted"),
+    (SPHERE.format('<transform name="to_world"><matrix value="1 2 3"/></transform>'), "16 or 9 numbers, got 3"),
+    (SPHERE.format('<transform name="to_world"><rotate angle="3"/></transform>'), "axis of a rotation cannot be zero"),
+    (SPHERE.format('<transform name="to_world"><shear/></transform>'), "a transform is made of translate"),
+    (SPHERE.format('<transform name="to_world"><lookat origin="0 0 0" target="0 0 0"/></transform>'), "target equals"),
+    (SPHERE.format('<scale value="2"/>'), "belongs inside a <transform>"),
+    ('<sensor type="perspective"><transform name="to_world"><scale value="2"/></transform></sensor>', "only be moved"),
+    # colours
+    ('<bsdf type="diffuse"><rgb name="reflectance" value="1 2 3"/></bsdf>', "a reflectance is at most 1"),
+    ('<bsdf type="diffuse"><rgb name="reflectance" value="0 -1 0"/></bsdf>', "a reflectance is not negative"),
+    ('<bsdf type="diffuse"><rgb name="reflectance" value="1 2"/></bsdf>', "one or three numbers, got 2"),
+    ('<bsdf type="diffuse"><rgb name="reflectance" value="#ff0000"/></bsdf>', "'#ff0000' is not a finite number"),
+    ('<bsdf type="diffuse"><spectrum name="reflectance" value="500:1"/></bsdf>', "two or more pairs"),
+    ('<bsdf type="diffuse"><spectrum name="reflectance" value="600:1, 500:1"/></bsdf>', "have to increase"),
+    ('<bsdf type="diffuse"><spectrum name="reflectance" value="400:1, x"/></bsdf>', "'x' is not a pair"),
+    ('<bsdf type="diffuse"><spectrum name="reflectance" value="1 2"/></bsdf>', "one number or pairs"),
+    ('<bsdf type="diffuse"><texture type="bitmap" name="reflectance"/></bsdf>', "texture 'bitmap' is not supported"),
+    ('<emitter type="constant"><rgb name="radiance" value="-1"/></emitter>', "a radiance is not negative"),
+    ('<bsdf type="conductor"><string name="material" value="Gold"/></bsdf>', "unknown conductor 'Gold'; did you mean"),
+    (
+        '<bsdf type="dielectric"><string name="int_ior" value="bk8"/></bsdf>',
+        "unknown material 'bk8'; did you mean 'bk7'",
+    ),
+    ('<bsdf type="dielectric"><float name="int_ior" value="0"/></bsdf>', "index of refraction is a positive number"),
+    # structure
+    ('<bsdf type="twosided"><bsdf type="dielectric"/></bsdf>', "twosided cannot hold a bsdf 'dielectric'"),
+    ('<bsdf type="twosided"/>', "needs a nested bsdf"),
+    (
+        '<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="conductor"/></bsdf>',
+        "different materials on the two sides are not supported",
+    ),
+    ('<bsdf type="twosided" id="a"><ref id="a"/></bsdf>', "refers to itself"),
+    (SPHERE.format('<bsdf type="diffuse"/><bsdf type="diffuse"/>'), "may hold only one bsdf"),
+    (SPHERE.format('<emitter type="point"/>'), "sphere cannot hold an emitter 'point'"),
+    ('<emitter type="area"/>', "scene cannot hold an emitter 'area'"),
+    (SPHERE.format('<sensor type="perspective"/>'), "cannot hold a sensor"),
+    ('<integrator type="path"/><integrator type="direct"/>', "a scene has only one integrator"),
+    ('<emitter type="constant"/><emitter type="constant"/>', "only one constant emitter"),
+    ('<integrator type="moment"/>', "needs a nested integrator"),
+    (
+        SPHERE.format('<float name="radius" value="1"><float name="a" value="1"/></float>'),
+        "cannot stand inside <float>",
+    ),
+    (SPHERE.format(FLOAT.format(1) * 2), "'radius' is given twice"),
+    (SPHERE.format("text"), "text between elements"),
+    ('<shape type="cylinder"><point name="p1" value="0"/></shape>', "p0 and p1 have to differ"),
+    ('<emitter type="directional"><vector name="direction" value="0"/></emitter>', "the direction is zero"),
+    (
+        '<emitter type="point"><point name="position" value="0"/><transform name="to_world"/></emitter>',
+        "give 'position' or 'to_world', not both",
+    ),
+]
+SENSOR = [
+    ('<float name="fov" value="180"/>', r"'fov' has to lie in \(0, 180\)"),
+    ('<float name="fov" value="40"/><string name="focal_length" value="50mm"/>', "give 'fov' or 'focal_length'"),
+    ('<string name="focal_length" value="50 inch"/>', "a number of millimetres"),
+    ('<string name="fov_axis" value="z"/>', "'fov_axis' is one of x, y, diagonal"),
+    ('<float name="near_clip" value="2"/><float name="far_clip" value="1"/>', "near_clip has to be smaller"),
+    ('<film type="hdrfilm"><integer name="width" value="0"/></film>', r"'width' has to lie in \[1, 65536\]"),
+    ('<film type="hdrfilm"><integer name="crop_offset_x" value="1"/></film>', "the crop window leaves the film"),
+    ('<film type="hdrfilm"><rfilter type="lanczos"/></film>', "rfilter 'lanczos' is not supported"),
+    ('<film type="hdrfilm"><rfilter type="box"><float name="radius" value="1"/></rfilter></film>', "it has none"),
+    ('<sampler type="sobol"/>', "unknown sampler 'sobol'"),
+    ('<sampler type="independent"><integer name="sample_count" value="0"/></sampler>', "'sample_count' has to lie in"),
+    ('<string name="srf" value="x"/>', "parameter 'srf' of sensor 'perspective' is not supported .Mitsuba 3 has it"),
+]
+
+
+@pytest.mark.parametrize(
+    ("inside", "message"), [*INSIDE, *((f'<sensor type="perspective">{x}</sensor>', m) for x, m in SENSOR)]
+)
+def test_wrong_elements(inside, message, scene_of):
+    with pytest.raises(SceneError, match=message) as error:
+        scene_of(inside)
+    assert "scene.xml:" in str(error.value)
+
+
+def test_errors_name_the_line(scene_of):
+    with pytest.raises(SceneError, match=r'scene\.xml:4: <float name="radus">: shape \'sphere\' has no parameter'):
+        scene_of('<shape type="disk"/>\n<shape type="sphere">\n<float name="radus" value="1"/></shape>')
+
+
+BOMB = (
+    '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY a "aaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+    '<scene version="3.0.0">&b;</scene>'
+)
+FILES = [
+    (b"", "there is no scene in this file"),
+    (b"   \n", "there is no scene in this file"),
+    (bytes(range(256)) * 50, "not well-formed XML"),
+    (b"\x89PNG\r\n\x1a\n" + bytes(5000), "not well-formed XML"),
+    (b'<scene version="3.0.0"><shape type="sphere">', "not well-formed XML .no element found|unclosed"),
+    (b'<scene version="3.0.0"><shape type="sph', "not well-formed XML"),
+    (b'<scene version="3.0.0"></shape></scene>', "not well-formed XML .mismatched tag"),
+    (b"<html><body/></html>", "lacks its version"),
+    (b'<html version="3.0.0"><body/></html>', "unknown element; did you mean"),
+    (b'<shape version="3.0.0" type="sphere"/>', "the root of a scene is of type 'scene', not 'sphere'"),
+    (b'<scene version="0.5.0"/>', "version 0.5.0 is not read"),
+    (b'<scene version="3.0.0"/>', "the scene has no sensor"),
+    (b'<scene version="3.0.0">' + b"<a>" * 100_000, "nested more than 64 levels deep"),
+    (BOMB.encode(), "remove the <!DOCTYPE>"),
+    (b'<?xml version="1.0" encoding="nonsense"?><scene version="3.0.0"/>', "not "),
+    ('<scene version="3.0.0">é</scene>'.encode("latin-1"), "not well-formed XML"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), FILES)
+def test_wrong_files(content, message, tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match=message) as error:
+        load(path)
+    assert str(path) in str(error.value)
+
+
+def test_every_cut_of_a_scene_is_an_error(tmp_path):
+    """Cut off anywhere, a scene is refused, and with a SceneError."""
+    text = '<scene version="3.0.0"><sensor type="perspective"/><shape type="sphere"/></scene>'
+    path = tmp_path / "scene.xml"
+    for length in range(len(text)):
+        path.write_text(text[:length])
+        with pytest.raises(SceneError):
+            load(path)
+
+
+def test_include_cycles_and_floods(tmp_path):
+    scene = '<scene version="3.0.0">{}</scene>'
+    (tmp_path / "a.xml").write_text(scene.format('<include filename="b.xml"/>'))
+    (tmp_path / "b.xml").write_text(scene.format('<include filename="a.xml"/>'))
+    with pytest.raises(SceneError, match="includes itself"):
+        load(tmp_path / "a.xml")
+    for number in range(14):  # 2^14 files if nobody counts
+        (tmp_path / f"{number}.xml").write_text(scene.format(f'<include filename="{number + 1}.xml"/>' * 2))
+    (tmp_path / "14.xml").write_text(scene.format(""))
+    with pytest.raises(SceneError, match="too many includes"):
+        load(tmp_path / "0.xml")
+
+
+def test_parameters_that_grow_without_bound(scene_of):
+    names = "".join(f'<default name="p{i + 1}" value="{f"$p{i}" * 16}"/>' for i in range(20))
+    with pytest.raises(SceneError, match="grows beyond a million characters"):
+        scene_of(f'<default name="p0" value="aaaaaaaa"/>{names}')
+
+
+def nested_dict(depth: int) -> dict:
+    bsdf = {"type": "diffuse"}
+    for _ in range(depth):
+        bsdf = {"type": "twosided", "bsdf": bsdf}
+    return bsdf
+
+
+def cyclic_dict() -> dict:
+    scene = {"type": "scene"}
+    scene["again"] = scene
+    return scene
+
+
+DICTS = [
+    ({}, "a scene object is a dict with a 'type' entry"),
+    ({"type": 3}, "a scene object is a dict with a 'type' entry"),
+    ({"type": "sphere"}, "the root of a scene is of type 'scene'"),
+    ({"type": "scene", 3: {"type": "sphere"}}, "keys of a scene object are strings"),
+    ({"type": "scene", "a": {"type": "spere"}}, "a: unknown type 'spere'; did you mean 'sphere'"),
+    ({"type": "scene", "a": {"type": "thindielectric"}}, "a: bsdf 'thindielectric' is not supported"),
+    ({"type": "scene", "a": {"type": "sphere", "radius": "1"}}, "a.radius: 'radius' is a finite number"),
+    ({"type": "scene", "a": {"type": "sphere", "radius": True}}, "'radius' is a finite number"),
+    ({"type": "scene", "a": {"type": "sphere", "radius": math.nan}}, "'radius' is a finite number"),
+    ({"type": "scene", "a": {"type": "sphere", "center": [1, 2]}}, "'center' is three finite numbers"),
+    ({"type": "scene", "a": {"type": "sphere", "center": object()}}, "'center' is three finite numbers"),
+    ({"type": "scene", "a": {"type": "sphere", "to_world": np.eye(3)}}, "'to_world' is a transform"),
+    ({"type": "scene", "a": {"type": "sphere", "to_world": np.eye(4) * np.nan}}, "'to_world' is a transform"),
+    ({"type": "scene", "a": {"type": "sphere", "b": {"type": "ref"}}}, "a.b: a reference needs the 'id'"),
+    ({"type": "scene", "a": {"type": "sphere", "b": {"type": "ref", "id": "c"}}}, "nothing has the id 'c'"),
+    ({"type": "scene", "a": {"type": "diffuse", "reflectance": [0.1, 0.2, 0.3]}}, "a colour is a number, an rgb value"),
+    ({"type": "scene", "a": {"type": "diffuse", "reflectance": {"type": "rgb"}}}, "an rgb colour is one or three"),
+    ({"type": "scene", "a": {"type": "diffuse", "reflectance": {"type": "rgb", "value": "x"}}}, "one or three finite"),
+    (
+        {"type": "scene", "a": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": "x"}}},
+        "a spectrum is one",
+    ),
+    ({"type": "scene", "a": nested_dict(100)}, "nested more than 64 levels deep"),
+    ({"type": "scene", "a": nested_dict(1)["bsdf"], "b": nested_dict(2)}, "twosided cannot hold a bsdf 'twosided'"),
+    (cyclic_dict(), "nested more than 64 levels deep"),
+    ({"type": "scene", "a": {"type": "ply", "filename": 3}}, "'filename' is a file name"),
+]
+
+
+@pytest.mark.parametrize(("source", "message"), DICTS)
+def test_wrong_dicts(source, message):
+    with pytest.raises(SceneError, match=message):
+        load(source)
+
+
+def test_missing_files_and_folders(tmp_path):
+    for source in (tmp_path, tmp_path / "none.xml", "no-such-scene", "\0", "x" * 5000, ""):
+        with pytest.raises(SceneError):
+            load(source)
+    scene = {"type": "scene", "sensor": {"type": "perspective"}, "a": {"type": "ply", "filename": "/no/where.ply"}}
+    with pytest.raises(SceneError, match=r"/no/where.ply: cannot be read"):
+        compile_scene(load(scene))
+
+
+def test_shapes_beyond_the_range_of_the_device():
+    for shape in (
+        {"type": "sphere", "radius": 1e30},
+        {"type": "cube", "to_world": np.diag([1e30, 1, 1, 1])},
+        {"type": "rectangle", "to_world": np.diag([1e300, 1, 1, 1])},
+    ):
+        with pytest.raises(SceneError, match=r"shape 'far' reaches beyond 1e\+18"):
+            compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "far": shape}))
