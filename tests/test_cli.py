@@ -52,7 +52,7 @@ def test_a_render_with_everything(capsys):
         "seed 7",
         "set-up",
         "samples",
-        "stated at quantile 0.99",
+        "% (stated, quantile 0.99)",
         "a.exr",
         "a.png",
     ):

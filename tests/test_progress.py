@@ -1,6 +1,7 @@
 """The progress bar and the numbers that it and the report show to people."""
 
 import io
+import math
 
 import pytest
 
@@ -37,7 +38,12 @@ def test_counts(number, text):
 
 
 def test_percentages():
-    assert [percent(error) for error in (0.0198, 0.000123, 2.5)] == ["1.98 %", "0.0123 %", "250 %"]
+    assert [percent(error) for error in (0.0198, 0.000123, 2.5, math.inf)] == [
+        "1.98 %",
+        "0.0123 %",
+        "250 %",
+        "unknown",
+    ]
 
 
 def test_nothing_is_shown_where_nobody_looks(capsys):

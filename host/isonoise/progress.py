@@ -1,5 +1,6 @@
 """The progress bar of a render: time, samples, stated error and time left, on a terminal only."""
 
+import math
 import sys
 
 
@@ -63,5 +64,5 @@ def count(number: float) -> str:
 
 
 def percent(error: float) -> str:
-    """A relative error for people: '1.98 %', '0.0123 %'."""
-    return f"{100 * error:.3g} %"
+    """A relative error for people: '1.98 %', '0.0123 %'; 'unknown' where too few pixels have samples to tell."""
+    return f"{100 * error:.3g} %" if math.isfinite(error) else "unknown"

@@ -217,7 +217,7 @@ def _say_what(say, options: argparse.Namespace, renderer: Renderer) -> None:
 def _say_result(say, facts: dict[str, object]) -> None:
     say("rendered", f"{duration(facts['time_s'])}, {facts['samples']:,} samples, {facts['spp']:.4g} per pixel")
     say("stopped", {"interrupted": "on request"}.get(facts["stopped_by"], f"by --{facts['stopped_by']}"))
-    say("error", f"{percent(facts['stated_error'])} stated at quantile {facts['quantile']:g}")
+    say("error", f"{percent(facts['stated_error'])} (stated, quantile {facts['quantile']:g})")
     last = facts["last_wave"] or {}
     if "true_p99" in last:
         quantiles = ", ".join(f"p{q} {percent(last[f'true_p{q}'])}" for q in (50, 95, 99))
