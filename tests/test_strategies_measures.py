@@ -67,7 +67,7 @@ def test_a_black_image_has_no_floor_and_no_nan():
 
 
 def test_with_the_bare_floor_pixels_of_zero_median_take_the_whole_budget():
-    """One sample in 8 is 24, the rest 0, among pixels of the same relative variance 7: kappa = 8 bounds what it may claim."""
+    """One sample in 8 is 24, the rest 0, among pixels of the same relative variance 7: kappa bounds what it claims."""
     x = np.random.default_rng(2).lognormal(0, np.sqrt(np.log(8)), size=(800, 10, 10))
     x[:, 5, 5] = np.where(np.arange(800) % 8 == 0, 24.0, 0.0)
     s = of_samples(x)

@@ -77,7 +77,9 @@ def true_error(
     floor = image_floor(r)
     off = np.abs(luminance(image) - r)
     relative = _relative(off, r, floor)
-    p50, p95, p99 = (float(p) for p in np.quantile(relative, (0.5, 0.95, 0.99)))
+    # Interpolated as usual, but there is nothing between a number and inf.
+    method = "linear" if np.isfinite(relative).all() else "inverted_cdf"
+    p50, p95, p99 = (float(p) for p in np.quantile(relative, (0.5, 0.95, 0.99), method=method))
     rel_mse, rel_mse_trimmed = _rel_mse(image, reference, REL_MSE_EPSILON)
     rel_mse_floor, rel_mse_floor_trimmed = _rel_mse(image, reference, floor**2)
     r_se = np.zeros_like(r) if reference_se is None else _luminance_se(reference_se)
