@@ -148,7 +148,7 @@ def _write_failure(folder: Path, image: Estimate, reference: Estimate, scores: n
     """Writes both images and the scores: EXR for numbers, PNG for a look (white: 6 errors too bright)."""
     from PIL import Image
 
-    finite = np.nan_to_num(np.broadcast_to(scores, (*scores.shape[:2], 3)))
+    finite = np.nan_to_num(np.broadcast_to(scores, (*scores.shape[:2], 3)), posinf=1e3, neginf=-1e3)
     images = {"image": image.mean, "reference": reference.mean, "scores": finite}
     paths = []
     for name, pixels in images.items():

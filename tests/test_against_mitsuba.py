@@ -31,7 +31,10 @@ def mitsuba_folder(pytestconfig, tmp_path_factory) -> Path:
 
 
 def render_batches(path: Path, spp: int) -> list[isonoise.Statistics]:
-    return [isonoise.render(path, spp=spp, strategy="uniform", seed=seed).statistics for seed in range(BATCHES)]
+    return [
+        isonoise.render(path, spp=spp, strategy=f"uniform:wave_spp={spp}", seed=seed).statistics
+        for seed in range(BATCHES)
+    ]
 
 
 def compare(ours: np.ndarray, theirs: np.ndarray, blocks: tuple[int, ...], folder: Path) -> None:
@@ -54,16 +57,16 @@ def test_builtin_scene_in_small(name, mitsuba_folder, tmp_path):
 @pytest.mark.parametrize("name", BLOCKS)
 def test_builtin_scene(name, mitsuba_folder, tmp_path):
     path = find_scene(name)
-    theirs = references.mitsuba_batches(path, 256, BATCHES, mitsuba_folder)
-    ours = np.stack([statistics.rgb for statistics in render_batches(path, 256)])
+    theirs = references.mitsuba_batches(path, 64, BATCHES, mitsuba_folder)
+    ours = np.stack([statistics.rgb for statistics in render_batches(path, 64)])
     compare(ours, theirs, BLOCKS[name], tmp_path)
 
 
 def test_public_cornell_box(public_scenes, tmp_path):
     folder = public_scenes / "cornell-box"
     reference = references.read_reference(folder / "reference.exr")
-    batches = render_batches(folder / "scene.xml", 16)
-    assert all((statistics.count == 16).all() and not statistics.rejected.any() for statistics in batches)
+    batches = render_batches(folder / "scene.xml", 8)
+    assert all((statistics.count == 8).all() and not statistics.rejected.any() for statistics in batches)
 
     image = references.from_batches(np.stack([statistics.rgb for statistics in batches]))
     references.assert_agree(image, reference, tmp_path)
