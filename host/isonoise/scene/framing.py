@@ -8,7 +8,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import transforms
-from isonoise.scene.meshes import Mesh
+from isonoise.scene.meshes import Mesh, used_vertices
 from isonoise.scene.obj import read_mtl, read_obj
 from isonoise.scene.ply import read_ply
 
@@ -33,7 +33,7 @@ class Part:
 def frame_mesh(path: Path) -> dict:
     """A scene dict for an OBJ, PLY, STL or GLB file. Raises SceneError where it cannot be read."""
     parts = _read(path)
-    points = np.concatenate([_used_vertices(part.mesh) for part in parts])
+    points = np.concatenate([used_vertices(part.mesh.vertices, part.mesh.faces) for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
     radius = 0.5 * float(np.linalg.norm(high - low))
     if not (math.isfinite(radius) and radius > 0):
@@ -47,15 +47,9 @@ def frame_mesh(path: Path) -> dict:
     for number, part in enumerate(parts):
         scene[f"part_{number}"] = _shape(part)
     if not any(part.radiance for part in parts):
-        scene["sky"] = {"type": "constant", "radiance": 0.5}
+        scene["sky"] = {"type": "constant", "radiance": 0.25}
         scene["key"] = _key_light(center, radius)
     return scene
-
-
-def _used_vertices(mesh: Mesh) -> np.ndarray:
-    used = np.zeros(len(mesh.vertices), bool)
-    used[mesh.faces] = True
-    return mesh.vertices[used]
 
 
 def _read(path: Path) -> list[Part]:
@@ -143,5 +137,5 @@ def _key_light(center: np.ndarray, radius: float) -> dict:
         "type": "rectangle",
         "to_world": place @ transforms.scale(1.2 * radius),
         "bsdf": {"type": "diffuse", "reflectance": 0.0},
-        "emitter": {"type": "area", "radiance": 12.0},
+        "emitter": {"type": "area", "radiance": 8.0},
     }

@@ -68,12 +68,12 @@ def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit vertex normals (v, 3): face normals weighted with the angle at the vertex (Thürmer and Wüthrich 1998)."""
     total = np.zeros((len(vertices), 3))
     corners = [vertices[faces[:, i]] for i in range(3)]
+    edges = [unit(corners[(i + 1) % 3] - corners[i]) for i in range(3)]
     normal = unit(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
     for i in range(3):
-        towards = unit(corners[(i + 1) % 3] - corners[i])
-        back = unit(corners[(i + 2) % 3] - corners[i])
+        towards, back = edges[i], -edges[i - 1]
         # Kahan's formula: exact to rounding for small and for straight angles alike.
-        angle = 2.0 * np.arctan2(np.linalg.norm(towards - back, axis=1), np.linalg.norm(towards + back, axis=1))
+        angle = 2.0 * np.arctan2(lengths(towards - back), lengths(towards + back))
         for axis in range(3):
             total[:, axis] += np.bincount(faces[:, i], normal[:, axis] * angle, len(vertices))
     return unit(total)
@@ -81,5 +81,17 @@ def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def unit(vectors: np.ndarray) -> np.ndarray:
     """Normalised (n, 3); vectors of length 0 stay 0."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    size = lengths(vectors)[:, None]
+    return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
+
+
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Euclidean lengths (n,) of vectors (n, 3)."""
+    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+
+
+def used_vertices(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Those of the vertices that some face names."""
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    return vertices if used.all() else vertices[used]

@@ -37,7 +37,7 @@ class Surface:
     def bounds(self) -> np.ndarray:
         """(2, 3) corners of the box around it, float64."""
         if self.analytic is None:
-            used = self.vertices[self.faces.ravel()] if len(self.faces) < len(self.vertices) else self.vertices
+            used = meshes.used_vertices(self.vertices, self.faces)
             return np.stack([used.min(axis=0), used.max(axis=0)]).astype(float)
         return _analytic_bounds(self.analytic[0])
 
@@ -88,7 +88,7 @@ def _wound_like(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) ->
 def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Areas (t,) in float64."""
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return 0.5 * meshes.lengths(np.cross(b - a, c - a))
 
 
 def _analytic(kind: int, to_world: np.ndarray, where: str) -> np.ndarray:
