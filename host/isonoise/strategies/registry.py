@@ -4,7 +4,7 @@ import difflib
 import importlib
 import inspect
 import sys
-from importlib.metadata import entry_points
+from collections.abc import Iterable
 
 from isonoise.errors import UserError
 from isonoise.strategies.base import Strategy
@@ -19,7 +19,7 @@ _BUILT_IN = {strategy.name: strategy for strategy in (Uniform, RelativeMean, Rel
 
 def available_strategies() -> list[str]:
     """Names that `make_strategy` knows: the built-in ones, then those that installed packages bring, by name."""
-    brought = {entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    brought = {entry.name for entry in _entry_points()}
     return [*_BUILT_IN, *sorted(brought - set(_BUILT_IN))]
 
 
@@ -50,6 +50,12 @@ def describe(strategy: Strategy) -> str:
     return ":".join([head, ",".join(f"{name}={_text(value)}" for name, value in values.items())]).rstrip(":")
 
 
+def _entry_points() -> Iterable:
+    from importlib.metadata import entry_points  # costs as much time as the rest of the package's own modules
+
+    return entry_points(group=ENTRY_POINT_GROUP)
+
+
 def _split(spec: str) -> tuple[str, dict[str, str]]:
     """The name or `module:Class`, and the parameters as text."""
     head, colon, tail = spec.strip().rpartition(":")
@@ -71,7 +77,7 @@ def _split(spec: str) -> tuple[str, dict[str, str]]:
 def _find(name: str) -> type:
     if name in _BUILT_IN:
         return _BUILT_IN[name]
-    for entry in entry_points(group=ENTRY_POINT_GROUP, name=name):
+    for entry in (entry for entry in _entry_points() if entry.name == name):
         try:
             return entry.load()
         except Exception as error:
@@ -139,6 +145,6 @@ def _text(value: object) -> str:
     )
 
 
-def _nearest(name: str, known) -> str:
+def _nearest(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
