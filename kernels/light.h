@@ -20,18 +20,27 @@ INLINE float sphere_one_minus_cos(float radius, float distance2)
 }
 #endif
 
+#if FEATURE_SPHERE_LIGHTS
+// Whether the sphere is sampled by the cone under which it appears: if it shines outwards and is seen from outside. By the
+// side it shines to, because rounding decides on which side a point of the sphere itself seems to be.
+INLINE bool sampled_by_cone(const Geometry* g, __global const Analytic* sphere, float distance2)
+{
+    return !(g->shapes[sphere->shape].flags & SHAPE_FLIP_NORMALS) && distance2 > sphere->radius * sphere->radius;
+}
+#endif
+
 // Density with which `sample_light` would have found the point at `distance` along `direction` on this light.
-INLINE float light_pdf(__global const Light* light, __global const Analytic* analytics, float3 reference,
-                       float3 direction, float distance, float3 normal)
+INLINE float light_pdf(const Geometry* g, __global const Light* light, float3 reference, float3 direction, float distance,
+                       float3 normal)
 {
     const float to_solid_angle = distance * distance / abs1(dot3(normal, direction));
     float density = 0.0f;
 #if FEATURE_SPHERE_LIGHTS
     if (light->kind == LIGHT_SPHERE) {
-        __global const Analytic* sphere = analytics + light->primitive;
+        __global const Analytic* sphere = g->analytics + light->primitive;
         const float3 arm = LOAD3(0, sphere->center) - reference;
         const float distance2 = dot3(arm, arm);
-        density = distance2 > sphere->radius * sphere->radius
+        density = sampled_by_cone(g, sphere, distance2)
                       ? 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2)
                       : to_solid_angle / light->area;
         return density * light->pick_probability;
@@ -51,15 +60,14 @@ INLINE uint pick_light(__global const Alias* table, uint count, float u_high, fl
 }
 
 #if FEATURE_SPHERE_LIGHTS
-// Seen from outside: uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small
-// cones). From inside: uniform over the area.
-INLINE float sample_sphere(__global const Analytic* sphere, float3 reference, float2 u, float area, Surface* s)
+// Uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small cones), else over its area.
+INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, float3 reference, float2 u, Surface* s)
 {
     const float3 arm = reference - LOAD3(0, sphere->center);
     const float distance2 = dot3(arm, arm), radius = sphere->radius;
     float cos_alpha, density = 0.0f;
     float3 axis = (float3)(0.0f, 0.0f, 1.0f);
-    if (distance2 > radius * radius) {
+    if (sampled_by_cone(g, sphere, distance2)) {
         const float sin2_max = radius * radius / distance2, sin_max = SQRT(sin2_max);
         const float cone = sphere_one_minus_cos(radius, distance2);
         const float one_minus_cos = u.x * cone, sin2 = one_minus_cos * (2.0f - one_minus_cos);
@@ -94,7 +102,7 @@ INLINE float sample_surface(const Geometry* g, __global const Light* light, floa
     }
 #endif
 #if FEATURE_SPHERE_LIGHTS
-    case LIGHT_SPHERE: density = sample_sphere(g->analytics + light->primitive, reference, u, light->area, s); break;
+    case LIGHT_SPHERE: density = sample_sphere(g, g->analytics + light->primitive, reference, u, s); break;
 #endif
 #if FEATURE_DISK_LIGHTS
     case LIGHT_DISK:
