@@ -192,7 +192,7 @@ class _Loop:
         return min(seconds) if seconds else None
 
     def _row(self, record: WaveRecord, statistics: Statistics, floor: float) -> None:
-        asked = stated_error(statistics, floor, (*QUANTILES, self.stops.quantile))
+        asked = stated_error(statistics, (*QUANTILES, self.stops.quantile), floor)
         self.error = float(asked[-1])
         elapsed = self.elapsed()
         true = None
