@@ -44,7 +44,7 @@ INSIDE = [
     (SPHERE.format(FLOAT.format("1e400")), "'1e400' is not a finite number"),
     (SPHERE.format(FLOAT.format("")), "'' is not a finite number"),
     (SPHERE.format(FLOAT.format("0")), r"'radius' has to lie in \(0, inf\), got 0.0"),
-    (SPHERE.format('<string name="radius" value="1"/>'), "'radius' is a finite number, got '1'"),
+    (SPHERE.format('<string name="radius" value="1"/>'), "'radius' is a finite number within 3.4e38, got '1'"),
     (SPHERE.format('<point name="center" x="1" y="2"/>'), "attribute 'z' is missing"),
     (SPHERE.format('<point name="center" value="1 2"/>'), "one or three numbers, got 2"),
     (SPHERE.format('<boolean name="flip_normals" value="1"/>'), "'1' is neither true nor false"),
@@ -223,7 +223,7 @@ DICTS = [
     ({"type": "scene", "a": {"type": "sphere", "center": [1, 2]}}, "'center' is three finite numbers"),
     ({"type": "scene", "a": {"type": "sphere", "center": object()}}, "'center' is three finite numbers"),
     ({"type": "scene", "a": {"type": "sphere", "to_world": np.eye(3)}}, "'to_world' is a transform"),
-    ({"type": "scene", "a": {"type": "sphere", "to_world": np.eye(4) * np.nan}}, "'to_world' is a transform"),
+    ({"type": "scene", "a": {"type": "sphere", "to_world": np.eye(4) * 1e39}}, "'to_world' is a transform"),
     ({"type": "scene", "a": {"type": "sphere", "b": {"type": "ref"}}}, "a.b: a reference needs the 'id'"),
     ({"type": "scene", "a": {"type": "sphere", "b": {"type": "ref", "id": "c"}}}, "nothing has the id 'c'"),
     ({"type": "scene", "a": {"type": "diffuse", "reflectance": [0.1, 0.2, 0.3]}}, "a colour is a number, an rgb value"),
@@ -255,11 +255,20 @@ def test_missing_files_and_folders(tmp_path):
         compile_scene(load(scene))
 
 
+TINY, HUGE = np.diag([1e-60, 1e-60, 1e-60, 1]), np.diag([1e38, 1e38, 1e38, 1])
+
+
 def test_shapes_beyond_the_range_of_the_device():
     for shape in (
         {"type": "sphere", "radius": 1e30},
         {"type": "cube", "to_world": np.diag([1e30, 1, 1, 1])},
-        {"type": "rectangle", "to_world": np.diag([1e300, 1, 1, 1])},
+        {"type": "rectangle", "to_world": np.diag([1e38, 1, 1, 1])},
     ):
         with pytest.raises(SceneError, match=r"shape 'far' reaches beyond 1e\+18"):
             compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "far": shape}))
+    for shape in (
+        {"type": "cylinder", "radius": 1e38, "p1": [0, 0, 1e38], "to_world": HUGE},
+        {"type": "disk", "to_world": TINY},
+    ):
+        with pytest.raises(SceneError, match="shape 'odd': its size leaves the range"):
+            compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "odd": shape}))

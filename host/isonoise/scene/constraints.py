@@ -27,7 +27,8 @@ def check_constraints(kind: str, result: dict, place: Place):
 
 
 def _check_invertible(to_world: np.ndarray, place: Place):
-    determinant = np.linalg.det(to_world[:3, :3])
+    with np.errstate(all="ignore"):
+        determinant = np.linalg.det(to_world[:3, :3])
     if not np.isfinite(determinant) or determinant == 0 or np.any(to_world[3] != (0, 0, 0, 1)):
         place.fail("to_world cannot be inverted, or its last row is not 0 0 0 1")
 
@@ -50,6 +51,11 @@ def _conductor(bsdf: dict, place: Place):
     material = bsdf.get("material")
     if material is not None and material not in conductors():
         place.fail(f"unknown conductor '{material}'; did you mean '{nearest(material, conductors())}'?")
+
+
+def _dielectric(bsdf: dict, place: Place):
+    if not _SMALLEST <= bsdf["int_ior"] / bsdf["ext_ior"] <= 1.0 / _SMALLEST:
+        place.fail("int_ior / ext_ior leaves the range of 32-bit floats")
 
 
 def _cylinder(shape: dict, place: Place):
@@ -78,10 +84,12 @@ def _scene(scene: dict, place: Place):
         place.fail('the scene has no sensor; add a <sensor type="perspective">')
 
 
+_SMALLEST = float(np.finfo(np.float32).tiny)
 _CHECKS = {
     "perspective": _perspective,
     "hdrfilm": _hdrfilm,
     "conductor": _conductor,
+    "dielectric": _dielectric,
     "cylinder": _cylinder,
     "directional": _directional,
     "mesh": _mesh,

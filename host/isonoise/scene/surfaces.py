@@ -45,10 +45,9 @@ class Surface:
 def make_surface(shape: dict, where: str) -> Surface:
     """The surface of a shape of the description. `where` names it in errors."""
     to_world = shape.get("to_world", np.eye(4))
-    make = {"sphere": _sphere, "disk": _disk, "cylinder": _cylinder}.get(shape["type"])
-    if make:
+    make = {"sphere": _sphere, "disk": _disk, "cylinder": _cylinder}.get(shape["type"], _triangles)
+    with np.errstate(over="ignore", invalid="ignore"):  # the checks here and of the bounds tell
         return make(shape, to_world, where)
-    return _triangles(shape, to_world, where)
 
 
 def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
@@ -73,8 +72,7 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
         normals = np.where(normals.any(axis=1)[:, None], normals, (0.0, 0.0, 1.0))  # corners of zero area have none
     if shape["flip_normals"]:
         faces, normals = faces[:, ::-1], -normals
-    with np.errstate(over="ignore"):  # the bounds tell
-        vertices = np.ascontiguousarray(vertices, dtype=np.float32)
+    vertices = np.ascontiguousarray(vertices, np.float32)
     return Surface(vertices, np.ascontiguousarray(faces, np.uint32), np.ascontiguousarray(normals, np.float32))
 
 
@@ -92,11 +90,10 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _analytic(kind: int, to_world: np.ndarray, where: str) -> np.ndarray:
-    with np.errstate(over="ignore"):
-        record = np.zeros(1, structs.ANALYTIC)
-        record["kind"] = kind
-        record["to_world"] = to_world[:3].ravel()
-        record["to_object"] = np.linalg.inv(to_world)[:3].ravel()
+    record = np.zeros(1, structs.ANALYTIC)
+    record["kind"] = kind
+    record["to_world"] = to_world[:3].ravel()
+    record["to_object"] = np.linalg.inv(to_world)[:3].ravel()
     if not (np.isfinite(record["to_world"]).all() and np.isfinite(record["to_object"]).all()):
         raise SceneError(f"{where}: its size leaves the range of 32-bit floats")
     return record
@@ -123,6 +120,8 @@ def _cylinder(shape: dict, to_world: np.ndarray, where: str) -> Surface:
     length, radius = np.linalg.norm(axis), shape["radius"]
     along = transforms.frame(axis / length)
     placed = to_world @ transforms.translate(foot) @ along @ transforms.scale((radius, radius, length))
+    if not np.isfinite(placed).all():
+        raise SceneError(f"{where}: its size leaves the range of numbers")
     rotation, stretch = transforms.polar(placed)
     _warn_if_stretched(stretch, (0, 1), where)
     size = (stretch[0, 0], stretch[0, 0], stretch[2, 2])  # negative if mirrored: the tube goes the mirrored way

@@ -1,6 +1,5 @@
 """Values of parameters, checked against the type, range and choices that the registry declares."""
 
-import math
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,6 +8,9 @@ import numpy as np
 from isonoise.scene.materials import refractive_indices
 from isonoise.scene.registry import COLOURS, Parameter
 from isonoise.scene.source import Place, nearest
+
+
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 def check_value(parameter: Parameter, value, place: Place):
@@ -34,7 +36,7 @@ def check_value(parameter: Parameter, value, place: Place):
 
 def _float(value) -> float | None:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(value) if number and math.isfinite(value) else None
+    return float(value) if number and abs(value) <= _LARGEST else None  # NaN compares false
 
 
 def _vector(value) -> tuple[float, float, float] | None:
@@ -44,7 +46,7 @@ def _vector(value) -> tuple[float, float, float] | None:
 
 
 def _transform(value) -> np.ndarray | None:
-    good = isinstance(value, np.ndarray) and value.shape == (4, 4) and np.isfinite(value).all()
+    good = isinstance(value, np.ndarray) and value.shape == (4, 4) and bool((np.abs(value) <= _LARGEST).all())
     return value.astype(np.float64) if good else None
 
 
@@ -74,13 +76,13 @@ _CHECKS = {
     "indices": _indices,
 }
 _MEANING = {
-    "float": "a finite number",
+    "float": "a finite number within 3.4e38",
     "integer": "a whole number",
     "boolean": "true or false",
     "string": "a string",
     "file": "a file name",
-    "vector": "three finite numbers",
-    "transform": "a transform of finite numbers",
+    "vector": "three finite numbers within 3.4e38",
+    "transform": "a transform of finite numbers within 3.4e38",
     "positions": "an array of n x 3 finite numbers",
     "indices": "an array of n x 3 whole numbers",
 }

@@ -122,7 +122,8 @@ class _File:
         for child in tag.children:
             self.substitute(child)
             self.no_children(child)
-            matrix = operation(child) @ matrix
+            with np.errstate(all="ignore"):  # the check of the result tells
+                matrix = operation(child) @ matrix
         return matrix
 
     def _ref(self, parent: Element, tag: Tag, at_root: bool):
