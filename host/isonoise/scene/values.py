@@ -9,7 +9,6 @@ from isonoise.scene.materials import refractive_indices
 from isonoise.scene.registry import COLOURS, Parameter
 from isonoise.scene.source import Place, nearest
 
-
 _LARGEST = float(np.finfo(np.float32).max)
 
 
