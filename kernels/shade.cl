@@ -12,12 +12,13 @@ INLINE float mis_weight(float pdf, float other)
     return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
 }
 
-// Whether a ray's origin lies in the plane of the surface that it seems to have met, as far as rounding can tell. Then it has not:
-// it began on a neighbour in the same plane, and grazes. Both points carry an error, and the origin was moved by its own.
+// Whether a ray's origin lies in the plane of the surface that it seems to have met, as far as rounding can tell: it grazes, from
+// a neighbour in the same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions,
+// where the light of the other side would be seen to leak through. Both points carry an error, the origin was moved by its own.
 INLINE bool in_plane(const Surface* s, float3 origin)
 {
     const float distance = abs1(dot3(origin - s->position, s->geometric_normal));
-    return distance <= 4.0f * dot3(abs3(s->geometric_normal), s->error + GAMMA(7) * abs3(origin));
+    return distance <= 1.25f * dot3(abs3(s->geometric_normal), s->error + GAMMA(7) * abs3(origin));
 }
 
 #if FEATURE_NEXT_EVENT
@@ -80,23 +81,20 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
     }
     const Surface s = surface_at(&geometry, primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
     if (dot3(s.geometric_normal, s.geometric_normal) == 0.0f) return;
-
-    bool passes = false;  // as if the surface were not there, the ray goes on behind it
 #if FEATURE_TRIANGLES
-    passes = !(primitive & ANALYTIC_BIT) && in_plane(&s, origin.xyz);
+    if (!(primitive & ANALYTIC_BIT) && in_plane(&s, origin.xyz)) return;
 #endif
-#if FEATURE_AREA_LIGHTS && FEATURE_HIDE_EMITTERS
-    passes |= depth == 0u && shapes[s.shape].first_light != NONE;
-#endif
-    if (passes) {
-        ray_origin[slot] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
-        alive[i] = 1;
-        return;
-    }
 
 #if FEATURE_AREA_LIGHTS
     __global const Shape* shape = shapes + s.shape;
     if (shape->first_light != NONE) {
+#if FEATURE_HIDE_EMITTERS
+        if (depth == 0u) {  // seen by the camera, the light is not there: the ray goes on behind it
+            ray_origin[slot] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
+            alive[i] = 1;
+            return;
+        }
+#endif
         if (dot3(s.normal, direction.xyz) < 0.0f) {
             __global const Light* light = lights + shape->first_light + ((primitive & ~ANALYTIC_BIT) - shape->first_primitive);
             const float pdf = light_pdf(&geometry, light, origin.xyz, direction.xyz, h.x, s.normal);

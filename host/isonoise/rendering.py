@@ -9,6 +9,7 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.log import LogRow
+from isonoise.film.luminance import luminance
 from isonoise.film.stated_error import relative_standard_error, stated_error
 from isonoise.film.true_error import true_error
 from isonoise.renderer import Renderer, WaveRecord
@@ -109,14 +110,17 @@ class _Loop:
         while (reason := self._reason()) is None:
             record = self._wave()
             statistics = self.renderer.statistics()
-            floor = image_floor(statistics.mean)
-            self._row(record, statistics, floor)
+            self._row(record, statistics)
             # the clock stood still while true errors were computed; the speed includes all else that the wave cost
             self.speed = max(record.samples, 1) / max(self.rows[-1].elapsed_s - self._elapsed_before(), 1e-6)
             on_wave(self.rows[-1])
         if statistics is None:
             statistics = self.renderer.statistics()
-        return Outcome(reason, self.rows, self.elapsed(), statistics, image_floor(statistics.mean))
+        return Outcome(reason, self.rows, self.elapsed(), statistics, self._floor(statistics))
+
+    def _floor(self, statistics: Statistics) -> float:
+        """That of the reference where there is one, so that stated and true errors can be compared; else the image's own."""
+        return image_floor(statistics.mean if self.reference is None else luminance(self.reference[0]))
 
     def _elapsed_before(self) -> float:
         return self.rows[-2].elapsed_s if len(self.rows) > 1 else 0.0
@@ -191,8 +195,8 @@ class _Loop:
             seconds.append(self._samples_to_error() / speed)
         return min(seconds) if seconds else None
 
-    def _row(self, record: WaveRecord, statistics: Statistics, floor: float) -> None:
-        asked = stated_error(statistics, (*QUANTILES, self.stops.quantile), floor)
+    def _row(self, record: WaveRecord, statistics: Statistics) -> None:
+        asked = stated_error(statistics, (*QUANTILES, self.stops.quantile), self._floor(statistics))
         self.error = float(asked[-1])
         elapsed = self.elapsed()
         true = None

@@ -1,5 +1,7 @@
 """The per-pixel statistics on the device: the planes that the reduce stage updates, and how they read in float64."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from isonoise.device.opencl import Device
@@ -12,6 +14,9 @@ CHUNK = 5
 
 MEAN_NOISE = 2.0**-44
 """Differences of means below this share of them are rounding, and count as none (kernels/reduce.cl)."""
+
+STRIP = 2**18
+"""Pixels that are read at a time."""
 
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x, and of M2, over the full blocks
 _OPEN = 6  # planes of the unfinished block: sums of red, green, blue; shift; sums of x - shift and its square
@@ -32,58 +37,63 @@ class Accumulator:
 
     def statistics(self, scale: float = 1.0) -> Statistics:
         """Reads the state; samples on the device are `scale` times those of the scene. Waits for the device."""
-        count = self._device.read(self.count, np.uint32, self.pixels)
-        rejected = self._device.read(self.rejected, np.uint32, self.pixels)
-        opened = count % BLOCK
-        some, full = np.maximum(count, 1), count - opened
-        rgb = np.empty((self.pixels, 3), np.float32)
-        for channel in range(3):
-            total = self._sum(2 * channel)
-            total += np.where(opened > 0, self._open(channel), 0)
-            rgb[:, channel] = total / some / scale
+        n = self.pixels
+        flat = Statistics(
+            count=np.empty(n, np.uint32),
+            rejected=np.empty(n, np.uint32),
+            rgb=np.empty((n, 3), np.float32),
+            mean=np.empty(n),
+            variance=np.empty(n),
+            median=None if self.medians is None else np.empty(n),
+        )
+        for begin in range(0, n, STRIP):  # in strips, so that the intermediate results of a large image stay small
+            self._read_strip(flat, begin, min(STRIP, n - begin), scale)
+        shape = self._shape
+        return Statistics(
+            **{
+                name: plane if plane is None else plane.reshape(*shape, *plane.shape[1:])
+                for name, plane in vars(flat).items()
+            }
+        )
 
-        open_sum, open_squares = self._open(4), self._open(5)
+    def _read_strip(self, into: Statistics, begin: int, n: int, scale: float) -> None:
+        """Fills pixels begin to begin + n of the planes of `into`."""
+        strip = slice(begin, begin + n)
+
+        def plane(buffer, number: int) -> np.ndarray:
+            return self._device.read(buffer, np.float32, n, number * self.pixels + begin).astype(np.float64)
+
+        def total(number: int) -> np.ndarray:
+            return plane(self.sums, number) + plane(self.sums, number + 1)
+
+        into.count[strip] = count = self._device.read(self.count, np.uint32, n, begin)
+        into.rejected[strip] = self._device.read(self.rejected, np.uint32, n, begin)
+        opened = count % BLOCK
+        some, full, is_open = np.maximum(count, 1), count - opened, opened > 0
+        for channel in range(3):
+            rgb = total(2 * channel) + np.where(is_open, plane(self.block_sums, channel), 0)
+            into.rgb[strip, channel] = rgb / some / scale
+
+        open_sum, open_squares = plane(self.block_sums, 4), plane(self.block_sums, 5)
         open_mean = open_sum / np.maximum(opened, 1)
-        m2 = self._sum(8)
-        m2 += np.where(opened > 0, np.maximum(open_squares - open_sum * open_mean, 0), 0)
-        del open_sum, open_squares
-        open_mean += self._open(3)
-        full_sum = self._sum(6)
-        difference = np.where((opened > 0) & (full > 0), open_mean - full_sum / np.maximum(full, 1), 0)
+        m2 = total(8) + np.where(is_open, np.maximum(open_squares - open_sum * open_mean, 0), 0)
+        open_mean += plane(self.block_sums, 3)
+        full_sum = total(6)
+        difference = np.where(is_open & (full > 0), open_mean - full_sum / np.maximum(full, 1), 0)
         difference[np.abs(difference) < MEAN_NOISE * np.abs(open_mean)] = 0
         # Chan, Golub, LeVeque 1983: the unfinished block merged as the kernel merges a full one
         m2 += difference * difference * (full * (opened / some))
-        del difference
-        mean = (full_sum + np.where(opened > 0, open_mean * opened, 0)) / some / scale
-        variance = m2 / np.maximum(count.astype(np.int64) - 1, 1) / scale**2
-        shape = self._shape
-        return Statistics(
-            count=count.reshape(shape),
-            rejected=rejected.reshape(shape),
-            rgb=rgb.reshape(*shape, 3),
-            mean=mean.reshape(shape),
-            variance=np.where(count > 1, variance, 0).reshape(shape),
-            median=None if self.medians is None else (self._median(count) / scale).reshape(shape),
-        )
+        into.mean[strip] = (full_sum + np.where(is_open, open_mean * opened, 0)) / some / scale
+        into.variance[strip] = np.where(count > 1, m2 / np.maximum(count.astype(np.int64) - 1, 1) / scale**2, 0)
+        if into.median is not None:
+            into.median[strip] = self._median(count, plane) / scale
 
-    def _median(self, count: np.ndarray) -> np.ndarray:
+    def _median(self, count: np.ndarray, plane: Callable) -> np.ndarray:
         """M_x: mean of the medians of the full chunks; before the first of these, the median of what is there."""
-        total = self._plane(self.medians, 0) + self._plane(self.medians, 1)
-        median = total / np.maximum(count // CHUNK, 1)
+        median = (plane(self.medians, 0) + plane(self.medians, 1)) / np.maximum(count // CHUNK, 1)
         early = np.flatnonzero((count > 0) & (count < CHUNK))
         if len(early):
-            pending = np.stack([self._plane(self.medians, 2 + place)[early] for place in range(CHUNK - 1)])
+            pending = np.stack([plane(self.medians, 2 + place)[early] for place in range(CHUNK - 1)])
             pending[np.arange(CHUNK - 1)[:, None] >= count[early]] = np.nan
             median[early] = np.nanmedian(pending, axis=0)
         return median
-
-    def _plane(self, buffer, plane: int) -> np.ndarray:
-        return self._device.read(buffer, np.float32, self.pixels, plane * self.pixels).astype(np.float64)
-
-    def _sum(self, plane: int) -> np.ndarray:
-        total = self._plane(self.sums, plane)
-        total += self._device.read(self.sums, np.float32, self.pixels, (plane + 1) * self.pixels)
-        return total
-
-    def _open(self, plane: int) -> np.ndarray:
-        return self._plane(self.block_sums, plane)
