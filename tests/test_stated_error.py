@@ -45,7 +45,7 @@ def smooth_field(rng, size, detail):
     return field / field.std()
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (7, 5), (64, 64), (130, 67), (200, 1500)])
+@pytest.mark.parametrize("shape", [(1, 1), (7, 5), (64, 64), (130, 67), (200, 1500), (30_000, 1), (1, 30_000)])
 def test_equal_errors_are_normal_quantiles(shape):
     s = statistics(100, np.full(shape, 2.0), 4.0)  # se / mean = 0.1
     assert stated_error(s, QUANTILES) == pytest.approx(0.1 * HALF_NORMAL, rel=1e-3)
@@ -215,3 +215,12 @@ def test_half_width_covers_95_percent(n):
     s = of_samples(5 + np.random.default_rng(70 + n).normal(size=(n, 300, 300)))
     covered = np.mean(np.abs(s.mean - 5) <= half_width_95(s))
     assert abs(covered - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 90_000)  # false alarms: 7e-6
+
+
+def test_counts_mixed_at_random_or_by_halves_state_the_same():
+    """Where one count borders on another makes no difference to what sigma_i^2 = variance / count is stated from."""
+    rng = np.random.default_rng(80)
+    count = rng.choice([100, 400], size=(128, 128))
+    stated = stated_error(statistics(count, np.ones(count.shape), 1.0), (0.5, 0.99))
+    half = statistics(np.where(np.arange(128) < 64, 100, 400)[None].repeat(128, 0), np.ones(count.shape), 1.0)
+    assert stated == pytest.approx(stated_error(half, (0.5, 0.99)), rel=0.01)

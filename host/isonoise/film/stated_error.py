@@ -87,7 +87,7 @@ def _t_975(count: np.ndarray) -> np.ndarray:
 def _histogram(statistics: Statistics, floor: float) -> tuple[int, np.ndarray]:
     """Noiseless pixels, and the pixels with noise over the logarithm of the relative error, split between two bins."""
     height, width = statistics.shape
-    rows = max(1, STRIP // (BLOCK * width)) * BLOCK
+    rows = max(1, STRIP // (BLOCK * max(BLOCK, width))) * BLOCK
     size = 2 * OCTAVES * BINS + 1
     histogram = np.zeros(size)
     noiseless = 0

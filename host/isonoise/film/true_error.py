@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isonoise.film.luminance import LUMINANCE, luminance
+from isonoise.film.luminance import luminance
 from isonoise.film.stated_error import half_width_95
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
@@ -76,7 +76,7 @@ def true_error(
     r = luminance(reference)
     floor = image_floor(r)
     off = np.abs(luminance(image) - r)
-    relative = _relative(off, r, floor)
+    relative = _over(off, np.maximum(r, floor))
     # Interpolated as usual, but there is nothing between a number and inf.
     method = "linear" if np.isfinite(relative).all() else "inverted_cdf"
     p50, p95, p99 = (float(p) for p in np.quantile(relative, (0.5, 0.95, 0.99), method=method))
@@ -104,25 +104,22 @@ def reference_serves(p99_compared: Sequence[float], reference: np.ndarray, refer
     """Whether the reference can tell the compared images apart: its own p99 over the pixels of se / max(r, floor) is at
     most a quarter of the smallest p99 compared."""
     r = luminance(reference)
-    relative = _relative(_luminance_se(reference_se), r, image_floor(r))
+    relative = _over(_luminance_se(reference_se), np.maximum(r, image_floor(r)))
     return bool(np.quantile(relative, 0.99) <= min(p99_compared) / 4)
 
 
-def _relative(error: np.ndarray, r: np.ndarray, floor: float) -> np.ndarray:
-    """error / max(r, floor); 0 / 0 is 0 and anything else over 0 is inf (a black reference has no floor)."""
-    scale = np.maximum(r, floor)
-    relative = np.where(error > 0, np.inf, 0.0)
-    return np.divide(error, scale, out=relative, where=scale > 0)
+def _over(error: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """error / scale; 0 / 0 is 0 and anything else over 0 is inf (a black reference has no floor)."""
+    return np.divide(error, scale, out=np.where(error > 0, np.inf, 0.0), where=scale > 0)
 
 
 def _rel_mse(image: np.ndarray, reference: np.ndarray, epsilon: float) -> tuple[float, float]:
     """Mean over pixels and RGB of (x - r)^2 / (r^2 + epsilon), and the same without the worst 0.1 % of the pixels."""
-    r = reference.astype(np.float64)
-    squared = (image - r) ** 2
-    np.square(r, out=r)
-    r += epsilon
-    terms = np.where(squared > 0, np.inf, 0.0)
-    per_pixel = np.divide(squared, r, out=terms, where=r > 0).mean(axis=-1).ravel()
+    per_pixel = np.zeros(reference.shape[:2])
+    for channel in range(3):  # one at a time: large images in float64
+        r = reference[..., channel].astype(np.float64)
+        per_pixel += _over((image[..., channel] - r) ** 2, r * r + epsilon) / 3
+    per_pixel = per_pixel.ravel()
     kept = per_pixel.size - int(WORST * per_pixel.size)
     trimmed = np.partition(per_pixel, kept - 1)[:kept]
     return float(per_pixel.mean()), float(trimmed.mean())
@@ -131,7 +128,7 @@ def _rel_mse(image: np.ndarray, reference: np.ndarray, epsilon: float) -> tuple[
 def _luminance_se(rgb_se: np.ndarray) -> np.ndarray:
     """Standard error of the luminance from those of RGB, as if the channels erred together: the largest it can be, and
     near what it is, since a path's three channels share all its random decisions."""
-    return np.abs(rgb_se, dtype=np.float64) @ np.array(LUMINANCE)
+    return luminance(np.abs(rgb_se))
 
 
 def _energy_ratio(x: np.ndarray, r: np.ndarray, r_se: np.ndarray, statistics: Statistics | None) -> tuple[float, float]:
