@@ -15,6 +15,8 @@ import numpy as np
 from isonoise.scene.ploc import BinaryTree, build_binary_tree, half_area
 
 WIDTH = 8
+SPLIT_COST = 0.15
+"""Cost of a binary split in tests of a block: a node of 8 children, about as dear as a block, stands for 7 splits."""
 STACK_SIZE = 256
 """Entries of a ray's traversal stack (kernels/bvh.h); deeper trees are built again by halving."""
 
@@ -91,8 +93,7 @@ def _collapse(tree: BinaryTree, weight: np.ndarray, by_corner: np.ndarray, trian
     order[first[:primitives]] = np.arange(primitives, dtype=np.int32)
 
     area = half_area(tree.lower, tree.upper)
-    is_leaf = load <= WIDTH
-    is_leaf[:primitives] = True
+    is_leaf = _choose_leaves(tree, area, load)
     root = np.array([len(tree.left) - 1], np.int32)
     levels, stack_need, frontier, need = [], 1, root, np.ones(1, np.int64)
     while len(frontier):
@@ -106,6 +107,20 @@ def _collapse(tree: BinaryTree, weight: np.ndarray, by_corner: np.ndarray, trian
         need = np.repeat(need, inner.sum(axis=1))
     slots = np.concatenate(levels)
     return Bvh(*_lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles), stack_need, len(levels))
+
+
+def _choose_leaves(tree: BinaryTree, area: np.ndarray, load: np.ndarray) -> np.ndarray:
+    """Which binary nodes become leaves: those that fit a block and cost less as one than split further.
+
+    Surface area heuristic (Goldsmith and Salmon 1987): a block costs its area; a split SPLIT_COST of it and its two sides.
+    """
+    cost = area.astype(np.float64)
+    is_leaf = np.ones(len(area), bool)
+    for begin, end in tree.rounds():
+        split = SPLIT_COST * area[begin:end] + cost[tree.left[begin:end]] + cost[tree.right[begin:end]]
+        is_leaf[begin:end] = (load[begin:end] <= WIDTH) & (area[begin:end] <= split)
+        cost[begin:end] = np.where(is_leaf[begin:end], area[begin:end], split)
+    return is_leaf
 
 
 def _open(tree: BinaryTree, frontier: np.ndarray, area: np.ndarray, is_leaf: np.ndarray) -> np.ndarray:
