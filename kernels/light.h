@@ -119,15 +119,8 @@ INLINE float sample_surface(const Geometry* g, __global const Light* light, floa
     default: break;
     }
 #if FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS
-    if (light->kind != LIGHT_TRIANGLE) {
-        s->shape = g->analytics[light->primitive].shape;
-        s->geometric_normal = s->normal;
-    }
+    if (light->kind != LIGHT_TRIANGLE) complete_analytic(g, light->primitive, s);
 #endif
-    if (g->shapes[s->shape].flags & SHAPE_FLIP_NORMALS) {
-        s->normal = -s->normal;
-        s->geometric_normal = -s->geometric_normal;
-    }
     return density;
 }
 #endif

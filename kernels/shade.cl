@@ -47,9 +47,9 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
 #endif
 
 __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, uint max_depth, uint rr_depth,
-                    __global const float* vertices, __global const uint* faces, __global const float* vertex_normals,
-                    __global const uint* triangle_shape, __global const Analytic* analytics, __global const Shape* shapes,
-                    __global const Bsdf* bsdfs, __global const Light* lights, __global const Alias* light_alias,
+                    __global const float4* triangles, __global const uint* faces, __global const float* vertex_normals,
+                    __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
+                    __global const Light* lights, __global const Alias* light_alias,
                     uint light_count, uint environment_light, __global const float4* hit, __global float4* ray_origin,
                     __global float4* ray_direction, __global float4* throughput, __global uint4* path,
                     __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance,
@@ -62,7 +62,7 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
 #if FEATURE_NEXT_EVENT
     shadow_direction[slot] = (float4)(0.0f);
 #endif
-    const Geometry geometry = {vertices, faces, vertex_normals, triangle_shape, analytics, shapes};
+    const Geometry geometry = {triangles, faces, vertex_normals, analytics, shapes};
     const float4 h = hit[slot], origin = ray_origin[slot], direction = ray_direction[slot], carried = throughput[slot];
     const uint4 state = path[slot];
     const uint primitive = as_uint(h.w), depth = state.w;
@@ -86,8 +86,7 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
 #endif
 
 #if FEATURE_AREA_LIGHTS
-    __global const Shape* shape = shapes + s.shape;
-    if (shape->first_light != NONE) {
+    if (s.light != NONE) {
 #if FEATURE_HIDE_EMITTERS
         if (depth == 0u) {  // seen by the camera, the light is not there: the ray goes on behind it
             ray_origin[slot] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
@@ -96,7 +95,7 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
         }
 #endif
         if (dot3(s.normal, direction.xyz) < 0.0f) {
-            __global const Light* light = lights + shape->first_light + ((primitive & ~ANALYTIC_BIT) - shape->first_primitive);
+            __global const Light* light = lights + s.light;
             const float pdf = light_pdf(&geometry, light, origin.xyz, direction.xyz, h.x, s.normal);
             const float3 emitted = weight * LOAD3(0, light->radiance) * mis_weight(direction.w, pdf);
             store3(LOAD3(state.x, samples) + emitted, state.x, samples);
@@ -105,7 +104,7 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
 #endif
 
     if (depth + 1u >= max_depth) return;
-    __global const Bsdf* bsdf = bsdfs + shapes[s.shape].bsdf;
+    __global const Bsdf* bsdf = bsdfs + s.bsdf;
     float3 normal = s.normal;
     float cos_i = -dot3(normal, direction.xyz);
 #if FEATURE_TWOSIDED

@@ -9,38 +9,54 @@ typedef struct {
     float3 position, error;   // |true position - position| <= error, per axis
     float3 geometric_normal;  // unit; zero for a triangle without area
     float3 normal;            // unit shading normal
-    uint shape;
+    uint bsdf, light;         // indices; light is NONE if the surface does not shine
 } Surface;
 
 // All that describes the surfaces of a scene; members that it does not need are NULL.
 typedef struct {
-    __global const float* vertices;
+    __global const float4* triangles;  // records of TRIANGLE_ROWS: host/isonoise/scene/structs.py
     __global const uint* faces;
     __global const float* vertex_normals;
-    __global const uint* triangle_shape;
     __global const Analytic* analytics;
     __global const Shape* shapes;
 } Geometry;
 
+#define TRIANGLE_ROWS 4
+
 #if FEATURE_TRIANGLES
 INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float v)
 {
+    __global const float4* record = g->triangles + TRIANGLE_ROWS * triangle;
+    const float4 corner = record[0], edge1 = record[1], edge2 = record[2];
+    const float3 along1 = u * edge1.xyz, along2 = v * edge2.xyz;
     Surface s;
-    const uint3 corner = LOAD3U(triangle, g->faces);
-    const float3 a = LOAD3(corner.x, g->vertices), b = LOAD3(corner.y, g->vertices), c = LOAD3(corner.z, g->vertices);
-    const float w = 1.0f - u - v;
-    s.position = w * a + u * b + v * c;
-    s.error = GAMMA(7) * (abs3(w * a) + abs3(u * b) + abs3(v * c));
-    s.geometric_normal = s.normal = unit(cross3(b - a, c - a));
-    s.shape = g->triangle_shape[triangle];
+    s.position = corner.xyz + (along1 + along2);
+    // the edges are differences of corners: their rounding is bounded by GAMMA(1) of themselves
+    s.error = GAMMA(5) * (abs3(corner.xyz) + abs3(along1) + abs3(along2));
+    s.geometric_normal = s.normal = record[3].xyz;
+    s.bsdf = as_uint(corner.w) ^ LANE_BIAS;
+    s.light = as_uint(edge1.w) ^ LANE_BIAS;
 #if FEATURE_VERTEX_NORMALS
-    if (g->shapes[s.shape].flags & SHAPE_VERTEX_NORMALS) {
-        const float3 interpolated = unit(w * LOAD3(corner.x, g->vertex_normals) + u * LOAD3(corner.y, g->vertex_normals) +
-                                         v * LOAD3(corner.z, g->vertex_normals));
+    if ((as_uint(edge2.w) ^ LANE_BIAS) & SHAPE_VERTEX_NORMALS) {
+        const uint3 index = LOAD3U(triangle, g->faces);
+        const float3 interpolated = unit((1.0f - u - v) * LOAD3(index.x, g->vertex_normals) +
+                                         u * LOAD3(index.y, g->vertex_normals) + v * LOAD3(index.z, g->vertex_normals));
         s.normal = dot3(interpolated, interpolated) > 0.0f ? interpolated : s.geometric_normal;
     }
 #endif
     return s;
+}
+#endif
+
+#if FEATURE_ANALYTICS
+// What a surface point of an analytic shape has from its shape, once position and outward normal are known.
+INLINE void complete_analytic(const Geometry* g, uint index, Surface* s)
+{
+    __global const Shape* shape = g->shapes + g->analytics[index].shape;
+    if (shape->flags & SHAPE_FLIP_NORMALS) s->normal = -s->normal;
+    s->geometric_normal = s->normal;
+    s->bsdf = shape->bsdf;
+    s->light = shape->first_light == NONE ? NONE : shape->first_light + (index - shape->first_primitive);
 }
 #endif
 
@@ -77,7 +93,6 @@ INLINE Surface analytic_surface(const Geometry* g, uint index, float3 at)
 {
     Surface s;
     __global const Analytic* shape = g->analytics + index;
-    s.shape = shape->shape;
 #if FEATURE_SPHERES
     if (shape->kind == ANALYTIC_SPHERE) sphere_surface(shape, unit(at - LOAD3(0, shape->center)), &s);
 #endif
@@ -96,7 +111,7 @@ INLINE Surface analytic_surface(const Geometry* g, uint index, float3 at)
         transformed_surface(shape, on_shape, shape_normal, &s);
     }
 #endif
-    s.geometric_normal = s.normal;
+    complete_analytic(g, index, &s);
     return s;
 }
 #endif
@@ -104,16 +119,12 @@ INLINE Surface analytic_surface(const Geometry* g, uint index, float3 at)
 // The surface where a ray met `primitive`.
 INLINE Surface surface_at(const Geometry* g, uint primitive, float3 origin, float3 direction, float t, float u, float v)
 {
-    Surface s;
-#if FEATURE_TRIANGLES
-    if (!(primitive & ANALYTIC_BIT)) s = triangle_surface(g, primitive, u, v);
+#if FEATURE_TRIANGLES && FEATURE_ANALYTICS
+    if (!(primitive & ANALYTIC_BIT)) return triangle_surface(g, primitive, u, v);
+#elif FEATURE_TRIANGLES
+    return triangle_surface(g, primitive, u, v);
 #endif
 #if FEATURE_ANALYTICS
-    if (primitive & ANALYTIC_BIT) s = analytic_surface(g, primitive & ~ANALYTIC_BIT, origin + t * direction);
+    return analytic_surface(g, primitive & ~ANALYTIC_BIT, origin + t * direction);
 #endif
-    if (g->shapes[s.shape].flags & SHAPE_FLIP_NORMALS) {
-        s.normal = -s.normal;
-        s.geometric_normal = -s.geometric_normal;
-    }
-    return s;
 }

@@ -17,6 +17,7 @@ from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.scene import structs
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.triangles import triangle_records
 
 STRUCTS = {
     "Camera": structs.CAMERA,
@@ -41,7 +42,7 @@ KERNELS = {
     ),
     "shade": (
         "shade.cl",
-        "queue queue_length seed max_depth rr_depth vertices faces vertex_normals triangle_shape analytics shapes bsdfs "
+        "queue queue_length seed max_depth rr_depth triangles faces vertex_normals analytics shapes bsdfs "
         "lights light_alias light_count environment_light hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive",
     ),
@@ -104,10 +105,9 @@ class Wavefront:
             return device.buffer(size * pool, what)
 
         camera = scene.camera[0]
-        filter_table = np.zeros(0, np.float32)
+        filter_table = nothing = np.zeros(0, np.float32)
         if on["FILTER_TABLE"]:
             filter_table = inverse_cdf(scene.filter, float(camera["filter_radius"]), float(camera["filter_stddev"]))
-        vertex_normals = scene.vertex_normals if on["VERTEX_NORMALS"] else np.zeros(0, np.float32)
         shadowed = on["NEXT_EVENT"]
         return {
             "camera": device.buffer(scene.camera, "the camera"),
@@ -116,12 +116,11 @@ class Wavefront:
             "nodes": table(bvh.nodes, "the hierarchy's nodes"),
             "blocks": table(bvh.blocks, "the hierarchy's triangles"),
             "block_count": np.uint32(len(bvh.blocks)),
-            "vertices": table(scene.vertices, "the vertices"),
-            "faces": table(scene.faces, "the faces"),
-            "vertex_normals": table(vertex_normals, "the vertex normals"),
-            "triangle_shape": table(scene.triangle_shape, "the shapes of the triangles"),
+            "triangles": table(triangle_records(scene), "the triangles"),
+            "faces": table(scene.faces if on["VERTEX_NORMALS"] else nothing, "the faces"),
+            "vertex_normals": table(scene.vertex_normals if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
             "analytics": table(scene.analytics, "the analytic shapes"),
-            "shapes": table(scene.shapes, "the shapes"),
+            "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
             "bsdfs": table(scene.bsdfs, "the materials"),
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),

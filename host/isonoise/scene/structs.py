@@ -9,6 +9,10 @@ import numpy as np
 NONE = 0xFFFFFFFF
 """Marks 'no such index' (a shape without a light, a light without a primitive)."""
 
+LANE_BIAS = 0x40000000
+"""Indices that stand in the fourth lane of a float4 are XORed with it: as they are they would be denormal numbers, and arithmetic
+on the other lanes, which takes the whole register, would stall on them."""
+
 ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
 BSDF_DIFFUSE, BSDF_DIELECTRIC, BSDF_CONDUCTOR = range(3)
 (LIGHT_TRIANGLE, LIGHT_SPHERE, LIGHT_DISK, LIGHT_CYLINDER, LIGHT_POINT, LIGHT_DIRECTIONAL, LIGHT_CONSTANT) = range(7)
@@ -38,6 +42,20 @@ SHAPE = np.dtype(
         ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS
     ]
 )
+
+TRIANGLE = np.dtype(
+    [
+        ("corner", "f4", 3),  # the first one
+        ("bsdf", "u4"),  # XOR LANE_BIAS, like the next two
+        ("edge1", "f4", 3),  # from the first corner to the second
+        ("light", "u4"),  # NONE if it does not shine
+        ("edge2", "f4", 3),  # to the third
+        ("flags", "u4"),  # SHAPE_VERTEX_NORMALS
+        ("normal", "f4", 3),  # unit geometric normal; zero if the triangle has no area
+        ("unused", "u4"),
+    ]
+)
+"""All that shading asks of a triangle, in one cache line; the kernels read it as four float4."""
 
 ANALYTIC = np.dtype(
     [
@@ -78,5 +96,5 @@ ALIAS = np.dtype([("threshold", "f4"), ("alias", "u4")])
 CONSTANTS = {
     name: value
     for name, value in list(globals().items())
-    if isinstance(value, int) and name.split("_")[0] in ("NONE", "ANALYTIC", "BSDF", "LIGHT", "SHAPE")
+    if isinstance(value, int) and name.split("_")[0] in ("NONE", "LANE", "ANALYTIC", "BSDF", "LIGHT", "SHAPE")
 }
