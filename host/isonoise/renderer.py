@@ -1,5 +1,6 @@
 """A render in progress: a scene on a device and a strategy that decides, wave by wave, where the samples go."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -93,7 +94,7 @@ class Renderer:
         when it returns False, and what it has brought by then stays.
         """
         begun = time.perf_counter()
-        wave = self._cut_short or next(self._schedule)
+        wave = self._cut_short or self._planned()
         self._cut_short = None
         pixels = self.scene.width * self.scene.height
         budget = max(1, round(wave.spp * pixels))
@@ -121,8 +122,20 @@ class Renderer:
         """Mean linear RGB, float32 (height, width, 3)."""
         return self.statistics().rgb
 
+    def _planned(self) -> Wave:
+        """The schedule's next wave. A strategy may be anybody's: what it plans and returns is checked."""
+        wave = next(self._schedule, None)
+        if wave is None:
+            raise UserError(f"strategy '{self.strategy.name}' plans no more waves; its schedule has to be endless")
+        if wave.kind not in ("uniform", "adaptive") or not 0 < wave.spp < math.inf:
+            raise UserError(
+                f"strategy '{self.strategy.name}' planned {wave}; "
+                "a wave is 'uniform' or 'adaptive' and has a finite spp above 0"
+            )
+        return wave
+
     def _checked(self, allocation: np.ndarray, budget: int) -> np.ndarray:
-        """A strategy may be anybody's: its map is checked before it reaches the device."""
+        """The map, if it is one that the device can take."""
         allocation = np.asarray(allocation)
         shape = (self.scene.height, self.scene.width)
         total = int(allocation.sum(dtype=np.int64)) if allocation.shape == shape else None

@@ -1,0 +1,511 @@
+"""A render as its caller sees it: what the samples depend on and what not, where it ends, and strategies of one's own.
+
+Two scenes serve nearly all tests, so that few programs are compiled: `lamp_over_floor`, and the same in the dark.
+"""
+
+import itertools
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isonoise.errors import UserError
+from isonoise.renderer import Renderer
+from isonoise.rendering import Stops, render, render_loop
+from isonoise.statistics import Statistics
+from isonoise.strategies import Strategy, Wave, available_strategies
+from isonoise.strategies.allocation import uniform_allocation
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+WIDTH, HEIGHT = 7, 5
+PIXELS = WIDTH * HEIGHT
+BUILT_IN = ["uniform", "relative-mean", "relative-median"]
+
+
+def lamp_over_floor(radiance: float = 5.0, width: int = WIDTH, height: int = HEIGHT, max_depth: int = 4) -> dict:
+    """A small lamp shines on a larger floor that the camera sees: soft light, noise, a black background."""
+    ahead = np.array([0.0, -2.4, -3.0]) / np.hypot(2.4, 3.0)
+    camera = np.eye(4)
+    camera[:3] = np.stack([(-1, 0, 0), np.cross(ahead, (-1, 0, 0)), ahead, (0, 2.4, 3)], axis=1)
+    lamp = np.diag([0.3, 0.3, -1.0, 1.0])  # faces the floor
+    lamp[:3, 3] = (0.4, 0.2, 1.0)
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [radiance, 0.8 * radiance, 0.6 * radiance]}}
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": max_depth, "rr_depth": 2},
+        "sensor": {
+            "type": "perspective",
+            "fov": 50.0,
+            "to_world": camera,
+            "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
+        },
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.6}},
+        "lamp": {"type": "rectangle", "to_world": lamp, "emitter": emitter},
+    }
+
+
+def without(scene: dict, *names: str) -> dict:
+    return {name: value for name, value in scene.items() if name not in names}
+
+
+def assert_same_bits(a: Statistics, b: Statistics) -> None:
+    for name, plane in vars(a).items():
+        other = getattr(b, name)
+        assert (plane is None) == (other is None), name
+        if plane is not None:
+            assert plane.dtype == other.dtype
+            assert plane.tobytes() == other.tobytes(), f"{name} differs in {np.count_nonzero(plane != other)} values"
+
+
+def assert_sound(statistics: Statistics) -> None:
+    for name, plane in vars(statistics).items():
+        if plane is not None:
+            assert np.isfinite(plane).all(), name
+            assert (plane >= 0).all(), name
+
+
+# What the statistics depend on: seed, scene and counts; not the pool, the waves or the slices.
+
+
+@pytest.fixture(scope="module")
+def thirty_spp() -> Statistics:
+    """Of `lamp_over_floor` in one wave of 30 samples per pixel, the median kept."""
+    return render(lamp_over_floor(), spp=30, seed=3, strategy="relative-median:warmup=30").statistics
+
+
+def test_the_scene_of_these_tests_has_light_noise_and_darkness(thirty_spp):
+    assert_sound(thirty_spp)
+    assert np.count_nonzero(thirty_spp.variance > 0) > 5
+    assert np.count_nonzero(thirty_spp.mean == 0) > 5
+
+
+@pytest.mark.parametrize("pool_size", [1, 1_000, 100_000])
+def test_the_pool_changes_no_bit(thirty_spp, pool_size):
+    """1,050 samples: in 66 slices of 16 through one slot, in one slice with slots used again, and all at once."""
+    options = {"seed": 3, "strategy": "relative-median:warmup=30", "pool_size": pool_size}
+    assert_same_bits(render(lamp_over_floor(), spp=30, **options).statistics, thirty_spp)
+
+
+@pytest.mark.parametrize("wave_spp", [1, 10])
+def test_the_number_of_waves_changes_no_bit(wave_spp):
+    renders = [render(lamp_over_floor(), spp=30, seed=3, strategy=f"uniform:wave_spp={spp}") for spp in (wave_spp, 30)]
+    assert [len(each.rows) for each in renders] == [30 // wave_spp, 1]
+    assert_same_bits(renders[0].statistics, renders[1].statistics)
+
+
+@pytest.mark.parametrize("strategy", [pytest.param(name, id=name) for name in BUILT_IN])
+def test_two_runs_are_the_same(strategy):
+    a, b = (render(lamp_over_floor(), spp=41.3, seed=2**64 - 1, strategy=strategy) for _ in range(2))
+    assert_same_bits(a.statistics, b.statistics)
+    assert a.statistics.samples == round(41.3 * PIXELS)
+    if strategy != "uniform":
+        assert len(set(a.statistics.count.ravel().tolist())) > 2
+
+
+def test_all_strategies_are_tested():
+    assert available_strategies()[: len(BUILT_IN)] == BUILT_IN
+
+
+def test_another_seed_gives_other_samples(thirty_spp):
+    """Both halves of the seed count."""
+    means = [thirty_spp.mean]
+    for seed in (4, 3 + 2**32):
+        means.append(render(lamp_over_floor(), spp=30, seed=seed, strategy="relative-median:warmup=30").statistics.mean)
+    noisy = thirty_spp.variance > 0
+    for a, b in itertools.combinations(means, 2):
+        assert (a != b)[noisy].all()
+        # two estimates of the same picture: 5.2 standard errors of the difference, false alarms 2e-7 by the normal law
+        se = np.sqrt(2 * thirty_spp.variance.sum() / 30)
+        assert abs(a.sum() - b.sum()) < 5.2 * se
+
+
+@pytest.mark.parametrize("seed", [-1, 2**64])
+def test_seeds_out_of_range(seed):
+    with pytest.raises(UserError, match=re.escape("0 to 2^64 - 1")):
+        Renderer(lamp_over_floor(), seed=seed)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (67, 3), (3, 67)])
+def test_odd_images(width, height):
+    statistics = render(lamp_over_floor(), spp=5, size=(width, height), strategy="relative-median:warmup=2").statistics
+    assert statistics.shape == (height, width)
+    assert statistics.rgb.shape == (height, width, 3)
+    assert statistics.samples == 5 * width * height
+    assert statistics.count.min() >= 2
+    assert_sound(statistics)
+
+
+def test_rows_and_columns_are_not_mixed_up():
+    """The middle column of a wide image is the middle column of a narrow one; fov_axis is y in both."""
+    scene = lamp_over_floor()
+    scene["sensor"] = without(scene["sensor"], "fov") | {"fov": 50.0, "fov_axis": "y"}
+    wide, narrow = (
+        render(scene, spp=4096, size=size, strategy="relative-median:warmup=4096").statistics
+        for size in ((9, 5), (1, 5))
+    )
+    a, b = wide.mean[:, 4], narrow.mean[:, 0]
+    se = np.sqrt((wide.variance[:, 4] + narrow.variance[:, 0]) / 4096)
+    assert (np.abs(a - b) <= 5.2 * se).all()  # false alarms: 1e-6 over the five pixels
+    assert a.max() > 0
+
+
+# Budgets are met exactly.
+
+
+@pytest.mark.parametrize(("strategy", "spp"), [("uniform", 0.001), ("relative-median", 0.37), ("relative-mean", 17.9)])
+def test_the_budget_is_met_exactly(strategy, spp):
+    outcome = render(lamp_over_floor(), spp=spp, strategy=strategy)
+    assert outcome.statistics.samples == max(1, round(spp * PIXELS)) == outcome.rows[-1].samples
+    assert outcome.reason == "spp"
+
+
+def test_a_uniform_wave_that_was_cut_goes_on_where_it_ended():
+    renderer = Renderer(lamp_over_floor(), strategy="uniform:wave_spp=10")
+    records = [renderer.step(limit) for limit in (3 * PIXELS, 7 * PIXELS, None)]
+    assert [record.samples for record in records] == [3 * PIXELS, 7 * PIXELS, 10 * PIXELS]
+    assert (renderer.statistics().count == 20).all()
+    assert_same_bits(
+        renderer.statistics(), render(lamp_over_floor(), spp=20, strategy="uniform:wave_spp=20").statistics
+    )
+
+
+def test_what_a_cut_leaves_is_spread_evenly():
+    renderer = Renderer(lamp_over_floor(), strategy="uniform:wave_spp=10")
+    for _ in range(10):
+        renderer.step(33)
+    count = renderer.statistics().count
+    assert count.sum() == 330
+    assert count.min() >= 5  # 330 / 35 = 9.4: each step leaves out two other pixels of the 35
+
+
+# Scale of the lights: statistics are relative to it, counts do not know it.
+
+
+@pytest.fixture(scope="module")
+def adaptive() -> Statistics:
+    return render(lamp_over_floor(5.0), spp=100, seed=5, strategy="relative-median").statistics
+
+
+@pytest.mark.parametrize("power", [-20, 20, 120])
+def test_light_scaled_by_a_power_of_two_scales_the_statistics_exactly(adaptive, power):
+    """Near the end of float32 too: the scale is taken out before."""
+    scaled = render(lamp_over_floor(5.0 * 2.0**power), spp=100, seed=5, strategy="relative-median").statistics
+    assert np.array_equal(scaled.count, adaptive.count)
+    for name, exponent in (("mean", 1), ("median", 1), ("rgb", 1), ("variance", 2)):
+        expected = getattr(adaptive, name) * getattr(adaptive, name).dtype.type(2.0 ** (exponent * power))
+        assert np.array_equal(getattr(scaled, name), expected), name
+
+
+def test_light_scaled_by_another_factor_changes_nothing_but_roundings(adaptive):
+    """Every sample is off by a few 2^-24, which may move a largest remainder from one pixel to another now and then."""
+    factor = 1e6
+    scaled = render(lamp_over_floor(5.0 * factor), spp=100, seed=5, strategy="relative-median").statistics
+    off = np.abs(scaled.count.astype(int) - adaptive.count)
+    assert off.max() <= 2
+    same = off == 0
+    assert same.mean() > 0.8
+    assert scaled.mean[same] == pytest.approx(factor * adaptive.mean[same], rel=1e-5)
+    assert scaled.median[same] == pytest.approx(factor * adaptive.median[same], rel=1e-5)
+    assert scaled.variance[same] == pytest.approx(factor**2 * adaptive.variance[same], rel=1e-4)
+
+
+# Where there is little or nothing.
+
+DARK = {
+    "without lights": without(lamp_over_floor(), "lamp"),
+    "nothing at all": without(lamp_over_floor(), "lamp", "floor"),
+    "a black lamp": lamp_over_floor(0.0),
+}
+
+
+@pytest.mark.parametrize("name", DARK)
+def test_dark_scenes_are_black_and_end(name):
+    outcome = render(DARK[name], spp=40)
+    assert outcome.statistics.samples == 40 * PIXELS
+    assert outcome.reason == "spp"
+    assert outcome.floor == 0
+    assert (outcome.rgb == 0).all()
+    assert (outcome.error == 0).all()  # noiseless
+    assert_sound(outcome.statistics)
+
+
+def test_a_black_image_has_no_error():
+    assert render(DARK["without lights"], error=0.01, strategy="uniform").reason == "error"
+
+
+def test_an_environment_alone():
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}}
+    outcome = render(without(lamp_over_floor(), "lamp", "floor") | {"sky": sky}, spp=20)
+    np.testing.assert_allclose(outcome.rgb, np.broadcast_to([0.2, 0.4, 0.6], outcome.rgb.shape), rtol=1e-6)
+    assert (outcome.statistics.variance == 0).all()
+    assert len(np.unique(outcome.statistics.count)) == 1  # no pixel is noisier than another
+
+
+def test_depth_zero_is_black_and_depth_one_sees_lights_alone():
+    """By the scene's integrator and by the option, which is the stronger one."""
+    upwards = lamp_over_floor()["lamp"] | {"to_world": np.eye(4)}  # where the floor was, towards the camera
+    black = render(lamp_over_floor(max_depth=0) | {"floor": upwards}, spp=64, strategy="uniform").statistics
+    assert (black.count == 64).all()
+    assert (black.rgb == 0).all()
+    alone = without(lamp_over_floor(), "floor") | {"lamp": upwards}
+    lights = render(alone, spp=64, strategy="uniform", max_depth=1).statistics
+    assert lights.mean.max() == pytest.approx(5.0 * (0.2126 + 0.8 * 0.7152 + 0.6 * 0.0722), rel=1e-6)
+    assert lights.mean.min() == 0
+    unseen = render(lamp_over_floor(), spp=64, strategy="uniform", max_depth=1).statistics
+    assert (unseen.rgb == 0).all()  # the lamp is turned away from the camera and lights nothing
+
+
+# Samples that are not numbers.
+
+
+def blinding_scene() -> dict:
+    """A point light so near a tiny floor that its irradiance, 1e20, has no square in float32: legal, and not finite."""
+    scene = without(lamp_over_floor(), "lamp")
+    scene["sensor"] = scene["sensor"] | {"near_clip": 1e-12, "far_clip": 1.0, "fov": 90.0}
+    camera = np.eye(4)
+    camera[:3, 3] = (0, 0, 2e-10)
+    scene["sensor"]["to_world"] = camera @ np.diag([1.0, -1.0, -1.0, 1.0])
+    scene["floor"] = scene["floor"] | {"to_world": np.diag([1e-10, 1e-10, 1.0, 1.0])}
+    scene["sun"] = {"type": "point", "position": [0.0, 0.0, 1e-10], "intensity": 1.0}
+    return scene
+
+
+@pytest.mark.parametrize("strategy", ["uniform", "relative-median"])
+def test_samples_that_are_not_finite_are_counted_apart(strategy):
+    outcome = render(blinding_scene(), spp=50, size=(16, 16), strategy=strategy)
+    statistics = outcome.statistics
+    rejected = int(statistics.rejected.sum())
+    assert rejected > 0
+    assert statistics.samples + rejected == 50 * 256
+    assert outcome.rows[-1].rejected == rejected
+    assert statistics.rejected[8, 8] > 0  # the floor fills the middle
+    assert statistics.count[8, 8] == 0
+    assert statistics.rejected[0, 0] == 0  # and not the corner
+    assert (statistics.rgb[8, 8] == 0).all()
+    assert_sound(statistics)
+    assert np.isposinf(outcome.error[8, 8])  # nothing is known there
+
+
+def test_a_picture_of_rejected_samples_alone_ends():
+    scene = blinding_scene()
+    scene["sensor"] = scene["sensor"] | {"fov": 1.0}
+    outcome = render(scene, spp=30)
+    assert outcome.reason == "spp"
+    assert outcome.statistics.samples == 0
+    assert outcome.rows[-1].rejected == 30 * PIXELS
+    assert outcome.rows[-1].stated_p99 == np.inf
+
+
+# Stops.
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({}, "needs a limit"),
+        ({"spp": 0.0}, "spp has to be"),
+        ({"spp": -1.0}, "spp has to be"),
+        ({"time": np.inf}, "time has to be"),
+        ({"error": np.nan}, "error has to be"),
+        ({"error": 0.1, "quantile": 1.0}, "quantile has to"),
+        ({"error": 0.1, "quantile": 0.0}, "quantile has to"),
+    ],
+)
+def test_limits_that_make_no_sense(limits, message):
+    with pytest.raises(UserError, match=message):
+        Stops(**limits)
+
+
+@pytest.mark.parametrize("strategy", BUILT_IN)
+def test_a_stated_error_ends_the_render(strategy):
+    outcome = render(lamp_over_floor(), error=0.05, spp=100_000, strategy=strategy)
+    assert outcome.reason == "error"
+    assert outcome.rows[-1].stated_p99 < 0.05
+    assert all(row.stated_p99 >= 0.05 for row in outcome.rows[:-1])
+    assert outcome.rows[-1].stated_p99 > 0.04  # the waves home in on it: at most half as many samples again as it takes
+
+
+def test_the_error_is_that_of_the_quantile_asked_for():
+    outcome = render(lamp_over_floor(), error=0.05, quantile=0.5, spp=100_000, strategy="uniform")
+    assert outcome.reason == "error"
+    assert outcome.rows[-1].stated_p50 < 0.05 < outcome.rows[-1].stated_p99
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"spp": 4, "error": 1e-9, "time": 600}, "spp"),
+        ({"spp": 1e9, "error": 1e-9, "time": 0.05}, "time"),
+        ({"spp": 1e9, "error": 100.0, "time": 600}, "error"),
+        ({"spp": 16, "error": 100.0}, "error"),  # both at once: the wish that was met is what is said
+    ],
+)
+def test_the_first_limit_reached_ends_the_render(limits, reason):
+    assert render(lamp_over_floor(), strategy="uniform", **limits).reason == reason
+
+
+def test_a_deadline_is_kept():
+    """2 s, kept to 0.15 s. Waves are sized by the speed measured so far, which other programs on the machine change:
+    the best of three attempts counts. The strategy's own waves, a quarter of all before, could end up to 0.5 s late."""
+    late = []
+    for seed in range(3):
+        outcome = render(lamp_over_floor(), time=2.0, strategy="uniform", seed=seed)
+        assert outcome.reason == "time"
+        assert outcome.elapsed_s > 1.99
+        assert outcome.rows[-1].elapsed_s <= outcome.elapsed_s
+        late.append(outcome.elapsed_s - 2.0)
+        if late[-1] < 0.15:
+            return
+    pytest.fail(f"seconds late, each time: {late}")
+
+
+@pytest.mark.parametrize("strategy", ["uniform", "relative-median"])
+def test_the_rows_of_the_log_rise(strategy):
+    seen = []
+    outcome = render_loop(Renderer(lamp_over_floor(), strategy=strategy), Stops(spp=200), on_wave=seen.append)
+    assert seen == outcome.rows
+    assert [row.wave for row in seen] == list(range(1, len(seen) + 1))
+    for before, after in itertools.pairwise(seen):
+        assert before.samples < after.samples
+        assert before.elapsed_s < after.elapsed_s
+    for row in seen:
+        assert row.spp == row.samples / PIXELS
+        assert 0 < row.stated_p50 <= row.stated_p95 <= row.stated_p99
+        assert row.rejected == 0
+    assert seen[0].kind == "uniform"
+    assert ("adaptive" in {row.kind for row in seen}) == (strategy != "uniform")
+    assert seen[-1].samples == 200 * PIXELS
+
+
+def test_the_clock_stands_still_for_true_errors():
+    """A reference that takes long to compare with must not eat the time of the render."""
+    reference = np.ones((HEIGHT, WIDTH, 3), np.float32), None
+    begun = time.perf_counter()
+    outcome = render_loop(Renderer(lamp_over_floor()), Stops(spp=64), reference=reference)
+    assert outcome.elapsed_s < time.perf_counter() - begun
+    assert outcome.rows[-1].true.energy_ratio == pytest.approx(outcome.statistics.mean.mean(), rel=1e-6)
+    assert outcome.floor == pytest.approx(0.01, rel=1e-6)  # the reference's
+
+
+def test_stopped_in_the_middle_of_a_wave(thirty_spp):
+    """Slices of 192 samples: after two, pixels 0 to 11 have their 30 samples, pixel 12 has 24, the rest none."""
+    entered = []
+    renderer = Renderer(lamp_over_floor(), seed=3, strategy="relative-median:warmup=30", pool_size=12)
+
+    def goes_on(samples: int) -> bool:
+        entered.append(samples)
+        return samples < 384
+
+    record = renderer.step(goes_on=goes_on)
+    assert (record.kind, record.samples, record.planned) == ("uniform", 384, 30 * PIXELS)
+    assert entered == sorted(entered)
+    statistics = renderer.statistics()
+    assert statistics.count.ravel().tolist() == [30] * 12 + [24] + [0] * 22
+    for name, plane in vars(statistics).items():
+        whole = getattr(thirty_spp, name)
+        assert np.array_equal(plane.reshape(PIXELS, -1)[:12], whole.reshape(PIXELS, -1)[:12]), name
+    assert_sound(statistics)
+
+
+@pytest.mark.parametrize("questions", [0, 1, 500])
+def test_an_interrupted_render_has_valid_statistics(questions):
+    """`should_stop` says yes after a number of questions: before the first wave, in it, and later."""
+    left = iter([False] * questions)
+    renderer = Renderer(lamp_over_floor(), pool_size=12)
+    outcome = render_loop(renderer, Stops(spp=1e6), should_stop=lambda: next(left, True))
+    assert outcome.reason == "interrupted"
+    assert (outcome.statistics.samples == 0) == (questions < 2)
+    assert outcome.statistics.samples < 1e6 * PIXELS
+    assert (len(outcome.rows) == 0) == (questions == 0)
+    if questions:
+        assert outcome.rows[-1].samples == outcome.statistics.samples
+    assert_sound(outcome.statistics)
+
+
+def test_progress_is_reported():
+    states = []
+    render_loop(
+        Renderer(lamp_over_floor(), strategy="uniform"),
+        Stops(time=0.8, error=1e-9),
+        on_progress=lambda *state: states.append(state),
+    )
+    assert len(states) >= 2
+    elapsed, samples, error, remaining = zip(*states, strict=True)
+    assert list(elapsed) == sorted(elapsed)
+    assert list(samples) == sorted(samples)
+    assert all(0 <= seconds <= 0.8 for seconds in remaining)
+    assert error[-1] > 0
+
+
+# Strategies of one's own.
+
+
+def example_of_the_readme() -> str:
+    """The strategy that host/README.md shows."""
+    (block,) = re.findall(r"```python\n(.*?class .*?)```", (CHECKOUT / "host" / "README.md").read_text(), re.DOTALL)
+    return block
+
+
+def test_the_strategy_of_the_readme(tmp_path, monkeypatch):
+    """Ten lines, by name and as an object, and it does what the text says."""
+    text = example_of_the_readme()
+    assert len([line for line in text.splitlines() if line.strip() and not line.startswith(("import", "from"))]) <= 10
+    (tmp_path / "proportional.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    by_name = render(lamp_over_floor(), spp=24, strategy="proportional:Proportional").statistics
+    from proportional import Proportional
+
+    as_object = render(lamp_over_floor(), spp=24, strategy=Proportional()).statistics
+    assert_same_bits(by_name, as_object)
+    assert by_name.samples == 24 * PIXELS
+    assert (
+        by_name.count[by_name.variance == 0] <= 17
+    ).all()  # 16 of the uniform waves, 8 to 16 in all if it did nothing
+    assert by_name.count.max() > 32
+
+
+class Wrong(Strategy):
+    """Plans and returns whatever it is given."""
+
+    name = "wrong"
+
+    def __init__(self, waves, maps=()):
+        self.planned, self.maps = waves, iter(maps)
+
+    def waves(self):
+        return iter(self.planned)
+
+    def allocate(self, statistics, budget):
+        return next(self.maps)(statistics.shape, budget)
+
+
+def test_a_wrong_allocation_map_is_an_error():
+    maps = {
+        "sum 71": lambda shape, budget: uniform_allocation(shape, budget + 1, 0),
+        "int64": lambda shape, budget: uniform_allocation(shape, budget, 0).astype(np.int64),
+        "float64": lambda shape, budget: uniform_allocation(shape, budget, 0).astype(np.float64),
+        r"shape \(7, 5\)": lambda shape, budget: uniform_allocation(shape[::-1], budget, 0),
+        r"shape \(35,\)": lambda shape, budget: uniform_allocation(shape, budget, 0).ravel(),
+        "sum 150323855325": lambda shape, budget: np.full(shape, 2**32 - 1, np.uint32),
+        "object": lambda shape, budget: None,
+    }
+    renderer = Renderer(lamp_over_floor(), strategy=Wrong([Wave("adaptive", 2.0)] * len(maps), maps.values()))
+    for said in maps:
+        with pytest.raises(UserError, match=f"strategy 'wrong' returned an allocation map of .*{said}"):
+            renderer.step()
+    assert renderer.statistics().samples == 0
+
+
+def test_a_wrong_schedule_is_an_error():
+    wrong = [Wave("uniform", 0.0), Wave("uniform", np.nan), Wave("adaptive", np.inf), Wave("random", 1.0)]
+    renderer = Renderer(lamp_over_floor(), strategy=Wrong([Wave("uniform", 3), *wrong]))
+    assert renderer.step().samples == 3 * PIXELS
+    for wave in wrong:
+        with pytest.raises(UserError, match=re.escape(f"strategy 'wrong' planned {wave}")):
+            renderer.step()
+    with pytest.raises(UserError, match="strategy 'wrong' plans no more waves"):
+        renderer.step()
+    assert renderer.statistics().samples == 3 * PIXELS
