@@ -1,0 +1,39 @@
+"""Memory: bounded by the image and the pool, not by the samples."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+WIDTH, HEIGHT = 3000, 2000
+LIMIT = 2 * 2**30
+
+# The process tells its own peak: that of RUSAGE_CHILDREN would be the largest child of the whole test run.
+PROGRAM = """
+import json, resource, sys
+from isonoise.cli import main
+code = main(sys.argv[1:])
+unit = 1 if sys.platform == "darwin" else 1024
+print(json.dumps({"code": code, "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit}))
+"""
+
+
+@pytest.mark.long
+def test_a_large_image_fits_in_two_gibibytes(tmp_path):
+    """6 million pixels, the chunk medians kept, a uniform and an adaptive wave and the image file.
+
+    On a CPU the device's memory is the process's own: 100 bytes a pixel, 0.6 GB here, for statistics and allocation.
+    """
+    pytest.importorskip("resource", reason="no peak memory of a process on this system")
+
+    arguments = ["render", "cornell", "--size", f"{WIDTH}x{HEIGHT}", "--spp", "3", "-o", str(tmp_path / "large.exr")]
+    arguments += ["--strategy", "relative-median:warmup=2", "--json"]
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    outcome, process = (json.loads(line) for line in done.stdout.splitlines())
+    assert process["code"] == 0
+    assert outcome["samples"] == 3 * WIDTH * HEIGHT
+    assert outcome["last_wave"]["kind"] == "adaptive"
+    assert (tmp_path / "large.exr").stat().st_size > 0
+    assert process["peak"] < LIMIT, f"{process['peak'] / 2**30:.2f} GiB"
