@@ -1,20 +1,21 @@
-// Stages between two bounces: the queue keeps the slots whose paths go on and those that begin a new sample.
-// Stable and without atomics: count per block, scan the blocks, scatter. One work-item a block.
+// Stages between two bounces: the paths that go on move to the front of the pool, in their order; new ones are generated behind
+// them. So the pool stays dense, and paths of one age, which behave alike, stay side by side.
+// Stable and without atomics: count per block, scan the blocks, move. One work-item a block.
 #include "plain.h"
 
-__kernel void count_alive(__global const uchar* alive, uint queue_length, uint block_size, __global uint* block_alive)
+__kernel void count_alive(__global const uchar* alive, uint paths, uint block_size, __global uint* block_alive)
 {
     const uint block = get_global_id(0);
     const uint begin = block * block_size;
-    if (begin >= queue_length) return;
-    const uint end = LESSER(begin + block_size, queue_length);
+    if (begin >= paths) return;
+    const uint end = LESSER(begin + block_size, paths);
     uint sum = 0;
     for (uint i = begin; i < end; ++i) sum += alive[i];
     block_alive[block] = sum;
 }
 
-// Turns the counts into the number alive before each block; total gets the sum.
-__kernel void scan_blocks(__global uint* block_alive, uint blocks, __global uint* total)
+// Turns the counts into the number alive before each block; total_alive gets the sum.
+__kernel void scan_blocks(__global uint* block_alive, uint blocks, __global uint* total_alive)
 {
     if (get_global_id(0) != 0) return;
     uint sum = 0;
@@ -23,29 +24,25 @@ __kernel void scan_blocks(__global uint* block_alive, uint blocks, __global uint
         block_alive[block] = sum;
         sum += here;
     }
-    *total = sum;
+    *total_alive = sum;
 }
 
-// Of the slots that fell free, the first `samples_left` in queue order begin a new sample: they go to `spawn`, and stay queued.
-__kernel void scatter(__global const uchar* alive, uint queue_length, uint block_size, __global const uint* block_alive,
-                      uint samples_left, __global const uint* queue, __global uint* next_queue, __global uint* spawn)
+__kernel void move_paths(__global const uchar* alive, uint paths, uint block_size, __global const uint* block_alive,
+                         __global const float4* ray_origin, __global const float4* ray_direction,
+                         __global const float4* throughput, __global const uint4* path, __global float4* next_ray_origin,
+                         __global float4* next_ray_direction, __global float4* next_throughput, __global uint4* next_path)
 {
     const uint block = get_global_id(0);
     const uint begin = block * block_size;
-    if (begin >= queue_length) return;
-    const uint end = LESSER(begin + block_size, queue_length);
-    uint living = block_alive[block], dead = begin - living;
+    if (begin >= paths) return;
+    const uint end = LESSER(begin + block_size, paths);
+    uint to = block_alive[block];
     for (uint i = begin; i < end; ++i) {
-        const uint slot = queue[i];
-        if (alive[i]) {
-            next_queue[living + LESSER(dead, samples_left)] = slot;
-            ++living;
-        } else {
-            if (dead < samples_left) {
-                next_queue[living + dead] = slot;
-                spawn[dead] = slot;
-            }
-            ++dead;
-        }
+        if (!alive[i]) continue;
+        next_ray_origin[to] = ray_origin[i];
+        next_ray_direction[to] = ray_direction[i];
+        next_throughput[to] = throughput[i];
+        next_path[to] = path[i];
+        ++to;
     }
 }

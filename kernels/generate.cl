@@ -1,5 +1,6 @@
-// Stage: camera rays for the path slots that begin a new sample.
-// Reads spawn (slots, in sample order), the sample list and the per-pixel counts; writes the path state; clears the sample.
+// Stage: camera rays for the slots of the pool from first_slot on, one for each sample of the slice from first_sample on.
+// Reads the sample list and the per-pixel counts; writes the path state; clears the sample.
+// path = (sample of the slice, primitive that the ray starts on, index of the sample in its pixel, depth).
 #include "random.h"
 #include "vectors.h"
 
@@ -16,15 +17,15 @@ INLINE float filter_offset(float u, float radius, __global const float* inverse_
 #endif
 }
 
-__kernel void generate(__global const uint* spawn, uint spawn_count, uint first_sample, uint2 seed,
+__kernel void generate(uint count_new, uint first_slot, uint first_sample, uint2 seed,
                        __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
                        __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
                        __global const uint* rejected, __global float4* ray_origin, __global float4* ray_direction,
-                       __global float4* throughput, __global uint4* path, __global float4* hit, __global float* samples)
+                       __global float4* throughput, __global uint4* path, __global float* samples)
 {
     const uint i = get_global_id(0);
-    if (i >= spawn_count) return;
-    const uint slot = spawn[i], sample = first_sample + i;
+    if (i >= count_new) return;
+    const uint slot = first_slot + i, sample = first_sample + i;
     const uint pixel = sample_pixel[sample];
     const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel]);
 
@@ -45,7 +46,6 @@ __kernel void generate(__global const uint* spawn, uint spawn_count, uint first_
     ray_origin[slot] = (float4)(origin, (camera->far_clip - camera->near_clip) / ahead.z);
     ray_direction[slot] = (float4)(direction, -1.0f);
     throughput[slot] = (float4)(1.0f);
-    path[slot] = (uint4)(sample, pixel, index, 0u);
-    hit[slot].w = as_float(NONE);  // a camera ray starts on no surface
+    path[slot] = (uint4)(sample, NONE, index, 0u);
     store3((float3)(0.0f), sample, samples);
 }

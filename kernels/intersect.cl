@@ -1,20 +1,18 @@
-// Stage: the closest surface along every ray of the queue.
-// Reads ray_origin, ray_direction; writes hit = (t, u, v, primitive bits). Before that, hit holds the primitive that the ray
-// starts on.
+// Stage: the closest surface along the ray of every path.
+// Reads ray_origin, ray_direction, path (the primitive that the ray starts on); writes hit = (t, u, v, primitive bits).
 #include "bvh.h"
 #include "analytic.h"
 
-__kernel void intersect(__global const uint* queue, uint queue_length, __global const float8* nodes,
-                        __global const float8* blocks, uint block_count, __global const Analytic* analytics,
-                        __global const float4* ray_origin, __global const float4* ray_direction, __global float4* hit)
+__kernel void intersect(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
+                        __global const Analytic* analytics, __global const float4* ray_origin,
+                        __global const float4* ray_direction, __global const uint4* path, __global float4* hit)
 {
     const uint i = get_global_id(0);
-    if (i >= queue_length) return;
-    const uint slot = queue[i];
-    const float4 origin = ray_origin[slot];
-    const Ray ray = make_ray(origin.xyz, ray_direction[slot].xyz);
+    if (i >= paths) return;
+    const float4 origin = ray_origin[i];
+    const Ray ray = make_ray(origin.xyz, ray_direction[i].xyz);
 
-    const uint2 skip = (uint2)(as_uint(hit[slot].w), NONE);
+    const uint2 skip = (uint2)(path[i].y, NONE);
 
     float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
     uint primitive = NONE;
@@ -69,7 +67,7 @@ __kernel void intersect(__global const uint* queue, uint queue_length, __global 
         }
         do {
             if (height == 0) {
-                hit[slot] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
+                hit[i] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
                 return;
             }
             --height;

@@ -1,5 +1,5 @@
-// Stage: what happens where the rays of the queue ended: emission, next-event estimation, the next direction, roulette.
-// Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and alive (per queue place).
+// Stage: what happens where the rays ended: emission, next-event estimation, the next direction, roulette.
+// Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and whether the path is alive.
 #include "bsdf.h"
 #include "light.h"
 #include "random.h"
@@ -25,7 +25,7 @@ INLINE bool in_plane(const Surface* s, float3 origin)
 // Leaves a shadow ray for one light; returns without one if nothing could arrive.
 INLINE void next_event(const Geometry* g, __global const Light* lights, __global const Alias* light_alias,
                        uint light_count, const Surface* s, __global const Bsdf* bsdf, float3 normal, float cos_i, float4 u,
-                       float3 weight, uint slot, __global float4* shadow_origin, __global float4* shadow_direction,
+                       float3 weight, uint i, __global float4* shadow_origin, __global float4* shadow_direction,
                        __global float4* shadow_radiance)
 {
     const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, u);
@@ -40,13 +40,13 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
     const float3 direction =
         light.is_infinite ? light.direction
                           : offset_origin(light.position, light.error, light.normal, -light.direction) - origin;
-    shadow_origin[slot] = (float4)(origin, as_float(light.primitive));
-    shadow_direction[slot] = (float4)(direction, light.is_infinite ? INFINITY : 1.0f);
-    shadow_radiance[slot] = (float4)(radiance, 0.0f);
+    shadow_origin[i] = (float4)(origin, as_float(light.primitive));
+    shadow_direction[i] = (float4)(direction, light.is_infinite ? INFINITY : 1.0f);
+    shadow_radiance[i] = (float4)(radiance, 0.0f);
 }
 #endif
 
-__kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, uint max_depth, uint rr_depth,
+__kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
                     __global const float4* triangles, __global const uint* faces, __global const float* vertex_normals,
                     __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
                     __global const Light* lights, __global const Alias* light_alias,
@@ -56,16 +56,15 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
                     __global float* samples, __global uchar* alive)
 {
     const uint i = get_global_id(0);
-    if (i >= queue_length) return;
-    const uint slot = queue[i];
+    if (i >= paths) return;
     alive[i] = 0;
 #if FEATURE_NEXT_EVENT
-    shadow_direction[slot] = (float4)(0.0f);
+    shadow_direction[i] = (float4)(0.0f);
 #endif
     const Geometry geometry = {triangles, faces, vertex_normals, analytics, shapes};
-    const float4 h = hit[slot], origin = ray_origin[slot], direction = ray_direction[slot], carried = throughput[slot];
-    const uint4 state = path[slot];
-    const uint primitive = as_uint(h.w), depth = state.w;
+    const float4 h = hit[i], origin = ray_origin[i], direction = ray_direction[i], carried = throughput[i];
+    const uint4 state = path[i];
+    const uint primitive = as_uint(h.w), pixel = sample_pixel[state.x], depth = state.w;
     float3 weight = carried.xyz;
 
     if (primitive == NONE) {
@@ -89,7 +88,8 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
     if (s.light != NONE) {
 #if FEATURE_HIDE_EMITTERS
         if (depth == 0u) {  // seen by the camera, the light is not there: the ray goes on behind it
-            ray_origin[slot] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
+            ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
+            path[i].y = primitive;
             alive[i] = 1;
             return;
         }
@@ -116,10 +116,10 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
 #if FEATURE_NEXT_EVENT
     if (bsdf_is_smooth(bsdf) && cos_i > 0.0f)
         next_event(&geometry, lights, light_alias, light_count, &s, bsdf, normal, cos_i,
-                   random_block(seed, state.y, state.z, BLOCK_LIGHT(depth)), weight, slot, shadow_origin,
+                   random_block(seed, pixel, state.z, BLOCK_LIGHT(depth)), weight, i, shadow_origin,
                    shadow_direction, shadow_radiance);
 #endif
-    const float4 u = random_block(seed, state.y, state.z, BLOCK_BSDF(depth));
+    const float4 u = random_block(seed, pixel, state.z, BLOCK_BSDF(depth));
     const BsdfSample next = bsdf_sample(bsdf, normal, -direction.xyz, cos_i, u.xyz);
     weight *= next.weight;
     const float total = weight.x + weight.y + weight.z;
@@ -138,9 +138,9 @@ __kernel void shade(__global const uint* queue, uint queue_length, uint2 seed, u
 #endif
     // refraction and reflection carry a rounding error each; over a long path it would leave the unit sphere
     const float3 onward = unit(next.direction);
-    ray_origin[slot] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, onward), INFINITY);
-    ray_direction[slot] = (float4)(onward, next.pdf);
-    throughput[slot] = (float4)(weight, eta);
-    path[slot].w = depth + 1u;
+    ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, onward), INFINITY);
+    ray_direction[i] = (float4)(onward, next.pdf);
+    throughput[i] = (float4)(weight, eta);
+    path[i] = (uint4)(state.x, primitive, state.z, depth + 1u);
     alive[i] = 1;
 }

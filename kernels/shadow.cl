@@ -4,20 +4,19 @@
 #include "bvh.h"
 #include "analytic.h"
 
-__kernel void shadow(__global const uint* queue, uint queue_length, __global const float8* nodes,
-                     __global const float8* blocks, uint block_count, __global const Analytic* analytics,
-                     __global const float4* shadow_origin, __global const float4* shadow_direction,
+__kernel void shadow(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
+                     __global const Analytic* analytics, __global const float4* shadow_origin,
+                     __global const float4* shadow_direction,
                      __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
                      __global float* samples)
 {
     const uint i = get_global_id(0);
-    if (i >= queue_length) return;
-    const uint slot = queue[i];
-    const float4 direction = shadow_direction[slot];
+    if (i >= paths) return;
+    const float4 direction = shadow_direction[i];
     const float t_max = direction.w;
     if (t_max == 0.0f) return;
-    const float4 origin = shadow_origin[slot];
-    const uint2 skip = (uint2)(as_uint(hit[slot].w), as_uint(origin.w));
+    const float4 origin = shadow_origin[i];
+    const uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
     const Ray ray = make_ray(origin.xyz, direction.xyz);
 
     int stack[STACK_SIZE];
@@ -45,6 +44,6 @@ __kernel void shadow(__global const uint* queue, uint queue_length, __global con
         if (height == 0) break;
         reference = stack[--height];
     }
-    const uint sample = path[slot].x;
-    store3(LOAD3(sample, samples) + shadow_radiance[slot].xyz, sample, samples);
+    const uint sample = path[i].x;
+    store3(LOAD3(sample, samples) + shadow_radiance[i].xyz, sample, samples);
 }

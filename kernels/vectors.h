@@ -76,7 +76,7 @@ INLINE float2 square_to_disk(float2 u)
     const float r = wide ? c.x : c.y;
     if (r == 0.0f) return (float2)(0.0f);
     const float2 p = r * small_angle(M_PI_4_F * ((wide ? c.y : c.x) / r));
-    return wide ? p : p.yx;
+    return (float2)(wide ? p.x : p.y, wide ? p.y : p.x);  // scalars: a choice of vectors becomes a jump
 }
 
 // Where a ray that leaves a surface may start without meeting it again: the point moved along the geometric normal past its
@@ -84,7 +84,7 @@ INLINE float2 square_to_disk(float2 u)
 INLINE float3 offset_origin(float3 p, float3 error, float3 normal, float3 direction)
 {
     const float distance = dot3(abs3(normal), error);
-    const float3 offset = dot3(direction, normal) < 0.0f ? -distance * normal : distance * normal;
+    const float3 offset = with_sign(distance, dot3(direction, normal)) * normal;
     // one more step of the float grid, for the rounding of this sum
     return p + offset + with_sign3(0x1p-23f * p, offset);
 }

@@ -24,23 +24,22 @@ def intersect(bvh, origins, directions, analytics=None, t_max=np.inf):
     rays = np.empty((2, n, 4), np.float32)
     rays[0, :, :3], rays[0, :, 3] = origins, t_max
     rays[1, :, :3], rays[1, :, 3] = directions, 0
-    hits = np.zeros((n, 4), np.float32)
-    hits[:, 3] = np.full(n, structs.NONE, np.uint32).view(np.float32)
+    path = np.full((n, 4), structs.NONE, np.uint32)  # no ray starts on a primitive
     buffers = {
-        "queue": np.arange(n, dtype=np.uint32),
         "nodes": bvh.nodes,
         "blocks": bvh.blocks,
         "analytics": np.zeros(0, structs.ANALYTIC) if analytics is None else analytics,
         "origin": rays[0],
         "direction": rays[1],
-        "hit": hits,
+        "path": path,
+        "hit": np.zeros((n, 4), np.float32),
     }
     b = {name: device.buffer(array, name) if array.size else None for name, array in buffers.items()}
     device.launch(
         kernel,
         n,
-        (b["queue"], np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"])
-        + (b["origin"], b["direction"], b["hit"]),
+        (np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"])
+        + (b["origin"], b["direction"], b["path"], b["hit"]),
     )
     found = device.read(b["hit"], np.float32, 4 * n).reshape(n, 4)
     return found[:, 0], found[:, 3].copy().view(np.uint32)
@@ -144,9 +143,13 @@ def random_rays(n, seed, spread=3.0):
 
 def test_spheres_against_float64():
     centers = np.random.default_rng(3).uniform(-2, 2, (20, 3)).astype(np.float32)
-    records = np.concatenate([analytic(structs.ANALYTIC_SPHERE, center=c, radius=0.2 + 0.02 * i) for i, c in enumerate(centers)])
+    records = np.concatenate(
+        [analytic(structs.ANALYTIC_SPHERE, center=c, radius=0.2 + 0.02 * i) for i, c in enumerate(centers)]
+    )
     origins, directions = random_rays(5000, 4)
-    t, which = intersect(build_bvh(np.zeros((0, 3, 3), np.float32), *analytic_bounds(records)), origins, directions, records)
+    t, which = intersect(
+        build_bvh(np.zeros((0, 3, 3), np.float32), *analytic_bounds(records)), origins, directions, records
+    )
     o, d = origins.astype(np.float64)[:, None], directions.astype(np.float64)[:, None]
     f, r = o - records["center"], records["radius"].astype(np.float64)
     a, b, c = (d * d).sum(-1), (f * d).sum(-1), (f * f).sum(-1) - r * r
@@ -177,7 +180,9 @@ def test_disk_and_cylinder_agree_with_their_tessellation(kind):
     corners = (corners @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
     record = analytic(kind, matrix)
     origins, directions = random_rays(20000, 5, spread=2.0)
-    smooth, _ = intersect(build_bvh(np.zeros((0, 3, 3), np.float32), *analytic_bounds(record)), origins, directions, record)
+    smooth, _ = intersect(
+        build_bvh(np.zeros((0, 3, 3), np.float32), *analytic_bounds(record)), origins, directions, record
+    )
     flat, _ = intersect(build_bvh(corners, *no_analytics()), origins, directions)
     assert np.isfinite(flat).sum() > 500
     # the tessellation lies inside by 1 - cos(pi / 4096) = 3e-7 of the radius: only grazing rays can tell

@@ -1,8 +1,8 @@
 """The wavefront loop: traces the samples of an allocation map and reduces them, slice by slice.
 
-A slice is a run of a wave's samples, in pixel order, that fits the sample buffer. Its paths run in a pool of slots: every bounce
-launches intersect, shade and shadow over the queue of slots in use, then compacts the queue and lets the slots of ended paths
-begin the next samples. After the last path the samples enter the statistics.
+A slice is a run of a wave's samples, in pixel order, that fits the sample buffer. Its paths run in a pool: every bounce launches
+intersect, shade and shadow over the paths in flight, then moves those that go on to the front and generates the next samples'
+paths behind them. After the last path the samples enter the statistics.
 """
 
 from collections.abc import Iterator
@@ -33,32 +33,40 @@ KERNELS = {
     "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
     "generate": (
         "generate.cl",
-        "spawn spawn_count first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count rejected "
-        "ray_origin ray_direction throughput path hit samples",
+        "count_new first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count rejected "
+        "ray_origin ray_direction throughput path samples",
     ),
     "intersect": (
         "intersect.cl",
-        "queue queue_length nodes blocks block_count analytics ray_origin ray_direction hit",
+        "paths nodes blocks block_count analytics ray_origin ray_direction path hit",
     ),
     "shade": (
         "shade.cl",
-        "queue queue_length seed max_depth rr_depth triangles faces vertex_normals analytics shapes bsdfs "
+        "paths sample_pixel seed max_depth rr_depth triangles faces vertex_normals analytics shapes bsdfs "
         "lights light_alias light_count environment_light hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive",
     ),
     "shadow": (
         "shadow.cl",
-        "queue queue_length nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path "
+        "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path "
         "samples",
     ),
-    "count_alive": ("compact.cl", "alive queue_length block_size block_alive"),
-    "scan_blocks": ("compact.cl", "block_alive blocks_in_queue total_alive"),
-    "scatter": ("compact.cl", "alive queue_length block_size block_alive samples_left queue next_queue spawn"),
+    "count_alive": ("compact.cl", "alive paths block_size block_alive"),
+    "scan_blocks": ("compact.cl", "block_alive blocks_in_use total_alive"),
+    "move_paths": (
+        "compact.cl",
+        "alive paths block_size block_alive ray_origin ray_direction throughput path "
+        "next_ray_origin next_ray_direction next_throughput next_path",
+    ),
     "reduce": (
         "reduce.cl",
         "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums medians",
     ),
 }
+
+
+PATH_STATE = ("ray_origin", "ray_direction", "throughput", "path")
+"""Buffers that hold a path between bounces; each has a second one, `next_...`, to move to."""
 
 
 class Wavefront:
@@ -129,17 +137,11 @@ class Wavefront:
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
-            "queue": per_path("the queue", 4),
-            "next_queue": per_path("the queue", 4),
-            "spawn": per_path("the list of free slots", 4),
             "alive": per_path("the flags of the paths", 1),
             "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
             "block_size": np.uint32(self.block_size),
             "total_alive": device.buffer(4, "the compaction"),
-            "ray_origin": per_path("the rays"),
-            "ray_direction": per_path("the rays"),
-            "throughput": per_path("the paths"),
-            "path": per_path("the paths"),
+            **{name: per_path("the paths") for state in PATH_STATE for name in (state, f"next_{state}")},
             "hit": per_path("the hits"),
             "shadow_origin": per_path("the shadow rays") if shadowed else None,
             "shadow_direction": per_path("the shadow rays") if shadowed else None,
@@ -157,8 +159,8 @@ class Wavefront:
 
     def warm_up(self) -> None:
         """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid."""
-        nothing = dict.fromkeys(("pixels", "slice_samples", "spawn_count", "queue_length", "blocks_in_queue"), np.uint32(0))
-        nothing |= dict.fromkeys(("first_pixel", "first_sample", "samples_left"), np.uint32(0))
+        bounds = ("pixels", "slice_samples", "count_new", "paths", "blocks_in_use")
+        nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (1, self.pool_size):
             for name in self._kernels:
                 self._launch(name, items, **nothing)
@@ -197,38 +199,31 @@ class Wavefront:
         yield samples
 
     def _trace_paths(self, samples: int) -> Iterator[int]:
-        length = spawned = min(samples, self.pool_size)
-        slots = np.arange(length, dtype=np.uint32)
-        self.device.write(self._arguments["queue"], slots)
-        self.device.write(self._arguments["spawn"], slots)
-        self._launch("generate", length, spawn_count=np.uint32(length), first_sample=np.uint32(0))
-        while length:
-            self._bounce(length)
-            alive = self._compact(length, samples - spawned)
-            begun = min(length - alive, samples - spawned)
-            if begun:
-                self._launch("generate", begun, spawn_count=np.uint32(begun), first_sample=np.uint32(spawned))
-            spawned += begun
-            length = alive + begun
+        paths = begun = 0  # in flight; samples whose path has begun
+        while paths or begun < samples:
+            new = min(self.pool_size - paths, samples - begun)
+            if new:
+                places = {"first_slot": np.uint32(paths), "first_sample": np.uint32(begun)}
+                self._launch("generate", new, count_new=np.uint32(new), **places)
+            begun += new
+            paths = self._bounce(paths + new)
             yield 0
 
-    def _bounce(self, length: int) -> None:
-        of_queue = {"queue_length": np.uint32(length)}
-        self._launch("intersect", length, **of_queue)
-        self._launch("shade", length, **of_queue)
+    def _bounce(self, paths: int) -> int:
+        """One bounce of all paths in flight; returns how many go on. Waits for the device."""
+        bound = {"paths": np.uint32(paths)}
+        self._launch("intersect", paths, **bound)
+        self._launch("shade", paths, **bound)
         if self.features["NEXT_EVENT"]:
-            self._launch("shadow", length, **of_queue)
-
-    def _compact(self, length: int, samples_left: int) -> int:
-        """Makes the next queue; returns how many paths go on. Waits for the device."""
-        blocks = -(-length // self.block_size)
-        of_queue = {"queue_length": np.uint32(length)}
-        self._launch("count_alive", blocks, **of_queue)
-        self._launch("scan_blocks", 1, blocks_in_queue=np.uint32(blocks))
-        self._launch("scatter", blocks, samples_left=np.uint32(samples_left), **of_queue)
-        arguments = self._arguments
-        arguments["queue"], arguments["next_queue"] = arguments["next_queue"], arguments["queue"]
-        return int(self.device.read(arguments["total_alive"], np.uint32, 1)[0])
+            self._launch("shadow", paths, **bound)
+        blocks = -(-paths // self.block_size)
+        self._launch("count_alive", blocks, **bound)
+        self._launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
+        self._launch("move_paths", blocks, **bound)
+        of = self._arguments
+        for name in PATH_STATE:
+            of[name], of[f"next_{name}"] = of[f"next_{name}"], of[name]
+        return int(self.device.read(of["total_alive"], np.uint32, 1)[0])
 
     def _launch(self, name: str, items: int, **given) -> None:
         names = KERNELS[name][1].split()
