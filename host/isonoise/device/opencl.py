@@ -1,5 +1,6 @@
 """The one place that owns the OpenCL context and queue: it picks a device, builds programs, makes buffers, launches kernels."""
 
+import functools
 import os
 import platform
 import warnings
@@ -64,13 +65,23 @@ def select_device(choice: str | int | None = None):
     raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
 
 
+@functools.cache
+def _context(device):
+    """One context a device and process: programs are built for a context, and renders in a row share them."""
+    return _opencl().Context([device])
+
+
+_programs: dict[tuple, object] = {}
+"""Programs built so far, by context, source and options."""
+
+
 class Device:
     """Context, in-order queue, buffers and programs on one OpenCL device."""
 
     def __init__(self, choice: str | int | None = None):
         self._cl = _opencl()
         self.device = select_device(choice)
-        self.context = self._cl.Context([self.device])
+        self.context = _context(self.device)
         self.queue = self._cl.CommandQueue(self.context)
         self.allocated = 0
 
@@ -84,13 +95,18 @@ class Device:
 
     def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
         """Builds one text; returns its kernels by name. Raises DeviceError with the compiler's log."""
+        cached = _programs.get((self.context, source, options))
+        if cached is None:
+            cached = _programs[self.context, source, options] = self._compile(source, options)
+        return {kernel.function_name: kernel for kernel in cached.all_kernels()}
+
+    def _compile(self, source: str, options: tuple[str, ...]):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", self._cl.CompilerWarning)  # some drivers report every success
-                program = self._cl.Program(self.context, source).build(options=list(options), cache_dir=False)
+                return self._cl.Program(self.context, source).build(options=list(options), cache_dir=False)
         except self._cl.Error as error:
             raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
-        return {kernel.function_name: kernel for kernel in program.all_kernels()}
 
     def buffer(self, size: int | np.ndarray, what: str):
         """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in error messages."""
