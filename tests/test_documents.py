@@ -1,0 +1,105 @@
+"""What the READMEs of `host/` and `kernels/` say, where it can be checked: layers, plugins, options, bytes."""
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isonoise.device.opencl import Device
+from isonoise.integrator.wavefront import KERNELS
+from isonoise.renderer import Renderer
+from isonoise.scene.vocabulary import PLUGINS
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+PACKAGE = CHECKOUT / "host" / "isonoise"
+HOST = (CHECKOUT / "host" / "README.md").read_text()
+KERNEL_TEXT = (CHECKOUT / "kernels" / "README.md").read_text()
+
+LAYERS = {  # what each may import beside itself; the table in host/README.md
+    "errors": set(),
+    "statistics": set(),
+    "device": {"errors"},
+    "scene": {"errors"},
+    "strategies": {"errors", "statistics"},
+    "integrator": {"device", "scene", "statistics"},
+    "film": {"errors", "statistics", "strategies"},
+    "renderer": {"errors", "statistics", "device", "scene", "strategies", "integrator"},
+    "rendering": {"errors", "statistics", "device", "scene", "strategies", "integrator", "film", "renderer"},
+}
+
+
+def imports(path: Path) -> set[str]:
+    """First-level modules of isonoise that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
+        names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        found |= {name.split(".")[1] for name in names if name.startswith("isonoise.")}
+    return found
+
+
+def test_dependencies_point_one_way():
+    for layer, allowed in LAYERS.items():
+        files = [PACKAGE / f"{layer}.py"] if (PACKAGE / f"{layer}.py").exists() else (PACKAGE / layer).glob("*.py")
+        for path in files:
+            assert imports(path) <= allowed | {layer}, path.name
+
+
+def test_every_plugin_is_named():
+    scenes = HOST[HOST.index("## Scenes") :]
+    for plugin in PLUGINS:
+        if plugin.kind != "scene":
+            assert f"`{plugin.name}`" in scenes, plugin.name
+
+
+def test_every_kernel_and_header_is_named():
+    for kernel in KERNELS:
+        assert f"`{kernel}`" in KERNEL_TEXT, kernel
+    for file in (CHECKOUT / "kernels").glob("*.h"):
+        assert f"`{file.name}`" in KERNEL_TEXT, file.name
+
+
+def test_links_between_the_documents_lead_somewhere():
+    for path in [CHECKOUT / "README.md", *CHECKOUT.glob("*/README.md")]:
+        for target in re.findall(r"\]\((?!https?:)([^)#]+)", path.read_text()):
+            assert (path.parent / target).exists(), f"{path}: {target}"
+
+
+@pytest.mark.parametrize("strategy", ["uniform", "relative-median"])
+@pytest.mark.parametrize("lit", [False, True])
+def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, lit, strategy):
+    """The table in kernels/README.md against what is allocated for two pools and two image sizes."""
+    names = {"uniform": 0, "relative-median": 24}
+    stated = [int(number) for number in re.findall(r"\| (\d+) a path", KERNEL_TEXT)]
+    path_bytes = sum(stated) - (0 if lit else 48)
+    (pixel_bytes,) = (int(number) for number in re.findall(r"\| (\d+) a pixel", KERNEL_TEXT))
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 2},
+        "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+        "ball": {"type": "sphere"},
+    }
+    if lit:
+        scene["light"] = {"type": "point", "intensity": 1.0}
+    # this is about buffers alone: no kernel is built
+    monkeypatch.setattr(Device, "build", lambda self, text, options: {})
+
+    def allocated(pool: int, size: tuple[int, int]) -> int:
+        total = []
+        buffer = Device.buffer
+        with monkeypatch.context() as patch:
+
+            def counted(self, what, name):
+                total.append(what.nbytes if isinstance(what, np.ndarray) else what)
+                return buffer(self, what, name)
+
+            patch.setattr(Device, "buffer", counted)
+            Renderer(scene, pool_size=pool, size=size, strategy=strategy)
+        return sum(total)
+
+    small = allocated(1024, (8, 8))
+    blocks = 4 * 1024 / 512  # of the compaction, 4 bytes for 512 paths on a CPU and for 64 on a GPU
+    assert 0 <= allocated(2048, (8, 8)) - small - 1024 * path_bytes <= 8 * blocks
+    assert allocated(1024, (16, 8)) - small == 64 * (pixel_bytes + names[strategy])
