@@ -81,9 +81,19 @@ def test_the_scene_of_these_tests_has_light_noise_and_darkness(thirty_spp):
     assert np.count_nonzero(thirty_spp.mean == 0) > 5
 
 
-@pytest.mark.parametrize("pool_size", [1, 1_000, 100_000])
+@pytest.mark.parametrize(
+    "pool_size",
+    [
+        1,
+        pytest.param(
+            10, marks=pytest.mark.xfail(strict=False, reason="a buffer of 10 bytes cannot be filled with words of 4")
+        ),
+        1_000,
+        100_000,
+    ],
+)
 def test_the_pool_changes_no_bit(thirty_spp, pool_size):
-    """1,050 samples: in 66 slices of 16 through one slot, in one slice with slots used again, and all at once."""
+    """1,050 samples: in slices of 16 through one slot, of 160, in one with slots used again, all at once."""
     options = {"seed": 3, "strategy": "relative-median:warmup=30", "pool_size": pool_size}
     assert_same_bits(render(lamp_over_floor(), spp=30, **options).statistics, thirty_spp)
 
@@ -286,6 +296,16 @@ def test_samples_that_are_not_finite_are_counted_apart(strategy):
     assert (statistics.rgb[8, 8] == 0).all()
     assert_sound(statistics)
     assert np.isposinf(outcome.error[8, 8])  # nothing is known there
+
+
+def test_rejected_samples_have_an_index_too():
+    """Else the next wave would draw the same numbers again, and samples that count would count twice."""
+    renders = [
+        render(blinding_scene(), spp=30, size=(16, 16), strategy=f"uniform:wave_spp={spp}").statistics
+        for spp in (10, 30)
+    ]
+    assert ((renders[0].rejected > 0) & (renders[0].count > 0)).any()
+    assert_same_bits(*renders)
 
 
 def test_a_picture_of_rejected_samples_alone_ends():
