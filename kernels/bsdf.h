@@ -2,8 +2,9 @@
 #pragma once
 #include "vectors.h"
 
+// Mirrored and refracted directions are made unit again: over a path of many such steps their rounding would add up.
 typedef struct {
-    float3 direction;
+    float3 direction;  // unit
     float3 weight;  // bsdf * |cos| / pdf
     float pdf;      // solid angle; negative if the lobe is a delta function
     float eta;      // index of the side that `direction` is on over that of the incident side
@@ -71,11 +72,11 @@ INLINE BsdfSample dielectric_sample(__global const Bsdf* bsdf, float3 normal, fl
     BsdfSample sample;
     sample.pdf = -1.0f;
     if (u <= reflectance) {
-        sample.direction = 2.0f * abs1(cos_i) * facing - wi;
+        sample.direction = unit(2.0f * abs1(cos_i) * facing - wi);
         sample.weight = LOAD3(0, bsdf->reflectance);
         sample.eta = 1.0f;
     } else {
-        sample.direction = (abs1(cos_i) / eta - cos_t) * facing - wi / eta;
+        sample.direction = unit((abs1(cos_i) / eta - cos_t) * facing - wi / eta);
         // radiance is squeezed into a smaller solid angle: Veach's thesis, 5.2
         sample.weight = LOAD3(0, bsdf->transmittance) / (eta * eta);
         sample.eta = eta;
@@ -104,7 +105,7 @@ INLINE float3 fresnel_conductor(float cos_i, float3 eta, float3 k)
 INLINE BsdfSample conductor_sample(__global const Bsdf* bsdf, float3 normal, float3 wi, float cos_i)
 {
     BsdfSample sample;
-    sample.direction = 2.0f * cos_i * normal - wi;
+    sample.direction = unit(2.0f * cos_i * normal - wi);
     sample.weight = (float3)(0.0f);
     if (cos_i > 0.0f)
         sample.weight = LOAD3(0, bsdf->reflectance) * fresnel_conductor(cos_i, LOAD3(0, bsdf->eta), LOAD3(0, bsdf->k));

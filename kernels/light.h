@@ -18,9 +18,7 @@ INLINE float sphere_one_minus_cos(float radius, float distance2)
     const float sin2 = radius * radius / distance2;
     return sin2 / (1.0f + SQRT(GREATER(1.0f - sin2, 0.0f)));
 }
-#endif
 
-#if FEATURE_SPHERE_LIGHTS
 // Whether the sphere is sampled by the cone under which it appears: if it shines outwards and is seen from outside. By the
 // side it shines to, because rounding decides on which side a point of the sphere itself seems to be.
 INLINE bool sampled_by_cone(const Geometry* g, __global const Analytic* sphere, float distance2)
@@ -34,19 +32,16 @@ INLINE float light_pdf(const Geometry* g, __global const Light* light, float3 re
                        float3 normal)
 {
     const float to_solid_angle = distance * distance / abs1(dot3(normal, direction));
-    float density = 0.0f;
+    float density = to_solid_angle / light->area;
 #if FEATURE_SPHERE_LIGHTS
     if (light->kind == LIGHT_SPHERE) {
         __global const Analytic* sphere = g->analytics + light->primitive;
         const float3 arm = LOAD3(0, sphere->center) - reference;
         const float distance2 = dot3(arm, arm);
-        density = sampled_by_cone(g, sphere, distance2)
-                      ? 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2)
-                      : to_solid_angle / light->area;
-        return density * light->pick_probability;
+        if (sampled_by_cone(g, sphere, distance2))
+            density = 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2);
     }
 #endif
-    density = to_solid_angle / light->area;
     return density * light->pick_probability;
 }
 

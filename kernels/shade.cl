@@ -49,8 +49,8 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
 __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
                     __global const float4* triangles, __global const uint* faces, __global const float* vertex_normals,
                     __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
-                    __global const Light* lights, __global const Alias* light_alias,
-                    uint light_count, uint environment_light, __global const float4* hit, __global float4* ray_origin,
+                    __global const Light* lights, __global const Alias* light_alias, uint light_count,
+                    uint environment_light, __global const float4* hit, __global float4* ray_origin,
                     __global float4* ray_direction, __global float4* throughput, __global uint4* path,
                     __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance,
                     __global float* samples, __global uchar* alive)
@@ -136,10 +136,8 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
         weight /= survival;
     }
 #endif
-    // refraction and reflection carry a rounding error each; over a long path it would leave the unit sphere
-    const float3 onward = unit(next.direction);
-    ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, onward), INFINITY);
-    ray_direction[i] = (float4)(onward, next.pdf);
+    ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, next.direction), INFINITY);
+    ray_direction[i] = (float4)(next.direction, next.pdf);
     throughput[i] = (float4)(weight, eta);
     path[i] = (uint4)(state.x, primitive, state.z, depth + 1u);
     alive[i] = 1;
