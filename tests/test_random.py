@@ -23,6 +23,15 @@ __kernel void blocks(__global const uint4* counter, __global const uint2* key, _
     bits[i] = philox(counter[i], key[i]);
     numbers[i] = random_block(key[i], counter[i].x, counter[i].y, counter[i].z);
 }
+
+__kernel void names(__global uint* name, uint depths)
+{
+    const uint depth = get_global_id(0);
+    if (depth >= depths) return;
+    name[3 * depth] = BLOCK_CAMERA;
+    name[3 * depth + 1] = BLOCK_BSDF(depth);
+    name[3 * depth + 2] = BLOCK_LIGHT(depth);
+}
 """
 
 
@@ -92,6 +101,16 @@ def test_the_device_computes_philox(generate):
     # a path's numbers: the counter is (pixel, index, block, 0)
     expected = [philox_4x32([*w[:3], 0], w[4:]) for w in words]
     assert numbers.tolist() == [[(word >> 8) / 2**24 for word in block] for block in expected]
+
+
+def test_every_use_has_its_own_block():
+    device = Device()
+    kernel = device.build(flatten("random.h") + KERNEL, ("-cl-std=CL1.2",))["names"]
+    buffer = device.buffer(12 * 100, "names")
+    device.launch(kernel, 100, (buffer, np.uint32(100)))
+    camera, bsdf, light = device.read(buffer, np.uint32, 300).reshape(100, 3).T.tolist()
+    assert len(set(camera)) == 1
+    assert len({camera[0], *bsdf, *light}) == 201
 
 
 @pytest.fixture(scope="module")
