@@ -126,5 +126,8 @@ INLINE Surface surface_at(const Geometry* g, uint primitive, float3 origin, floa
 #endif
 #if FEATURE_ANALYTICS
     return analytic_surface(g, primitive & ~ANALYTIC_BIT, origin + t * direction);
+#elif !FEATURE_TRIANGLES
+    const Surface none = {0.0f, 0.0f, 0.0f, 0.0f, 0, NONE};  // an empty scene: nothing is ever met
+    return none;
 #endif
 }

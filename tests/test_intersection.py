@@ -38,8 +38,10 @@ def intersect(bvh, origins, directions, analytics=None, t_max=np.inf):
     device.launch(
         kernel,
         n,
-        (np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"])
-        + (b["origin"], b["direction"], b["path"], b["hit"]),
+        (
+            *(np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"]),
+            *(b["origin"], b["direction"], b["path"], b["hit"]),
+        ),
     )
     found = device.read(b["hit"], np.float32, 4 * n).reshape(n, 4)
     return found[:, 0], found[:, 3].copy().view(np.uint32)

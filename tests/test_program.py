@@ -80,7 +80,6 @@ def test_every_include_stands_in_the_text_once(name):
     assert sorted(re.findall(r'^#line 1 "(.*?)"', text, re.MULTILINE)) == sorted(reached)
 
 
-@pytest.mark.xfail(strict=False, reason="`#pragma once` is taken out with its line: what follows is one line off")
 @pytest.mark.parametrize("name", FILES)
 def test_every_line_says_where_it_is_from(name):
     """Followed by its `#line` directives, the text is the files, line by line."""
@@ -104,8 +103,6 @@ def test_a_compiler_error_names_file_and_line(name, monkeypatch):
 
     monkeypatch.setattr(program, "kernel_source", spoiled)
     line = source(name).count("\n") + 1
-    if "#pragma once" in source(name):
-        line -= 1  # see above
     with pytest.raises(DeviceError, match=rf"{re.escape(name)}\D{{1,3}}{line}\b"):
         Device().build(*stage_source("compact.cl", STRUCTS, CONSTANTS, only()))
 
@@ -222,14 +219,7 @@ def device():
 
 @pytest.mark.parametrize(
     "features",
-    [
-        pytest.param(all_but(), id="all"),
-        pytest.param(
-            only(),
-            id="none",
-            marks=pytest.mark.xfail(strict=False, reason="surface_at returns nothing where a scene has no surfaces"),
-        ),
-    ],
+    [pytest.param(all_but(), id="all"), pytest.param(only(), id="none")],
 )
 def test_stages_build_without_warnings(device, features):
     for name in STAGES:

@@ -1,8 +1,11 @@
 """The reduce stage against float64: made samples go in, statistics come out.
 
-Tolerances: a mean of x carries 48 bits over full blocks of 16, within which plain float32 sums of differences from the running
-mean round by at most 16 * 2^-24 of their size; so 2e-6 of the samples' spread, plus the 2^-24 of an RGB image in float32.
+Tolerances: a mean of x carries 48 bits over full blocks of 16, within which plain float32 sums of differences from the
+running mean round by at most 16 * 2^-24 of their size; so 2e-6 of the samples' spread, plus the 2^-24 of an RGB image
+in float32.
 """
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -35,8 +38,10 @@ class Reducer:
         self.device.launch(
             self.kernel,
             len(samples),
-            (buffer, u(0), u(len(samples)), u(len(flat)), self.offsets, u(len(samples)), a.count, a.rejected, a.sums)
-            + (a.block_sums, a.medians),
+            (
+                *(buffer, u(0), u(len(samples)), u(len(flat)), self.offsets, u(len(samples))),
+                *(a.count, a.rejected, a.sums, a.block_sums, a.medians),
+            ),
         )
         self.device.finish()
         buffer.release()
@@ -49,7 +54,7 @@ def reduce(samples: list[np.ndarray], cuts=()):
     """Statistics of the pixels' samples, brought in slices that end at the given fractions."""
     reducer = Reducer(len(samples))
     edges = [0.0, *cuts, 1.0]
-    for a, b in zip(edges, edges[1:], strict=False):
+    for a, b in pairwise(edges):
         reducer.feed([s[int(a * len(s)) : int(b * len(s))] for s in samples])
     return reducer.statistics()
 

@@ -41,7 +41,7 @@ class Renderer:
         size: (width, height) in place of the film's.
         max_depth: in place of the integrator's.
         parameters: values for the scene file's `$names`.
-        pool_size: paths in flight; None chooses for the device. It changes no pixel.
+        pool_size: paths in flight, from 1; None chooses for the device. It changes no pixel.
 
     Raises:
         SceneError, DeviceError, UserError: with a message for the user.
@@ -60,6 +60,8 @@ class Renderer:
     ):
         if not 0 <= seed < 2**64:
             raise UserError(f"seed {seed} is outside 0 to 2^64 - 1")
+        if pool_size is not None and pool_size < 1:
+            raise UserError(f"a pool of {pool_size} paths cannot render; pool_size has to be 1 or more")
         self.strategy = make_strategy(strategy)
         self.setup_times: dict[str, float] = {}
         clock = time.perf_counter()
@@ -81,17 +83,25 @@ class Renderer:
         self._schedule = self.strategy.waves()
         self._cut_short: Wave | None = None
         self._waves = 0
+        self._most = 0  # samples that any pixel can have by now
 
     @property
     def features(self) -> dict[str, bool]:
         """The feature set of scene and strategy: name -> whether it is built in."""
         return self._wavefront.features
 
-    def step(self, samples: int | None = None, goes_on: Callable[[int], bool] = lambda entered: True) -> WaveRecord:
-        """Renders the strategy's next wave, of at most `samples` samples; what is cut off a uniform wave comes next time.
+    @property
+    def room(self) -> int:
+        """Samples that one pixel can still get: the device counts them in 32 bits."""
+        return 2**32 - 1 - self._most
 
-        `goes_on` is asked after every bounce, with the samples of the wave that have entered the statistics; the wave ends there
-        when it returns False, and what it has brought by then stays.
+    def step(self, samples: int | None = None, goes_on: Callable[[int], bool] = lambda entered: True) -> WaveRecord:
+        """Renders the strategy's next wave, of at most `samples` samples.
+
+        What is cut off a uniform wave comes next time.
+
+        `goes_on` is asked after every bounce, with the samples of the wave that have entered the statistics; the wave
+        ends there when it returns False, and what it has brought by then stays.
         """
         begun = time.perf_counter()
         wave = self._cut_short or self._planned()
@@ -106,6 +116,10 @@ class Renderer:
             allocation = uniform_allocation((self.scene.height, self.scene.width), budget, self._waves)
         else:
             allocation = self._checked(self.strategy.allocate(self.statistics(), budget), budget)
+        most = int(allocation.max())
+        if most > self.room:
+            raise UserError(f"a wave asks for {most} samples in one pixel, which has room for {self.room}")
+        self._most += most
         self._waves += 1
         entered = 0
         for more in self._wavefront.trace(allocation):
@@ -141,7 +155,7 @@ class Renderer:
         total = int(allocation.sum(dtype=np.int64)) if allocation.shape == shape else None
         if allocation.dtype != np.uint32 or total != budget:
             raise UserError(
-                f"strategy '{self.strategy.name}' returned an allocation map of {allocation.dtype}, shape {allocation.shape}, "
-                f"sum {total}; it has to be uint32, shape {shape}, sum {budget}"
+                f"strategy '{self.strategy.name}' returned an allocation map of {allocation.dtype}, "
+                f"shape {allocation.shape}, sum {total}; it has to be uint32, shape {shape}, sum {budget}"
             )
         return allocation

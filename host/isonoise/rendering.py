@@ -22,6 +22,8 @@ PROGRESS_INTERVAL = 0.2
 """Seconds between two reports of progress."""
 LAST_WAVE_SHARE = 0.85
 """Of the time left, what a wave is cut to at most: the speed is known to about a tenth, and a few such cuts home in."""
+FULL = 2**20
+"""Samples of room in a pixel's count below which a render ends."""
 LAST_WAVES = 0.02
 """Share of the time from which on a wave may take all that is left."""
 
@@ -53,7 +55,7 @@ class Stops:
 class Outcome:
     """A finished render."""
 
-    reason: str  # what ended it: 'spp', 'time', 'error' or 'interrupted'
+    reason: str  # what ended it: 'spp', 'time', 'error', 'interrupted', or 'full': a pixel's count of samples is
     rows: list[LogRow]  # one a wave
     elapsed_s: float  # rendering alone
     statistics: Statistics
@@ -81,9 +83,9 @@ def render_loop(
 ) -> Outcome:
     """Renders until one of the stops.
 
-    `on_wave` gets a row after every wave. `on_progress` gets elapsed seconds, samples, the last stated error and seconds left
-    (None: not known) a few times a second. `reference` is RGB and its standard error, or None: with it, rows hold true errors;
-    the clock stands still while these are computed. `should_stop` is asked after every bounce.
+    `on_wave` gets a row after every wave. `on_progress` gets elapsed seconds, samples, the last stated error and
+    seconds left (None: not known) a few times a second. `reference` is RGB and its standard error, or None: with it,
+    rows hold true errors; the clock stands still while these are computed. `should_stop` is asked after every bounce.
     """
     return _Loop(renderer, stops, on_progress, reference, should_stop).run(on_wave)
 
@@ -119,7 +121,7 @@ class _Loop:
         return Outcome(reason, self.rows, self.elapsed(), statistics, self._floor(statistics))
 
     def _floor(self, statistics: Statistics) -> float:
-        """That of the reference where there is one, so that stated and true errors can be compared; else the image's own."""
+        """The reference's where there is one, so that stated and true errors can be compared; else the image's."""
         return image_floor(statistics.mean if self.reference is None else luminance(self.reference[0]))
 
     def _elapsed_before(self) -> float:
@@ -131,6 +133,8 @@ class _Loop:
             return "interrupted"
         if self.stops.error is not None and self.error is not None and self.error < self.stops.error:
             return "error"
+        if self.renderer.room < FULL:
+            return "full"
         if self.budget is not None and self.samples >= self.budget:
             return "spp"
         if self.stops.time is not None and self.samples and self._time_left() < 0.003 * self.stops.time:
@@ -140,9 +144,9 @@ class _Loop:
     def _time_left(self) -> float:
         return self.stops.time - self.elapsed()
 
-    def _limit(self) -> int | None:
+    def _limit(self) -> int:
         """Most samples that the next wave may bring."""
-        limits = []
+        limits = [self.renderer.room]  # however they are spread, no pixel's count can overflow
         if self.budget is not None:
             limits.append(self.budget - self.samples)
         if self.stops.time is not None:
@@ -150,7 +154,7 @@ class _Loop:
         if self.stops.error is not None and self._samples_to_error() is not None:
             # a twentieth more than the square root law says, and not in one go: the error is an estimate
             limits.append(max(int(1.05 * self._samples_to_error()), self.samples // 16, 1))
-        return min(limits) if limits else None
+        return min(limits)
 
     def _samples_in_time(self) -> int:
         if self.speed is None:

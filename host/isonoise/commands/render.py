@@ -216,7 +216,12 @@ def _say_what(say, options: argparse.Namespace, renderer: Renderer) -> None:
 
 def _say_result(say, facts: dict[str, object]) -> None:
     say("rendered", f"{duration(facts['time_s'])}, {facts['samples']:,} samples, {facts['spp']:.4g} per pixel")
-    say("stopped", {"interrupted": "on request"}.get(facts["stopped_by"], f"by --{facts['stopped_by']}"))
+    say(
+        "stopped",
+        {"interrupted": "on request", "full": "as a pixel's count of samples is full"}.get(
+            facts["stopped_by"], f"by --{facts['stopped_by']}"
+        ),
+    )
     say("error", f"{percent(facts['stated_error'])} (stated, quantile {facts['quantile']:g})")
     last = facts["last_wave"] or {}
     if "true_p99" in last:

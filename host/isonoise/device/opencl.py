@@ -1,4 +1,4 @@
-"""The one place that owns the OpenCL context and queue: it picks a device, builds programs, makes buffers, launches kernels."""
+"""The one place that owns the OpenCL context and queue: picks a device, builds programs, makes buffers, launches."""
 
 import functools
 import os
@@ -30,7 +30,7 @@ def driver_advice() -> str:
     if platform.system() == "Linux":
         return "install PoCL from your distribution (package pocl-opencl-icd), or the driver of your GPU's vendor"
     if platform.system() == "Darwin":
-        return "macOS brings OpenCL with it; make sure that pyopencl comes from its wheel: pip install --force-reinstall pyopencl"
+        return "macOS brings OpenCL with it; install pyopencl from its wheel: pip install --force-reinstall pyopencl"
     return "install the driver of your GPU's vendor, or Intel's OpenCL runtime for the CPU"
 
 
@@ -109,20 +109,23 @@ class Device:
             raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
 
     def buffer(self, size: int | np.ndarray, what: str):
-        """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in error messages."""
+        """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in errors."""
         flags = self._cl.mem_flags
         nbytes = size.nbytes if isinstance(size, np.ndarray) else int(size)
         limit = min(self.device.max_mem_alloc_size, self.device.global_mem_size - self.allocated)
         if nbytes > limit:
             raise DeviceError(
-                f"{what} needs {nbytes / 2**20:.0f} MiB, but {self.name} gives at most {limit / 2**20:.0f} MiB for one buffer; "
-                "render a smaller image or scene, or choose another device with --device"
+                f"{what} needs {nbytes / 2**20:.0f} MiB, but {self.name} gives at most {limit / 2**20:.0f} MiB "
+                "for one buffer; render a smaller image or scene, or choose another device with --device"
             )
         self.allocated += nbytes
         if isinstance(size, np.ndarray) and nbytes:
-            return self._cl.Buffer(self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(size))
-        buffer = self._cl.Buffer(self.context, flags.READ_WRITE, max(nbytes, 4))
-        self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, max(nbytes, 4))
+            return self._cl.Buffer(
+                self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(size)
+            )
+        whole_words = max(-(-nbytes // 4), 1) * 4
+        buffer = self._cl.Buffer(self.context, flags.READ_WRITE, whole_words)
+        self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, whole_words)
         return buffer
 
     def launch(self, kernel, items: int, arguments: tuple) -> None:

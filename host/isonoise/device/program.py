@@ -1,4 +1,4 @@
-"""From kernel sources to one text per stage: includes flattened, records declared, features set; that text is what is built.
+"""From kernel sources to one text per stage, which is what is built: includes flattened, records declared, flags set.
 
 One text can be hashed, cached and dumped, and an include path with a space cannot break it.
 """
@@ -29,13 +29,13 @@ def flatten(name: str, seen: set[str] | None = None) -> str:
             if include[1] not in seen:
                 lines.append(flatten(include[1], seen))
             lines.append(f'#line {number + 1} "{name}"')
-        elif not _PRAGMA_ONCE.match(line):
-            lines.append(line)
+        else:
+            lines.append("" if _PRAGMA_ONCE.match(line) else line)
     return "\n".join(lines)
 
 
 def declare_struct(name: str, dtype: np.dtype) -> str:
-    """C declaration of a record whose members are all 4 bytes wide, so that host and device cannot lay it out differently."""
+    """C declaration of a record of 4-byte members, which host and device cannot lay out differently."""
     members = []
     for field in dtype.names:
         base, shape = dtype[field].base, dtype[field].shape
@@ -49,15 +49,13 @@ def stage_source(
 ) -> tuple[str, tuple[str, ...]]:
     """Text of a stage and its build options.
 
-    A feature is a macro FEATURE_<name> of 0 or 1; only those that the text mentions are set, so that a feature of another stage
-    does not build this one anew.
+    A feature is a macro FEATURE_<name> of 0 or 1; only those that the text mentions are set, so that a feature of
+    another stage does not build this one anew.
     """
     body = flatten(name)
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
     prelude += [f"#define {key} {value}u" for key, value in constants.items() if re.search(rf"\b{key}\b", body)]
-    prelude += [
-        declare_struct(key, dtype) for key, dtype in structs.items() if re.search(rf"\b{key}\b", body)
-    ]
+    prelude += [declare_struct(key, dtype) for key, dtype in structs.items() if re.search(rf"\b{key}\b", body)]
     mentioned = sorted(set(re.findall(r"\bFEATURE_(\w+)", body)))
     options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]
     return "\n".join([*prelude, body]) + "\n", tuple(options)

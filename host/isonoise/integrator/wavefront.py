@@ -1,8 +1,8 @@
 """The wavefront loop: traces the samples of an allocation map and reduces them, slice by slice.
 
-A slice is a run of a wave's samples, in pixel order, that fits the sample buffer. Its paths run in a pool: every bounce launches
-intersect, shade and shadow over the paths in flight, then moves those that go on to the front and generates the next samples'
-paths behind them. After the last path the samples enter the statistics.
+A slice is a run of a wave's samples, in pixel order, that fits the sample buffer. Its paths run in a pool: every bounce
+launches intersect, shade and shadow over the paths in flight, then moves those that go on to the front and generates
+the next samples' paths behind them. After the last path the samples enter the statistics.
 """
 
 from collections.abc import Iterator
@@ -33,8 +33,8 @@ KERNELS = {
     "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
     "generate": (
         "generate.cl",
-        "count_new first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count rejected "
-        "ray_origin ray_direction throughput path samples",
+        "count_new first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count "
+        "rejected ray_origin ray_direction throughput path samples",
     ),
     "intersect": (
         "intersect.cl",
@@ -48,8 +48,7 @@ KERNELS = {
     ),
     "shadow": (
         "shadow.cl",
-        "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path "
-        "samples",
+        "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples",
     ),
     "count_alive": ("compact.cl", "alive paths block_size block_alive"),
     "scan_blocks": ("compact.cl", "block_alive blocks_in_use total_alive"),
@@ -169,8 +168,8 @@ class Wavefront:
     def trace(self, allocation: np.ndarray) -> Iterator[int]:
         """Traces the allocation map, uint32 of shape (height, width).
 
-        Yields the samples that have entered the statistics since the last time: a slice's all at once, and 0 after every
-        bounce, so that whoever drives this can stop there. Stopping leaves the statistics whole.
+        Yields the samples that have entered the statistics since the last time: a slice's all at once, and 0 after
+        every bounce, so that whoever drives this can stop there. Stopping leaves the statistics whole.
         """
         ends = np.cumsum(allocation.ravel(), dtype=np.int64)
         total = int(ends[-1])

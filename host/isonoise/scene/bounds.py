@@ -6,7 +6,7 @@ from isonoise.scene.structs import ANALYTIC_CYLINDER, ANALYTIC_SPHERE
 
 
 def analytic_bounds(analytics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corners, each (A, 3) float32, a few roundings wider than the surfaces of the (A,) ANALYTIC records."""
+    """Lower and upper corners, (A, 3) float32, a few roundings wider than the surfaces of the (A,) ANALYTIC records."""
     matrix = analytics["to_world"].astype(np.float64).reshape(-1, 3, 4)
     # the extent of an ellipse along an axis: length of the row of its two radii
     radius = np.hypot(matrix[:, :, 0], matrix[:, :, 1])

@@ -4,8 +4,8 @@ Layout on the device (all float8, see kernels/bvh.h):
 - node: lower x, y, z and upper x, y, z of 8 children, then 8 child references (int32 bits);
 - block: x, y, z of the first, second and third corners of 8 triangles, then 8 triangle indices (uint32 bits).
 
-A reference >= 0 is a node; ~reference of a negative one is a leaf: a block, or past the blocks an analytic primitive. Unused slots
-of a node are boxes that no ray meets; unused lanes of a block are triangles of zero area.
+A reference >= 0 is a node; ~reference of a negative one is a leaf: a block, or past the blocks an analytic primitive.
+Unused slots of a node are boxes that no ray meets; unused lanes of a block are triangles of zero area.
 """
 
 from dataclasses import dataclass
@@ -112,7 +112,8 @@ def _collapse(tree: BinaryTree, weight: np.ndarray, by_corner: np.ndarray, trian
 def _choose_leaves(tree: BinaryTree, area: np.ndarray, load: np.ndarray) -> np.ndarray:
     """Which binary nodes become leaves: those that fit a block and cost less as one than split further.
 
-    Surface area heuristic (Goldsmith and Salmon 1987): a block costs its area; a split SPLIT_COST of it and its two sides.
+    Surface area heuristic (Goldsmith and Salmon 1987): a block costs its area; a split SPLIT_COST of it and its two
+    sides.
     """
     cost = area.astype(np.float64)
     is_leaf = np.ones(len(area), bool)
@@ -148,7 +149,8 @@ def _lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles) -> 
     nodes = _empty_nodes(len(slots))
     for axis in range(3):
         lower, upper = tree.lower[axis][slots[used]], tree.upper[axis][slots[used]]
-        # one unit in the last place wider: a ray that runs in the plane of a box's side has to meet the edges that lie there
+        # one unit in the last place wider: a ray that runs in the plane of a box's side has to meet the edges that lie
+        # there
         margin = np.float32(2.0**-23) * np.maximum(np.abs(lower), np.abs(upper))
         nodes[:, axis][used] = lower - margin
         nodes[:, 3 + axis][used] = upper + margin

@@ -1,8 +1,8 @@
 """Bottom-up clustering of boxes into a binary tree: PLOC, in numpy without a Python loop per primitive.
 
-Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction", TVCG 2018: along a
-Morton curve every cluster looks for the neighbour within a small radius whose union with it has the least surface area;
-pairs that choose each other merge; repeat until one is left.
+Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction", TVCG 2018: along
+a Morton curve every cluster looks for the neighbour within a small radius whose union with it has the least surface
+area; pairs that choose each other merge; repeat until one is left.
 """
 
 from dataclasses import dataclass
@@ -105,8 +105,8 @@ def _partners(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     """For every cluster the index of its best neighbour.
 
     Of equal costs the first one tried wins, and pairs (even, odd) are tried first: identical boxes halve in number
-    each round instead of merging one by one. The cheapest pair overall that was tried first always chooses each other, so that
-    every round merges something.
+    each round instead of merging one by one. The cheapest pair overall that was tried first always chooses each other,
+    so that every round merges something.
     """
     n = lo.shape[1]
     best = np.full(n, np.inf, np.float32)

@@ -10,7 +10,8 @@ NONE = 0xFFFFFFFF
 """Marks 'no such index' (a shape without a light, a light without a primitive)."""
 
 LANE_BIAS = 0x40000000
-"""Indices that stand in the fourth lane of a float4 are XORed with it: as they are they would be denormal numbers, and arithmetic
+"""Indices that stand in the fourth lane of a float4 are XORed with it: as they are they would be denormal numbers, and
+arithmetic
 on the other lanes, which takes the whole register, would stall on them."""
 
 ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
