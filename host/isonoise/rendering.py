@@ -141,6 +141,10 @@ class _Loop:
             return "time"
         return None
 
+    def _late(self) -> bool:
+        """Whether a wave has to end for the deadline; the first one, which makes the image whole, may finish."""
+        return self.stops.time is not None and bool(self.rows) and self._time_left() <= 0
+
     def _time_left(self) -> float:
         return self.stops.time - self.elapsed()
 
@@ -175,7 +179,7 @@ class _Loop:
         def goes_on(entered: int) -> bool:
             self.samples = before + entered
             self._report()
-            return not self.should_stop()
+            return not self.should_stop() and not self._late()
 
         record = self.renderer.step(self._limit(), goes_on)
         self.samples = before + record.samples
