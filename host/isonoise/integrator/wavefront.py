@@ -82,7 +82,7 @@ class Wavefront:
     ):
         self.device, self.scene = device, scene
         self.features = features(scene, needs)
-        # Measured on two CPU cores: 1.12 times the speed of half the pool. A GPU has tens of thousands of lanes to fill.
+        # On two CPU cores 1.12 times as fast as half the pool; a GPU has tens of thousands of lanes to fill.
         self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
