@@ -46,8 +46,9 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
     if (i >= pixels) return;
     const uint pixel = first_pixel + i;
     const uint begin = pixel_offset[pixel];
-    const uint end = i + 1u < pixels ? pixel_offset[pixel + 1u] : slice_samples;
-    if (begin == end) return;
+    const uint next = i + 1u < pixels ? pixel_offset[pixel + 1u] : slice_samples;
+    const uint end = LESSER(next, slice_samples);  // a slice may have been cut short
+    if (begin >= end) return;
 
     // state: one plane of total_pixels floats a member
     __global float* full = sums + pixel;

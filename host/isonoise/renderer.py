@@ -100,8 +100,8 @@ class Renderer:
 
         What is cut off a uniform wave comes next time.
 
-        `goes_on` is asked after every bounce, with the samples of the wave that have entered the statistics; the wave
-        ends there when it returns False, and what it has brought by then stays.
+        `goes_on` is asked after every bounce, with the samples of the wave that have entered the statistics. When it
+        returns False no more paths begin; those in flight still count.
         """
         begun = time.perf_counter()
         wave = self._cut_short or self._planned()
@@ -121,11 +121,7 @@ class Renderer:
             raise UserError(f"a wave asks for {most} samples in one pixel, which has room for {self.room}")
         self._most += most
         self._waves += 1
-        entered = 0
-        for more in self._wavefront.trace(allocation):
-            entered += more
-            if not goes_on(entered):
-                break
+        entered = self._wavefront.trace(allocation, goes_on)
         return WaveRecord(wave.kind, entered, budget, time.perf_counter() - begun)
 
     def statistics(self) -> Statistics:

@@ -5,7 +5,8 @@ launches intersect, shade and shadow over the paths in flight, then moves those 
 the next samples' paths behind them. After the last path the samples enter the statistics.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -165,39 +166,41 @@ class Wavefront:
                 self._launch(name, items, **nothing)
         self.device.finish()
 
-    def trace(self, allocation: np.ndarray) -> Iterator[int]:
-        """Traces the allocation map, uint32 of shape (height, width).
+    def trace(self, allocation: np.ndarray, goes_on: Callable[[int], bool] = lambda entered: True) -> int:
+        """Traces the allocation map, uint32 of shape (height, width); returns how many samples entered the statistics.
 
-        Yields the samples that have entered the statistics since the last time: a slice's all at once, and 0 after
-        every bounce, so that whoever drives this can stop there. Stopping leaves the statistics whole.
+        `goes_on` is asked after every bounce, with the samples that have entered so far. Once it says no, no path
+        begins any more; those in flight come to their end and count. What has entered is always a first part of the
+        map, in pixel order.
         """
         ends = np.cumsum(allocation.ravel(), dtype=np.int64)
-        total = int(ends[-1])
-        for begin in range(0, total, self.slice_samples):
-            end = min(begin + self.slice_samples, total)
-            first, last = np.searchsorted(ends, [begin, end - 1], side="right")
+        total, entered = int(ends[-1]), 0
+        while entered < total and goes_on(entered):
+            end = min(entered + self.slice_samples, total)
+            first, last = np.searchsorted(ends, [entered, end - 1], side="right")
             starts = ends[first : last + 1] - allocation.ravel()[first : last + 1]
-            yield from self._trace_slice(int(first), np.maximum(starts - begin, 0).astype(np.uint32), end - begin)
+            offsets = np.maximum(starts - entered, 0).astype(np.uint32)
+            traced = self._trace_slice(int(first), offsets, end - entered, partial(goes_on, entered))
+            entered += traced
+            if entered < end:
+                break
+        return entered
 
-    def _trace_slice(self, first_pixel: int, offsets: np.ndarray, samples: int) -> Iterator[int]:
-        """One slice: pixels first_pixel... whose samples begin at `offsets` of the slice's `samples`."""
+    def _trace_slice(self, first_pixel: int, offsets: np.ndarray, samples: int, goes_on: Callable[[], bool]) -> int:
+        """One slice: pixels first_pixel... whose samples begin at `offsets` of its `samples`; returns those traced."""
         pixels = len(offsets)
         self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
-        of_slice = {
-            "first_pixel": np.uint32(first_pixel),
-            "pixels": np.uint32(pixels),
-            "slice_samples": np.uint32(samples),
-        }
-        self._launch("list_samples", pixels, **of_slice)
+        of_slice = {"first_pixel": np.uint32(first_pixel), "pixels": np.uint32(pixels)}
+        self._launch("list_samples", pixels, slice_samples=np.uint32(samples), **of_slice)
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
-            yield from self._trace_paths(samples)
-        self._launch("reduce", pixels, **of_slice)
+            samples = self._trace_paths(samples, goes_on)
+        self._launch("reduce", pixels, slice_samples=np.uint32(samples), **of_slice)
         self.device.finish()
-        yield samples
+        return samples
 
-    def _trace_paths(self, samples: int) -> Iterator[int]:
+    def _trace_paths(self, samples: int, goes_on: Callable[[], bool]) -> int:
         paths = begun = 0  # in flight; samples whose path has begun
         while paths or begun < samples:
             new = min(self.pool_size - paths, samples - begun)
@@ -206,7 +209,9 @@ class Wavefront:
                 self._launch("generate", new, count_new=np.uint32(new), **places)
             begun += new
             paths = self._bounce(paths + new)
-            yield 0
+            if begun < samples and not goes_on():
+                samples = begun
+        return begun
 
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
