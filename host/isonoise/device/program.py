@@ -53,9 +53,10 @@ def stage_source(
     another stage does not build this one anew.
     """
     body = flatten(name)
+    words = set(re.findall(r"\w+", body))
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
-    prelude += [f"#define {key} {value}u" for key, value in constants.items() if re.search(rf"\b{key}\b", body)]
-    prelude += [declare_struct(key, dtype) for key, dtype in structs.items() if re.search(rf"\b{key}\b", body)]
-    mentioned = sorted(set(re.findall(r"\bFEATURE_(\w+)", body)))
+    prelude += [f"#define {key} {value}u" for key, value in constants.items() if key in words]
+    prelude += [declare_struct(key, dtype) for key, dtype in structs.items() if key in words]
+    mentioned = sorted(word.removeprefix("FEATURE_") for word in words if word.startswith("FEATURE_"))
     options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]
     return "\n".join([*prelude, body]) + "\n", tuple(options)

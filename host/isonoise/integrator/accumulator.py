@@ -94,6 +94,9 @@ class Accumulator:
         early = np.flatnonzero((count > 0) & (count < CHUNK))
         if len(early):
             pending = np.stack([plane(self.medians, 2 + place)[early] for place in range(CHUNK - 1)])
-            pending[np.arange(CHUNK - 1)[:, None] >= count[early]] = np.nan
-            median[early] = np.nanmedian(pending, axis=0)
+            n = count[early]
+            pending[np.arange(CHUNK - 1)[:, None] >= n] = np.inf
+            pending.sort(axis=0)
+            middle = np.arange(len(early))
+            median[early] = 0.5 * (pending[(n - 1) // 2, middle] + pending[n // 2, middle])
         return median
