@@ -18,8 +18,12 @@ class Feature:
 
 
 FEATURES = {
-    "TRIANGLES": Feature("triangle meshes", "vertex and index buffers, block test in intersect and shadow"),
-    "VERTEX_NORMALS": Feature("smooth shading by vertex normals", "12 bytes a vertex, interpolation in shade"),
+    "TRIANGLES": Feature(
+        "triangle meshes", "64 bytes a triangle and its share of the hierarchy, block test in intersect and shadow"
+    ),
+    "VERTEX_NORMALS": Feature(
+        "smooth shading by vertex normals", "12 bytes a vertex and 12 a triangle, interpolation in shade"
+    ),
     "ANALYTICS": Feature("shapes that are not triangles", "a record each, a second kind of leaf"),
     "SPHERES": Feature("spheres", "sphere test in intersect and shadow"),
     "DISKS": Feature("disks", "disk test in intersect and shadow"),
