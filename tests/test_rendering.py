@@ -1,0 +1,138 @@
+"""The render loop: limits, deadlines, the log's rows, interruptions."""
+
+import itertools
+import time
+
+import numpy as np
+import pytest
+from small_scene import BUILT_IN, HEIGHT, PIXELS, WIDTH, assert_sound, lamp_over_floor
+
+from isonoise import rendering
+from isonoise.errors import UserError
+from isonoise.renderer import Renderer
+from isonoise.rendering import Stops, render, render_loop
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({}, "needs a limit"),
+        ({"spp": 0.0}, "spp has to be"),
+        ({"spp": -1.0}, "spp has to be"),
+        ({"time": np.inf}, "time has to be"),
+        ({"error": np.nan}, "error has to be"),
+        ({"error": 0.1, "quantile": 1.0}, "quantile has to"),
+        ({"error": 0.1, "quantile": 0.0}, "quantile has to"),
+    ],
+)
+def test_limits_that_make_no_sense(limits, message):
+    with pytest.raises(UserError, match=message):
+        Stops(**limits)
+
+
+@pytest.mark.parametrize("strategy", BUILT_IN)
+def test_a_stated_error_ends_the_render(strategy):
+    outcome = render(lamp_over_floor(), error=0.05, spp=100_000, strategy=strategy)
+    assert outcome.reason == "error"
+    assert outcome.rows[-1].stated_p99 < 0.05
+    assert all(row.stated_p99 >= 0.05 for row in outcome.rows[:-1])
+    assert outcome.rows[-1].stated_p99 > 0.04  # the waves home in on it: at most half as many samples again as it takes
+
+
+def test_the_error_is_that_of_the_quantile_asked_for():
+    outcome = render(lamp_over_floor(), error=0.05, quantile=0.5, spp=100_000, strategy="uniform")
+    assert outcome.reason == "error"
+    assert outcome.rows[-1].stated_p50 < 0.05 < outcome.rows[-1].stated_p99
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"spp": 4, "error": 1e-9, "time": 600}, "spp"),
+        ({"spp": 1e9, "error": 1e-9, "time": 0.05}, "time"),
+        ({"spp": 1e9, "error": 100.0, "time": 600}, "error"),
+        ({"spp": 16, "error": 100.0}, "error"),  # both at once: the wish that was met is what is said
+    ],
+)
+def test_the_first_limit_reached_ends_the_render(limits, reason):
+    assert render(lamp_over_floor(), strategy="uniform", **limits).reason == reason
+
+
+def test_a_deadline_is_kept():
+    """2 s, kept to 0.15 s. Waves are sized by the speed measured so far, which other programs on the machine change:
+    the best of three attempts counts. The strategy's own waves bring four times the samples so far: one render in
+    twenty would end as well with those by chance."""
+    late = []
+    for seed in range(3):
+        outcome = render(lamp_over_floor(), time=2.0, strategy="uniform:growth=4", seed=seed)
+        assert outcome.reason == "time"
+        assert outcome.elapsed_s > 1.99
+        assert outcome.rows[-1].elapsed_s <= outcome.elapsed_s
+        late.append(outcome.elapsed_s - 2.0)
+        if late[-1] < 0.15:
+            return
+    pytest.fail(f"seconds late, each time: {late}")
+
+
+@pytest.mark.parametrize("strategy", ["uniform", "relative-median"])
+def test_the_rows_of_the_log_rise(strategy):
+    seen = []
+    outcome = render_loop(Renderer(lamp_over_floor(), strategy=strategy), Stops(spp=200), on_wave=seen.append)
+    assert seen == outcome.rows
+    assert [row.wave for row in seen] == list(range(1, len(seen) + 1))
+    for before, after in itertools.pairwise(seen):
+        assert before.samples < after.samples
+        assert before.elapsed_s < after.elapsed_s
+    for row in seen:
+        assert row.spp == row.samples / PIXELS
+        assert 0 < row.stated_p50 <= row.stated_p95 <= row.stated_p99
+        assert row.rejected == 0
+    assert seen[0].kind == "uniform"
+    assert ("adaptive" in {row.kind for row in seen}) == (strategy != "uniform")
+    assert seen[-1].samples == 200 * PIXELS
+
+
+def test_the_clock_stands_still_for_true_errors(monkeypatch):
+    """A reference that takes long to compare with must not eat the time of the render."""
+    true_error = rendering.true_error
+    monkeypatch.setattr(rendering, "true_error", lambda *images: time.sleep(0.2) or true_error(*images))
+    reference = np.ones((HEIGHT, WIDTH, 3), np.float32), None
+    renderer = Renderer(lamp_over_floor())
+    begun = time.perf_counter()
+    outcome = render_loop(renderer, Stops(spp=64), reference=reference)
+    assert len(outcome.rows) > 2
+    assert outcome.elapsed_s < time.perf_counter() - begun - 0.2 * len(outcome.rows)
+    for before, after in itertools.pairwise(outcome.rows):
+        assert before.elapsed_s < after.elapsed_s
+    assert outcome.rows[-1].true.energy_ratio == pytest.approx(outcome.statistics.mean.mean(), rel=1e-6)
+    assert outcome.floor == pytest.approx(0.01, rel=1e-6)  # the reference's
+
+
+@pytest.mark.parametrize("questions", [0, 1, 500])
+def test_an_interrupted_render_has_valid_statistics(questions):
+    """`should_stop` says yes after a number of questions: before the first wave, in it, and later."""
+    left = iter([False] * questions)
+    renderer = Renderer(lamp_over_floor(), pool_size=12)
+    outcome = render_loop(renderer, Stops(spp=1e6), should_stop=lambda: next(left, True))
+    assert outcome.reason == "interrupted"
+    assert (outcome.statistics.samples == 0) == (questions < 2)
+    assert outcome.statistics.samples < 1e6 * PIXELS
+    assert (len(outcome.rows) == 0) == (questions == 0)
+    if questions:
+        assert outcome.rows[-1].samples == outcome.statistics.samples
+    assert_sound(outcome.statistics)
+
+
+def test_progress_is_reported():
+    states = []
+    render_loop(
+        Renderer(lamp_over_floor(), strategy="uniform"),
+        Stops(time=0.8, error=1e-9),
+        on_progress=lambda *state: states.append(state),
+    )
+    assert len(states) >= 2
+    elapsed, samples, error, remaining = zip(*states, strict=True)
+    assert list(elapsed) == sorted(elapsed)
+    assert list(samples) == sorted(samples)
+    assert all(0 <= seconds <= 0.8 for seconds in remaining)
+    assert error[-1] > 0
