@@ -311,3 +311,16 @@ def test_a_reader_that_leaves_early_is_no_error():
     process.stdout.close()
     assert process.stderr.read() == ""
     assert process.wait(timeout=60) == 0
+
+
+def test_a_home_that_cannot_be_written(tmp_path):
+    """Drivers keep compiled kernels under HOME; PoCL offers no device where it cannot."""
+    no_folder = tmp_path / "file"
+    no_folder.touch()
+    gone = ("POCL_CACHE_DIR", "XDG_CACHE_HOME")
+    environment = {name: value for name, value in os.environ.items() if name not in gone}
+    environment |= {"HOME": str(no_folder), "TMPDIR": str(tmp_path)}
+    process = start("devices", env=environment)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert "(default)" in out

@@ -3,7 +3,9 @@
 import functools
 import os
 import platform
+import tempfile
 import warnings
+from pathlib import Path
 
 import numpy as np
 
@@ -13,14 +15,34 @@ LOCAL_SIZE = 64
 """Work-items a group, the same for all kernels: PoCL compiles a kernel anew for every local size."""
 
 
+@functools.cache
 def _opencl():
-    # PoCL's wheel warns about nothing a user can mend, and a read-only home must not stop a render
+    _give_pocl_a_cache()
+    # pyopencl's own cache would add nothing to the drivers' and fail in a read-only home
     os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
     try:
         import pyopencl
     except ImportError as error:
         raise DeviceError(f"pyopencl cannot be loaded ({error}); install it with: pip install pyopencl") from error
     return pyopencl
+
+
+def _give_pocl_a_cache() -> None:
+    """Points PoCL to a folder for compiled kernels where its own cannot be made: without one it offers no device."""
+    if "POCL_CACHE_DIR" in os.environ:
+        return
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        (home / "pocl").mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=home / "pocl"):
+            return
+    except (OSError, RuntimeError):  # RuntimeError: there is no home at all
+        user = os.getuid() if hasattr(os, "getuid") else 0
+        folder = Path(tempfile.gettempdir()) / f"isonoise-pocl-{user}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if folder.stat().st_uid != user:  # somebody else's: code must not be loaded from there
+            folder = Path(tempfile.mkdtemp(prefix="isonoise-pocl-"))
+        os.environ["POCL_CACHE_DIR"] = str(folder)
 
 
 def driver_advice() -> str:
