@@ -5,17 +5,23 @@ import numpy as np
 from isonoise.scene.structs import ANALYTIC_CYLINDER, ANALYTIC_SPHERE
 
 
-def analytic_bounds(analytics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corners, (A, 3) float32, a few roundings wider than the surfaces of the (A,) ANALYTIC records."""
+def analytic_extents(analytics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corners of the boxes around the (A,) ANALYTIC records, (A, 3) float64."""
     matrix = analytics["to_world"].astype(np.float64).reshape(-1, 3, 4)
     # the extent of an ellipse along an axis: length of the row of its two radii
     radius = np.hypot(matrix[:, :, 0], matrix[:, :, 1])
     base = matrix[:, :, 3]
     top = base + np.where((analytics["kind"] == ANALYTIC_CYLINDER)[:, None], matrix[:, :, 2], 0)
-    lower, upper = np.minimum(base, top) - radius, np.maximum(base, top) + radius
     sphere = (analytics["kind"] == ANALYTIC_SPHERE)[:, None]
     center, arm = analytics["center"].astype(np.float64), analytics["radius"][:, None].astype(np.float64)
-    lower, upper = np.where(sphere, center - arm, lower), np.where(sphere, center + arm, upper)
+    lower = np.where(sphere, center - arm, np.minimum(base, top) - radius)
+    upper = np.where(sphere, center + arm, np.maximum(base, top) + radius)
+    return lower, upper
+
+
+def analytic_bounds(analytics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same in float32 for the hierarchy, a few roundings wider than the surfaces."""
+    lower, upper = analytic_extents(analytics)
     # float32 keeps 24 bits: the surface as the kernels compute it may stand a few units in the last place outside
     margin = 2.0**-21 * np.maximum(np.abs(lower), np.abs(upper)).max(axis=1, initial=0, keepdims=True)
     return (lower - margin).astype(np.float32), (upper + margin).astype(np.float32)

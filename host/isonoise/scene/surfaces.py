@@ -12,6 +12,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import meshes, structs, transforms
+from isonoise.scene.bounds import analytic_extents
 
 _EMPTY_NORMALS = np.zeros((0, 3), np.float32)
 
@@ -39,7 +40,7 @@ class Surface:
         if self.analytic is None:
             used = meshes.used_vertices(self.vertices, self.faces)
             return np.stack([used.min(axis=0), used.max(axis=0)]).astype(float)
-        return _analytic_bounds(self.analytic[0])
+        return np.concatenate(analytic_extents(self.analytic))
 
 
 def make_surface(shape: dict, where: str) -> Surface:
@@ -148,12 +149,3 @@ def _analytic_area(record) -> float:
     if record["kind"] == structs.ANALYTIC_DISK:
         return math.pi * float(np.linalg.norm(np.cross(x, y)))
     return 2.0 * math.pi * float(np.linalg.norm(x) * np.linalg.norm(z))
-
-
-def _analytic_bounds(record) -> np.ndarray:
-    matrix = record["to_world"].reshape(3, 4).astype(float)
-    if record["kind"] == structs.ANALYTIC_SPHERE:
-        return np.stack([record["center"] - record["radius"], record["center"] + record["radius"]]).astype(float)
-    reach = np.sqrt(matrix[:, 0] ** 2 + matrix[:, 1] ** 2)  # of the unit circle along each axis
-    ends = [matrix[:, 3]] if record["kind"] == structs.ANALYTIC_DISK else [matrix[:, 3], matrix[:, 3] + matrix[:, 2]]
-    return np.stack([np.min(ends, axis=0) - reach, np.max(ends, axis=0) + reach])
