@@ -28,11 +28,6 @@ INLINE float dot2(float2 a, float2 b)
     return a.x * b.x + a.y * b.y;
 }
 
-INLINE float3 cross3(float3 a, float3 b)
-{
-    return a.yzx * b.zxy - a.zxy * b.yzx;
-}
-
 INLINE float abs1(float v)
 {
     return as_float(as_uint(v) & 0x7FFFFFFFu);

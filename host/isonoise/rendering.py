@@ -94,6 +94,7 @@ class _Loop:
     def __init__(self, renderer, stops, on_progress, reference, should_stop):
         self.renderer, self.stops, self.on_progress = renderer, stops, on_progress
         self.reference, self.should_stop = reference, should_stop
+        self.reference_floor = None if reference is None else image_floor(luminance(reference[0]))
         pixels = renderer.scene.width * renderer.scene.height
         self.budget = None if stops.spp is None else max(1, round(stops.spp * pixels))
         self.pixels = pixels
@@ -122,7 +123,7 @@ class _Loop:
 
     def _floor(self, statistics: Statistics) -> float:
         """The reference's where there is one, so that stated and true errors can be compared; else the image's."""
-        return image_floor(statistics.mean if self.reference is None else luminance(self.reference[0]))
+        return image_floor(statistics.mean) if self.reference_floor is None else self.reference_floor
 
     def _elapsed_before(self) -> float:
         return self.rows[-2].elapsed_s if len(self.rows) > 1 else 0.0

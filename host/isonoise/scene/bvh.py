@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isonoise.scene.ploc import BinaryTree, build_binary_tree, half_area
+from isonoise.scene.ploc import BinaryTree, build_binary_tree, half_area, morton_order
 
 WIDTH = 8
 SPLIT_COST = 0.15
@@ -47,8 +47,6 @@ def build_bvh(corners: np.ndarray, analytic_lower: np.ndarray, analytic_upper: n
 
 def _halve(lower: np.ndarray, upper: np.ndarray) -> BinaryTree:
     """A tree of depth log2 n: neighbours along the Morton curve pair up, round after round."""
-    from isonoise.scene.ploc import morton_order
-
     n = lower.shape[1]
     left, right = np.full(2 * n - 1, -1, np.int32), np.full(2 * n - 1, -1, np.int32)
     lowers, uppers = np.empty((3, 2 * n - 1), np.float32), np.empty((3, 2 * n - 1), np.float32)

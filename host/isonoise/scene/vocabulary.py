@@ -176,8 +176,6 @@ ELSEWHERE: dict[str, tuple[str, ...]] = {
 }
 """Plugins that Mitsuba 3 has and isonoise does not: named in the error, so that nobody looks for a typing mistake."""
 
-KINDS = tuple(dict.fromkeys(p.kind for p in PLUGINS))
-
 
 def plugins_of(kind: str) -> dict[str, Plugin]:
     """The supported plugins of a kind by name."""
