@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from isonoise.errors import UserError
+from isonoise.statistics import Needs
 from isonoise.strategies import (
     DEFAULT_STRATEGY,
     Strategy,
@@ -55,8 +56,8 @@ def first(strategy, k):
 def test_the_built_in_strategies():
     assert available_strategies()[:3] == ["uniform", "relative-mean", "relative-median"]
     assert DEFAULT_STRATEGY == "relative-median"
-    assert make_strategy("relative-median").needs == {"median"}
-    assert make_strategy("relative-mean").needs == make_strategy("uniform").needs == frozenset()
+    assert make_strategy("relative-median").needs == Needs(median=True)
+    assert make_strategy("relative-mean").needs == make_strategy("uniform").needs == Needs()
     strategy = make_strategy("uniform")
     assert make_strategy(strategy) is strategy
 

@@ -3,6 +3,7 @@
 import importlib
 
 _PUBLIC = {
+    "Needs": "isonoise.statistics",
     "Renderer": "isonoise.renderer",
     "Statistics": "isonoise.statistics",
     "Stops": "isonoise.rendering",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from isonoise.scene import structs
 from isonoise.scene.compiled import CompiledScene
+from isonoise.statistics import Needs
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,8 @@ FEATURES = {
 }
 
 
-def features(scene: CompiledScene, needs: frozenset[str] = frozenset()) -> dict[str, bool]:
-    """Which features the scene uses, and the statistics in `needs` ask for. Keys and order as in `FEATURES`."""
+def features(scene: CompiledScene, needs: Needs = Needs()) -> dict[str, bool]:
+    """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
     analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
     surface_lights = {structs.LIGHT_TRIANGLE, structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER}
     endless = scene.max_depth < 0
@@ -76,5 +77,5 @@ def features(scene: CompiledScene, needs: frozenset[str] = frozenset()) -> dict[
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,
         "FILTER_TABLE": scene.filter != "box",
-        "MEDIAN": "median" in needs,
+        "MEDIAN": needs.median,
     }

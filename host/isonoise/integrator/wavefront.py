@@ -19,6 +19,7 @@ from isonoise.scene import structs
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.triangles import triangle_records
+from isonoise.statistics import Needs
 
 STRUCTS = {
     "Camera": structs.CAMERA,
@@ -77,7 +78,7 @@ class Wavefront:
         device: Device,
         scene: CompiledScene,
         bvh: Bvh,
-        needs: frozenset[str] = frozenset(),
+        needs: Needs = Needs(),
         seed: int = 0,
         pool_size: int | None = None,
     ):

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from isonoise.statistics import Statistics
+from isonoise.statistics import Needs, Statistics
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Strategy:
     """Base of all strategies. Parameters are keyword arguments of `__init__`, documented in its docstring."""
 
     name: ClassVar[str]
-    needs: ClassVar[frozenset[str]] = frozenset()
-    """Statistics it reads beyond those every render keeps: 'median' so far. Only these are kept on the device."""
+    needs: Needs = Needs()
+    """Statistics it reads beyond those every render keeps; of the class, or of the instance where parameters decide."""
 
     def waves(self) -> Iterator[Wave]:
         """The schedule: an endless iterator; the renderer stops drawing from it when the render is done."""

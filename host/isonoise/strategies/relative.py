@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from isonoise.statistics import Statistics
+from isonoise.statistics import Needs, Statistics
 from isonoise.strategies.allocation import deficit
 from isonoise.strategies.base import Strategy, Wave
 from isonoise.strategies.measures import image_floor, relative_mean, relative_median, variance_of_one
@@ -73,7 +73,7 @@ class RelativeMedian(_Deficit):
     """
 
     name = "relative-median"
-    needs = frozenset({"median"})
+    needs = Needs(median=True)
 
     def __init__(
         self,
