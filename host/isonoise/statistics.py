@@ -22,6 +22,9 @@ class Needs:
     half: bool = False
 
 
+NOTHING_MORE = Needs()
+
+
 @dataclass(frozen=True)
 class Statistics:
     """Statistics of the samples of every pixel, arrays of shape (height, width), in the scene's units.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from isonoise.scene import structs
 from isonoise.scene.compiled import CompiledScene
-from isonoise.statistics import Needs
+from isonoise.statistics import NOTHING_MORE, Needs
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ FEATURES = {
 }
 
 
-def features(scene: CompiledScene, needs: Needs = Needs()) -> dict[str, bool]:
+def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, bool]:
     """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
     analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
     surface_lights = {structs.LIGHT_TRIANGLE, structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER}

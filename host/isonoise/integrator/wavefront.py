@@ -19,7 +19,7 @@ from isonoise.scene import structs
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.triangles import triangle_records
-from isonoise.statistics import Needs
+from isonoise.statistics import NOTHING_MORE, Needs
 
 STRUCTS = {
     "Camera": structs.CAMERA,
@@ -78,7 +78,7 @@ class Wavefront:
         device: Device,
         scene: CompiledScene,
         bvh: Bvh,
-        needs: Needs = Needs(),
+        needs: Needs = NOTHING_MORE,
         seed: int = 0,
         pool_size: int | None = None,
     ):

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from isonoise.statistics import Needs, Statistics
+from isonoise.statistics import NOTHING_MORE, Needs, Statistics
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Strategy:
     """Base of all strategies. Parameters are keyword arguments of `__init__`, documented in its docstring."""
 
     name: ClassVar[str]
-    needs: Needs = Needs()
+    needs: Needs = NOTHING_MORE
     """Statistics it reads beyond those every render keeps; of the class, or of the instance where parameters decide."""
 
     def waves(self) -> Iterator[Wave]:
