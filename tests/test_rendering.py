@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from small_scene import BUILT_IN, HEIGHT, PIXELS, WIDTH, assert_sound, lamp_over_floor
+from small_scene import BUILT_IN, HEIGHT, PIXELS, WIDTH, assert_same_bits, assert_sound, lamp_over_floor
 
 from isonoise import rendering
 from isonoise.errors import UserError
@@ -77,8 +77,16 @@ def test_a_deadline_is_kept():
 @pytest.mark.parametrize("strategy", ["uniform", "relative-median"])
 def test_the_rows_of_the_log_rise(strategy):
     seen = []
-    outcome = render_loop(Renderer(lamp_over_floor(), strategy=strategy), Stops(spp=200), on_wave=seen.append)
+    images = []
+
+    def on_wave(row, statistics):
+        seen.append(row)
+        images.append(statistics)
+
+    outcome = render_loop(Renderer(lamp_over_floor(), strategy=strategy), Stops(spp=200), on_wave=on_wave)
     assert seen == outcome.rows
+    assert [image.samples for image in images] == [row.samples for row in seen]
+    assert_same_bits(images[-1], outcome.statistics)
     assert [row.wave for row in seen] == list(range(1, len(seen) + 1))
     for before, after in itertools.pairwise(seen):
         assert before.samples < after.samples
@@ -106,6 +114,14 @@ def test_the_clock_stands_still_for_true_errors(monkeypatch):
         assert before.elapsed_s < after.elapsed_s
     assert outcome.rows[-1].true.energy_ratio == pytest.approx(outcome.statistics.mean.mean(), rel=1e-6)
     assert outcome.floor == pytest.approx(0.01, rel=1e-6)  # the reference's
+
+
+def test_the_clock_stands_still_while_a_wave_is_reported():
+    begun = time.perf_counter()
+    outcome = render_loop(Renderer(lamp_over_floor()), Stops(spp=64), on_wave=lambda row, _: time.sleep(0.2))
+    assert len(outcome.rows) > 2
+    assert outcome.elapsed_s < time.perf_counter() - begun - 0.2 * len(outcome.rows)
+    assert outcome.rows[-1].elapsed_s <= outcome.elapsed_s < outcome.rows[-1].elapsed_s + 0.1
 
 
 @pytest.mark.parametrize("questions", [0, 1, 500])

@@ -76,16 +76,17 @@ def render_loop(
     renderer: Renderer,
     stops: Stops,
     *,
-    on_wave: Callable[[LogRow], None] = lambda row: None,
+    on_wave: Callable[[LogRow, Statistics], None] = lambda row, statistics: None,
     on_progress: Callable[[float, int, float | None, float | None], None] = lambda *state: None,
     reference: tuple[np.ndarray, np.ndarray | None] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> Outcome:
     """Renders until one of the stops.
 
-    `on_wave` gets a row after every wave. `on_progress` gets elapsed seconds, samples, the last stated error and
-    seconds left (None: not known) a few times a second. `reference` is RGB and its standard error, or None: with it,
-    rows hold true errors; the clock stands still while these are computed. `should_stop` is asked after every bounce.
+    `on_wave` gets a row and the statistics after every wave. `on_progress` gets elapsed seconds, samples, the last
+    stated error and seconds left (None: not known) a few times a second. `reference` is RGB and its standard error, or
+    None: with it, rows hold true errors. The clock stands still while these are computed and during `on_wave`.
+    `should_stop` is asked after every bounce.
     """
     return _Loop(renderer, stops, on_progress, reference, should_stop).run(on_wave)
 
@@ -114,9 +115,9 @@ class _Loop:
             record = self._wave()
             statistics = self.renderer.statistics()
             self._row(record, statistics)
-            # the clock stood still while true errors were computed; the speed includes all else that the wave cost
             self.speed = max(record.samples, 1) / max(self.rows[-1].elapsed_s - self._elapsed_before(), 1e-6)
-            on_wave(self.rows[-1])
+            on_wave(self.rows[-1], statistics)
+            self.begun += self.elapsed() - self.rows[-1].elapsed_s  # reports are no rendering
         if statistics is None:
             statistics = self.renderer.statistics()
         return Outcome(reason, self.rows, self.elapsed(), statistics, self._floor(statistics))
@@ -212,7 +213,6 @@ class _Loop:
         if self.reference is not None:
             image, standard_error = self.reference
             true = true_error(statistics.rgb, image, standard_error, statistics)
-            self.begun += self.elapsed() - elapsed
         self.rows.append(
             LogRow(
                 elapsed_s=elapsed,

@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
         outcome = render_loop(
             renderer,
             stops,
-            on_wave=log.write,
+            on_wave=lambda row, _: log.write(row),
             on_progress=bar.update,
             reference=reference,
             should_stop=lambda: bool(received),
