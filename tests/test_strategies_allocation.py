@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from isonoise.strategies.allocation import deficit, uniform_allocation
+from isonoise.strategies.allocation import deficit, proportional, uniform_allocation
 
 
 def exact_shares(count, variance, budget, cap):
@@ -204,6 +204,31 @@ def test_counts_stay_within_uint32():
 def test_arguments_out_of_range(arguments):
     with pytest.raises(ValueError, match=r"not|outside"):
         deficit(np.ones((2, 2), np.uint32), np.ones((2, 2)), **{"budget": 4, "wave_index": 0, **arguments})
+
+
+def test_proportional_equals_rational_arithmetic():
+    rng = np.random.default_rng(1)
+    for weights in (rng.lognormal(0, 3, size=(5, 6)), rng.permutation(30).reshape(5, 6).astype(np.uint32)):
+        total = sum(Fraction(float(w)) for w in weights.ravel())
+        for budget in (0, 1, 29, 1000, 10**6 + 1):
+            shares = [Fraction(float(w)) * budget / total for w in weights.ravel()]
+            counts = proportional(weights, budget, 0)
+            assert counts.ravel().tolist() == largest_remainders(shares, budget)
+            assert counts.dtype == np.uint32
+
+
+def test_proportional_at_the_edges():
+    alone = np.zeros((7, 5))
+    alone[3, 2] = 1e-310
+    assert proportional(alone, 2**32 - 1, 0)[3, 2] == 2**32 - 1
+    for budget in (2**32, -1):
+        with pytest.raises(ValueError, match="outside of"):
+            proportional(alone, budget, 0)
+    assert int(proportional(np.full((7, 5), 1e308), 2**33 + 3, 0).sum(dtype=np.int64)) == 2**33 + 3
+    assert (proportional(np.zeros((7, 5)), 70, 0) == 2).all()
+    ties = [proportional(np.ones((7, 5), np.uint32), 10, wave) for wave in range(50)]
+    assert len({tie.tobytes() for tie in ties}) > 45
+    assert all(tie.sum() == 10 and tie.max() == 1 for tie in ties)
 
 
 @pytest.mark.parametrize("budget", [0, 1, 34, 35, 36, 1000, 2**33])

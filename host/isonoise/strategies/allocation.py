@@ -6,6 +6,12 @@ import numpy as np
 
 MAX_COUNT = 2**32 - 1
 """Samples that a pixel can count (uint32), all waves together."""
+SAMPLE = 2**14
+"""Pixels on which the water level is sought first."""
+MAX_STEPS = 200
+"""Of the search for the level; a handful is usual, and bisection of a bracket that spans all numbers ends well before."""
+ROUNDING = 1e-13
+"""Relative error of a sum of millions of float64 numbers; a level is not known better."""
 
 
 def uniform_allocation(shape: tuple[int, int], budget: int, wave_index: int) -> np.ndarray:
@@ -20,6 +26,24 @@ def uniform_allocation(shape: tuple[int, int], budget: int, wave_index: int) -> 
     allocation = np.full(pixels, each, dtype=np.uint32)
     allocation[_first_in_hashed_order(np.arange(pixels, dtype=np.uint32), rest, wave_index)] += np.uint32(1)
     return allocation.reshape(shape)
+
+
+def proportional(weights: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
+    """Samples in proportion to the weights; whole numbers by largest remainders, ties by a hashed order that changes
+    with the wave.
+
+    - `weights`: (height, width), finite and not negative; their unit does not matter. All 0 count as all equal.
+
+    Returns uint32 (height, width) that sums to `budget` exactly. Raises ValueError if the budget is negative or gives a
+    pixel more than uint32 counts hold.
+    """
+    top = weights.max()
+    if top == 0:
+        return uniform_allocation(weights.shape, budget, wave_index)
+    share = weights.reshape(-1) / np.float64(top)
+    share *= int(budget) / share.sum()
+    _check_budget(budget, MAX_COUNT if share.max() >= MAX_COUNT else weights.size * MAX_COUNT)
+    return _rounded(share, int(budget), wave_index).astype(np.uint32).reshape(weights.shape)
 
 
 def deficit(
@@ -53,31 +77,55 @@ def deficit(
     Returns uint32 (height, width) that sums to `budget` exactly. Scaling V by a power of two changes nothing, by
     another factor nothing beyond rounding. Raises ValueError if budget, `clip` or `cap` is out of range.
     """
-    if not 0 < clip <= 1:
-        raise ValueError(f"clip is a quantile in (0, 1], not {clip}")
+    return _allocate(count, _clipped(variance.reshape(-1), clip), count.reshape(-1), budget, wave_index, cap)
+
+
+def proportional_to_error(
+    count: np.ndarray,
+    variance: np.ndarray,
+    budget: int,
+    wave_index: int,
+    *,
+    exponent: float = 1.0,
+    clip: float = 1.0,
+    cap: float = 4.0,
+) -> np.ndarray:
+    """Samples in proportion to (V / n)^p, p the exponent: the common rule of adaptive sampling.
+
+    Repeated, it converges to n ~ V^(p / (p + 1)): it never makes the error V / n the same everywhere.
+    Arguments, cap, rounding and errors as for `deficit`.
+    """
+    weight = _clipped(variance.reshape(-1), clip)
+    np.divide(weight, count.reshape(-1), out=weight, where=count.reshape(-1) > 0)
+    top = weight.max()
+    if top > 0:
+        weight /= top
+    return _allocate(count, weight**exponent, np.zeros(count.size), budget, wave_index, cap)
+
+
+def _allocate(count, slope, offset, budget: int, wave_index: int, cap: float) -> np.ndarray:
+    """Shares min(max(0, slope t - offset), (g - 1) n) as whole numbers; what does not fit is spread evenly."""
     if not (cap == np.inf or (cap >= 2 and cap == int(cap))):
         raise ValueError(f"cap is a whole number of at least 2, or inf, not {cap}")
     shape, count = count.shape, count.reshape(-1)
+    budget = int(budget)
     _check_budget(budget, count.size * MAX_COUNT - int(count.sum(dtype=np.int64)))
-    variance = _clipped(variance.reshape(-1), clip)
 
-    allocation = np.zeros(count.size, dtype=np.int64)
-    share = _capped_fill(count, variance, int(budget), cap)
+    def room(limit: float) -> np.ndarray:
+        """Samples that every pixel can get if none may multiply its count by more than `limit`; whole numbers."""
+        left = MAX_COUNT - count.astype(np.float64)
+        return left if limit == np.inf else np.minimum(left, (limit - 1.0) * count, out=left)
+
+    share = _fill(slope, offset, room(cap), budget)
     if share is not None:
-        _round_to(share, int(budget), wave_index, out=allocation)
-    elif cap < np.inf:
-        np.multiply(count, int(cap) - 1, out=allocation, where=variance > 0, dtype=np.int64)
-    del share, variance
-    np.minimum(allocation, MAX_COUNT - count.astype(np.int64), out=allocation)
-
+        allocation = _rounded(share, budget, wave_index)
+    else:
+        allocation = np.where(slope > 0, room(cap), 0).astype(np.int64) if cap < np.inf else np.zeros(count.size, int)
+    del share, slope
     for limit in (cap, np.inf):  # evenly below the cap, then evenly everywhere
-        missing = int(budget) - int(allocation.sum())
+        missing = budget - int(allocation.sum())
         if missing:
-            room = MAX_COUNT - count.astype(np.int64)
-            if limit < np.inf:
-                np.minimum(room, (int(limit) - 1) * count.astype(np.int64), out=room)
-            room -= allocation
-            allocation += _spread(np.maximum(room, 0, out=room), missing, wave_index)
+            allocation += _spread(np.maximum(room(limit).astype(np.int64) - allocation, 0), missing, wave_index)
     return allocation.astype(np.uint32).reshape(shape)
 
 
@@ -88,6 +136,8 @@ def _check_budget(budget: int, most: int) -> None:
 
 def _clipped(variance: np.ndarray, clip: float) -> np.ndarray:
     """A copy of V, finite and not negative, scaled by a power of two so that its largest value is in [1/2, 1)."""
+    if not 0 < clip <= 1:
+        raise ValueError(f"clip is a quantile in (0, 1], not {clip}")
     variance = np.array(variance, dtype=np.float64)
     unknown = np.isposinf(variance)
     variance[~(variance > 0) | unknown] = 0.0
@@ -106,51 +156,48 @@ def _clipped(variance: np.ndarray, clip: float) -> np.ndarray:
     return np.ldexp(variance, -np.frexp(top)[1], out=variance)
 
 
-def _capped_fill(count: np.ndarray, variance: np.ndarray, budget: int, cap: float) -> np.ndarray | None:
-    """Real-valued shares min(max(0, V t - n), (g - 1) n) that sum to the budget; None if all together hold no more."""
-    level = _water_level(count, variance, budget, cap)
-    if level is None:
+def _fill(slope: np.ndarray, offset: np.ndarray, room: np.ndarray, budget: int) -> np.ndarray | None:
+    """Real-valued shares min(max(0, slope t - offset), room) that sum to the budget; None if together they hold less."""
+    if float(room.sum(where=slope > 0)) <= budget:
         return None
-    share = variance * level
-    share -= count
-    np.maximum(share, 0, out=share)
-    if cap < np.inf:
-        np.minimum(share, (cap - 1) * count.astype(np.float64), out=share)
-    return share
+    start = None
+    if slope.size > 4 * SAMPLE:  # a sample of the pixels says nearly where the level is
+        some = np.s_[:: slope.size // SAMPLE]
+        part = slope[some], offset[some], room[some]
+        start = _level(*part, budget * part[0].size / slope.size, None)[0] if part[0].any() else None
+    return _level(slope, offset, room, budget, start)[1]
 
 
-def _water_level(count: np.ndarray, variance: np.ndarray, budget: int, cap: float) -> float | None:
-    """t = 1 / lambda at which the shares of `_capped_fill` sum to the budget."""
-    entry = np.full(count.size, np.inf)  # the level at which a pixel starts to fill
-    np.divide(count, variance, out=entry, where=variance > 0)
-    order = np.argsort(entry)[: int(np.count_nonzero(np.isfinite(entry)))]
-    entry = entry[order]
-    n = count[order]
-    v = variance[order]
-    if v.size == 0 or (cap < np.inf and (cap - 1) * int(n.sum(dtype=np.int64)) <= budget):
-        return None
+def _level(slope, offset, room, budget: float, start: float | None) -> tuple[float, np.ndarray]:
+    """The t at which the shares sum to the budget, and the shares: Newton's method, kept within the bracket so far.
 
-    def held(full: int) -> int:
-        """Samples in the first `full` pixels, all of them at their cap."""
-        return int(cap - 1) * int(n[:full].sum(dtype=np.int64)) if full else 0
-
-    def filled(level: float) -> float:
-        """Samples in all pixels at this level. Sums of slices, not differences of running sums: these cancel."""
-        full = int(np.searchsorted(entry, level / cap, side="right")) if cap < np.inf else 0
-        begun = int(np.searchsorted(entry, level, side="right"))
-        return held(full) + level * float(v[full:begun].sum()) - int(n[full:begun].sum(dtype=np.int64))
-
-    # Pixels begun and pixels full at the level sought: breakpoints up to it, found by bisection as `filled` rises.
-    begun = bisect_right(range(entry.size), budget, key=lambda i: filled(entry[i]))
-    full = bisect_right(range(begun), budget, key=lambda i: filled(cap * entry[i])) if cap < np.inf else 0
-    if full == begun:  # between the last pixel full and the next to begin, where nothing fills
-        return cap * entry[full - 1]
-    return (budget - held(full) + int(n[full:begun].sum(dtype=np.int64))) / float(v[full:begun].sum())
+    The sum is piecewise linear in t, so the method ends when it has found the piece.
+    """
+    low, high = 0.0, np.inf
+    t = start or (budget + float(offset.sum())) / float(slope.sum())  # what all pixels would need if all took part
+    for _ in range(MAX_STEPS):
+        share = slope * t
+        share -= offset
+        filling = share > 0
+        filling &= share < room
+        np.clip(share, 0, room, out=share)
+        missing = budget - float(share.sum())
+        if abs(missing) <= ROUNDING * budget:
+            break
+        low, high = (t, high) if missing > 0 else (low, t)
+        growth = float(slope.sum(where=filling))
+        step = t + missing / growth if growth > 0 else np.inf
+        if not low < step < high:
+            step = 2 * t if high == np.inf else 0.5 * (low + high)
+            if not low < step < high:
+                break
+        t = step
+    return t, share
 
 
-def _round_to(share: np.ndarray, budget: int, wave_index: int, out: np.ndarray) -> None:
-    """Whole numbers of sum `budget` from shares of that sum, by largest remainders. Spoils `share`."""
-    np.floor(share, out=out, casting="unsafe")
+def _rounded(share: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
+    """Whole numbers (int64) of sum `budget` from shares of that sum, by largest remainders. Spoils `share`."""
+    out = share.astype(np.int64)  # shares are not negative: this is the floor
     share -= out
     missing = budget - int(out.sum())
     # Once in general. More often only where rounding of the shares left their sum an integer or more off.
@@ -164,6 +211,7 @@ def _round_to(share: np.ndarray, budget: int, wave_index: int, out: np.ndarray) 
         taken = candidates[_largest(-share[candidates], min(-missing, candidates.size), candidates, wave_index)]
         out[taken] -= 1
         missing += taken.size
+    return out
 
 
 def _spread(room: np.ndarray, total: int, wave_index: int) -> np.ndarray:
