@@ -1,0 +1,124 @@
+"""Folders as a comparison leaves them, with errors that are drawn instead of rendered, so that the truth is known."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from isonoise.film.exr import write_exr
+from isonoise.film.log import columns
+from isonoise.film.luminance import luminance
+from isonoise.strategies.measures import image_floor
+
+SNAPSHOTS = 6
+
+
+def make_comparison(
+    directory: Path,
+    scenes: Sequence[str],
+    strategies: Mapping[str, Callable[[np.ndarray], np.ndarray]],
+    seeds: Sequence[int] = (1, 2, 3, 4),
+    shape: tuple[int, int] = (24, 32),
+    spp: int = 64,
+    seconds: float = 4.0,
+    speed: float = 1.0,
+    bias: float = 0.0,
+    reference_se: float | None = 1e-4,
+) -> Path:
+    """Write plan, references and runs below `directory`.
+
+    - `strategies`: spec -> function of the relative variance V (height, width) that gives the share of the samples that
+      each pixel gets, up to a factor.
+    - `speed`: how much faster all strategies but the first are than it; `bias`: their mean relative error.
+    - `reference_se`: the reference's stated relative standard error, or None.
+
+    Errors are normal with variance V / n. V rises from left to right by a factor of 100.
+    """
+    slugs = {spec: spec.replace(":", "-").replace("=", "-").replace(",", "-") for spec in strategies}
+    plan = {
+        "scenes": [{"slug": s, "name": s, "reference": f"references/{s}.exr"} for s in scenes],
+        "strategies": [{"slug": slugs[spec], "spec": spec, "title": spec} for spec in strategies],
+        "seeds": list(seeds),
+        "time": seconds,
+        "spp": None,
+    }
+    (directory / "references").mkdir(parents=True)
+    (directory / "plan.json").write_text(json.dumps(plan))
+    height, width = shape
+    for number, scene in enumerate(scenes):
+        rng = np.random.default_rng([number, 0])
+        variance = np.broadcast_to(np.geomspace(0.04, 4, width), shape) * rng.uniform(0.9, 1.1, shape)
+        rgb = (0.5 + rng.random((height, width, 1)) * [0.9, 1.0, 1.1]).astype(np.float32)
+        layers = {"": rgb} | ({} if reference_se is None else {"stderr": (reference_se * rgb).astype(np.float32)})
+        write_exr(directory / "references" / f"{scene}.exr", layers, {})
+        write_exr(directory / "references" / f"{scene}-variance.exr", {"variance": variance.astype(np.float32)}, {})
+        for index, (spec, share) in enumerate(strategies.items()):
+            weight = share(variance)
+            count = np.maximum(1, np.rint(spp * weight / weight.mean() * (speed if index else 1))).astype(np.uint32)
+            for seed in seeds:
+                path = directory / "runs" / scene / slugs[spec] / f"{seed}.npz"
+                write_run(
+                    path,
+                    rgb,
+                    variance,
+                    count,
+                    np.random.default_rng([number, index, seed]),
+                    seconds,
+                    bias * (index > 0),
+                )
+    return directory
+
+
+def write_run(path, rgb, variance, count, rng, seconds, bias) -> None:
+    """One run: `SNAPSHOTS` waves, each of which doubles samples and time."""
+    r = luminance(rgb)
+    scale = np.maximum(r, image_floor(r))
+    errors, rows = [], []
+    for k in range(SNAPSHOTS):
+        part = 2.0 ** (k + 1 - SNAPSHOTS)
+        e = bias + rng.normal(size=r.shape) * np.sqrt(variance / (count * part))
+        errors.append(e.astype(np.float16))
+        off = e * scale
+        p50, p95, p99 = np.quantile(np.abs(e), (0.5, 0.95, 0.99))
+        squares = np.sort((off[..., None] ** 2 / (rgb**2 + 0.01)).mean(axis=-1).ravel())
+        made = dict.fromkeys(columns(true_errors=True), 0.0)
+        made |= {
+            "elapsed_s": seconds * part,
+            "wave": k + 1,
+            "kind": "adaptive" if k % 2 else "uniform",
+            "samples": int(count.sum() * part),
+            "spp": float(count.mean() * part),
+            "stated_p50": p50 * 0.98,
+            "stated_p95": p95 * 0.98,
+            "stated_p99": p99 * 0.98,
+            "true_p50": p50,
+            "true_p95": p95,
+            "true_p99": p99,
+            "true_max": float(np.abs(e).max()),
+            "true_rel_mse": float(squares.mean()),
+            "true_rel_mse_trimmed": float(squares[: -max(1, squares.size // 1000)].mean()),
+            "true_energy_ratio": float((r + off).mean() / r.mean()),
+            "true_coverage": 0.95,
+            "device_s": seconds * part * 0.97,
+        }
+        rows.append({key: float(value) if isinstance(value, np.floating) else value for key, value in made.items()})
+    facts = {
+        "strategy": path.parent.name,
+        "scene": path.parent.parent.name,
+        "seed": int(path.stem),
+        "device": "a made device",
+        "setup_s": 0.5,
+        "samples": int(count.sum()),
+        "elapsed_s": seconds,
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(
+        path,
+        rows=json.dumps(rows),
+        snapshot_s=np.array([row["elapsed_s"] for row in rows]),
+        snapshot_samples=np.array([row["samples"] for row in rows]),
+        errors=np.array(errors),
+        count=count,
+        facts=json.dumps(facts),
+    )
