@@ -20,9 +20,10 @@ KERNEL_TEXT = (CHECKOUT / "kernels" / "README.md").read_text()
 LAYERS = {  # what each may import beside itself; the table in host/README.md
     "errors": set(),
     "statistics": set(),
+    "student": set(),
     "device": {"errors"},
     "scene": {"errors"},
-    "strategies": {"errors", "statistics"},
+    "strategies": {"errors", "statistics", "student"},
     "integrator": {"device", "scene", "statistics"},
     "film": {"errors", "statistics", "strategies"},
     "renderer": {"errors", "statistics", "device", "scene", "strategies", "integrator"},

@@ -283,8 +283,9 @@ def test_stopped_in_the_middle_of_a_wave(thirty_spp):
     statistics = renderer.statistics()
     assert statistics.count.ravel().tolist() == [30] * 12 + [24] + [0] * 22
     for name, plane in vars(statistics).items():
-        whole = getattr(thirty_spp, name)
-        assert np.array_equal(plane.reshape(PIXELS, -1)[:12], whole.reshape(PIXELS, -1)[:12]), name
+        if plane is not None:
+            whole = getattr(thirty_spp, name)
+            assert np.array_equal(plane.reshape(PIXELS, -1)[:12], whole.reshape(PIXELS, -1)[:12]), name
     assert_sound(statistics)
 
 
@@ -350,6 +351,7 @@ def test_a_wrong_allocation_map_is_an_error():
 
 def test_a_wrong_schedule_is_an_error():
     wrong = [Wave("uniform", 0.0), Wave("uniform", np.nan), Wave("adaptive", np.inf), Wave("random", 1.0)]
+    wrong += [Wave("uniform", None), Wave("random", None), Wave("adaptive", 0)]
     renderer = Renderer(lamp_over_floor(), strategy=Wrong([Wave("uniform", 3), *wrong]))
     assert renderer.step().samples == 3 * PIXELS
     for wave in wrong:
@@ -358,3 +360,50 @@ def test_a_wrong_schedule_is_an_error():
     with pytest.raises(UserError, match="strategy 'wrong' plans no more waves"):
         renderer.step()
     assert renderer.statistics().samples == 3 * PIXELS
+
+
+# Waves whose number of samples is the strategy's own.
+
+
+def one_in_three(shape, budget):
+    """A map of 100 samples in every third pixel, 1,200 in all; asked for without a budget."""
+    assert budget is None
+    return np.where(np.arange(PIXELS) % 3 == 1, 100, 0).astype(np.uint32).reshape(shape)
+
+
+def test_a_wave_without_a_number_takes_the_map_as_it_is():
+    renderer = Renderer(lamp_over_floor(), strategy=Wrong([Wave("adaptive", None)] * 2, [one_in_three] * 2))
+    for wave in range(1, 3):
+        record = renderer.step(samples=1200 if wave == 1 else None)
+        assert (record.kind, record.samples, record.planned) == ("adaptive", 1200, 1200)
+        assert (renderer.statistics().count == wave * one_in_three((5, 7), None)).all()
+
+
+@pytest.mark.parametrize("samples", [1, 11, 12, 600, 1199])
+def test_a_wave_without_a_number_is_scaled_down_in_proportion(samples):
+    renderer = Renderer(lamp_over_floor(), strategy=Wrong([Wave("adaptive", None)], [one_in_three]))
+    record = renderer.step(samples=samples)
+    assert record.samples == record.planned == samples
+    count = renderer.statistics().count.ravel()
+    assert count.sum() == samples
+    assert set(count[1::3].tolist()) <= {samples // 12, samples // 12 + 1}
+
+
+def test_a_wrong_map_of_a_wave_without_a_number_is_an_error():
+    maps = {
+        "sum 0;": lambda shape, budget: np.zeros(shape, np.uint32),
+        "int64": lambda shape, budget: np.ones(shape, np.int64),
+        r"shape \(7, 5\)": lambda shape, budget: np.ones(shape[::-1], np.uint32),
+    }
+    renderer = Renderer(lamp_over_floor(), strategy=Wrong([Wave("adaptive", None)] * len(maps), maps.values()))
+    for said in maps:
+        with pytest.raises(UserError, match=f"returned an allocation map of .*{said}.*sum 1 or more"):
+            renderer.step(samples=50)
+    assert renderer.statistics().samples == 0
+
+
+def test_a_render_of_waves_without_numbers_meets_its_budget():
+    endless = itertools.chain([Wave("uniform", 2)], itertools.repeat(Wave("adaptive", None)))
+    strategy = Wrong(endless, itertools.repeat(one_in_three))
+    outcome = render(lamp_over_floor(), spp=100.3, strategy=strategy)
+    assert [row.samples for row in outcome.rows] == [70, 1270, 2470, round(100.3 * PIXELS)]

@@ -17,7 +17,7 @@ from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.load import load
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
-from isonoise.strategies.allocation import uniform_allocation
+from isonoise.strategies.allocation import proportional, uniform_allocation
 
 
 @dataclass(frozen=True)
@@ -106,23 +106,15 @@ class Renderer:
         begun = time.perf_counter()
         wave = self._cut_short or self._planned()
         self._cut_short = None
-        pixels = self.scene.width * self.scene.height
-        budget = max(1, round(wave.spp * pixels))
-        if samples is not None and samples < budget:
-            if wave.kind == "uniform":
-                self._cut_short = replace(wave, spp=wave.spp - samples / pixels)
-            budget = samples
-        if wave.kind == "uniform":
-            allocation = uniform_allocation((self.scene.height, self.scene.width), budget, self._waves)
-        else:
-            allocation = self._checked(self.strategy.allocate(self.statistics(), budget), budget)
+        allocation = self._allocation(wave, samples)
+        planned = int(allocation.sum(dtype=np.int64))
         most = int(allocation.max())
         if most > self.room:
             raise UserError(f"a wave asks for {most} samples in one pixel, which has room for {self.room}")
         self._most += most
         self._waves += 1
         entered = self._wavefront.trace(allocation, goes_on)
-        return WaveRecord(wave.kind, entered, budget, time.perf_counter() - begun)
+        return WaveRecord(wave.kind, entered, planned, time.perf_counter() - begun)
 
     def statistics(self) -> Statistics:
         """The statistics of every pixel so far, as numpy arrays in the scene's units. Waits for the device."""
@@ -137,21 +129,40 @@ class Renderer:
         wave = next(self._schedule, None)
         if wave is None:
             raise UserError(f"strategy '{self.strategy.name}' plans no more waves; its schedule has to be endless")
-        if wave.kind not in ("uniform", "adaptive") or not 0 < wave.spp < math.inf:
+        its_own = wave.kind == "adaptive" and wave.spp is None
+        if wave.kind not in ("uniform", "adaptive") or not (its_own or (wave.spp and 0 < wave.spp < math.inf)):
             raise UserError(
                 f"strategy '{self.strategy.name}' planned {wave}; "
-                "a wave is 'uniform' or 'adaptive' and has a finite spp above 0"
+                "a wave is 'uniform' or 'adaptive' and has a finite spp above 0, or none if it is adaptive"
             )
         return wave
 
-    def _checked(self, allocation: np.ndarray, budget: int) -> np.ndarray:
+    def _allocation(self, wave: Wave, samples: int | None) -> np.ndarray:
+        """The wave's map, of at most `samples` samples; what is cut off a uniform wave is kept for the next step."""
+        if wave.spp is None:
+            allocation = self._checked(self.strategy.allocate(self.statistics(), None), None)
+            total = int(allocation.sum(dtype=np.int64))
+            return allocation if samples is None or total <= samples else proportional(allocation, samples, self._waves)
+        pixels = self.scene.width * self.scene.height
+        budget = max(1, round(wave.spp * pixels))
+        if samples is not None and samples < budget:
+            if wave.kind == "uniform":
+                self._cut_short = replace(wave, spp=wave.spp - samples / pixels)
+            budget = samples
+        if wave.kind == "uniform":
+            return uniform_allocation((self.scene.height, self.scene.width), budget, self._waves)
+        return self._checked(self.strategy.allocate(self.statistics(), budget), budget)
+
+    def _checked(self, allocation: np.ndarray, budget: int | None) -> np.ndarray:
         """The map, if it is one that the device can take."""
         allocation = np.asarray(allocation)
         shape = (self.scene.height, self.scene.width)
         total = int(allocation.sum(dtype=np.int64)) if allocation.shape == shape else None
-        if allocation.dtype != np.uint32 or total != budget:
+        sound = allocation.dtype == np.uint32 and total is not None
+        if not sound or (total < 1 if budget is None else total != budget):
             raise UserError(
                 f"strategy '{self.strategy.name}' returned an allocation map of {allocation.dtype}, "
-                f"shape {allocation.shape}, sum {total}; it has to be uint32, shape {shape}, sum {budget}"
+                f"shape {allocation.shape}, sum {total}; it has to be uint32, shape {shape}, "
+                f"sum {'1 or more' if budget is None else budget}"
             )
         return allocation

@@ -8,14 +8,11 @@ import numpy as np
 
 from isonoise.film.shrinkage import BLOCK, freed_relative_variance
 from isonoise.statistics import Statistics
-from isonoise.strategies.measures import image_floor, relative_mean, standard_error
+from isonoise.strategies.measures import confidence, image_floor, relative_mean
 
 STRIP = 2**17  # pixels worked on at a time, so that what lies between the steps stays in the cache
 OCTAVES = 32  # errors are resolved from 2^-32 to 2^32
 BINS = 32  # per octave; quantiles are interpolated and good to 1e-4
-
-_T_975 = (12.7062047, 4.30265273, 3.18244631, 2.77644511, 2.57058184, 2.44691185, 2.36462425, 2.30600414, 2.26215716)
-_Z_975 = 1.959963984540054
 
 
 def stated_error(statistics: Statistics, quantiles: Sequence[float], floor: float | None = None) -> np.ndarray:
@@ -61,27 +58,7 @@ def relative_standard_error(statistics: Statistics, floor: float) -> np.ndarray:
 def half_width_95(statistics: Statistics) -> np.ndarray:
     """Half-width of the 95 % confidence interval of every pixel's luminance: Student's t at n - 1 degrees of freedom
     times se. Float64 (height, width), in the image's units; inf where n < 2."""
-    return standard_error(statistics) * _t_975(statistics.count)
-
-
-def _t_975(count: np.ndarray) -> np.ndarray:
-    """Quantile 0.975 of Student's t for count - 1 degrees of freedom (1 for counts below 2).
-
-    Up to 9 from a table; beyond, the expansion about the normal quantile (Abramowitz and Stegun 26.7.5), good to 4e-6.
-    """
-    z = _Z_975
-    terms = (
-        z,
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
-    )
-    freedom = np.maximum(count, 2).astype(np.float64) - 1
-    t = np.polynomial.polynomial.polyval(1 / freedom, terms)
-    few = freedom <= len(_T_975)
-    t[few] = np.array(_T_975)[freedom[few].astype(np.intp) - 1]
-    return t
+    return confidence(statistics, significance=0.05)
 
 
 def _histogram(statistics: Statistics, floor: float) -> tuple[int, np.ndarray]:

@@ -11,10 +11,13 @@ from isonoise.statistics import NOTHING_MORE, Needs, Statistics
 
 @dataclass(frozen=True)
 class Wave:
-    """One wave as the strategy plans it; the renderer cuts the last one to the sample budget or the deadline."""
+    """One wave as the strategy plans it; the renderer cuts the last one to the sample budget or the deadline.
+
+    - `spp`: mean samples per pixel. None, in an adaptive wave alone: as many as the map that `allocate` returns.
+    """
 
     kind: Literal["uniform", "adaptive"]
-    spp: float  # mean samples per pixel
+    spp: float | None
 
 
 class Strategy:
@@ -28,6 +31,10 @@ class Strategy:
         """The schedule: an endless iterator; the renderer stops drawing from it when the render is done."""
         raise NotImplementedError
 
-    def allocate(self, statistics: Statistics, budget: int) -> np.ndarray:
-        """Samples per pixel of the next adaptive wave: uint32, shape (height, width), summing to `budget` exactly."""
+    def allocate(self, statistics: Statistics, budget: int | None) -> np.ndarray:
+        """Samples per pixel of the next adaptive wave: uint32, shape (height, width).
+
+        With a `budget` they sum to it exactly. It is None where the wave's spp is: then they are any that sum to 1 or
+        more, and where that is more than may be taken the renderer scales them down in proportion.
+        """
         raise NotImplementedError

@@ -3,6 +3,7 @@
 import numpy as np
 
 from isonoise.statistics import Statistics
+from isonoise.student import quantile
 
 
 def image_floor(mean: np.ndarray) -> float:
@@ -38,6 +39,39 @@ def relative_median(statistics: Statistics, floor: float, kappa: float = 8.0) ->
 def relative_mean(statistics: Statistics, floor: float) -> np.ndarray:
     """e_a = se / max(mean, floor). Float64, shape (height, width); inf and 0 as in `relative_median`."""
     return _ratio(standard_error(statistics), np.maximum(statistics.mean, floor))
+
+
+def confidence(statistics: Statistics, significance: float) -> np.ndarray:
+    """t se, t the quantile 1 - significance / 2 of Student's distribution with n - 1 degrees of freedom: half of the
+    interval that holds the luminance with probability 1 - significance where samples are normal.
+
+    Float64, shape (height, width), in the scene's units; inf where n < 2, and 0 where all samples were equal.
+    From: Purgathofer 1987, 'A statistical method for adaptive stochastic sampling'.
+    """
+    return standard_error(statistics) * quantile(1 - significance / 2, np.maximum(statistics.count, 2) - 1)
+
+
+def half_buffer(statistics: Statistics) -> np.ndarray:
+    """e_p = (|I_R - A_R| + |I_G - A_G| + |I_B - A_B|) / sqrt(I_R + I_G + I_B), I the mean of all samples and A that of
+    every second one: the noise of I, and its square root of the brightness for the eye.
+
+    Float64, shape (height, width); scales with the square root of the light; inf where n < 2, and 0 for black.
+    From: Dammertz, Hanika, Keller, Lensch 2010, 'A hierarchical automatic stopping condition for Monte Carlo global
+    illumination', 2.1.
+    """
+    return _ratio(half_difference(statistics), np.sqrt(brightness(statistics)))
+
+
+def half_difference(statistics: Statistics) -> np.ndarray:
+    """|I_R - A_R| + |I_G - A_G| + |I_B - A_B| of `half_buffer`, float64 (height, width); inf where n < 2."""
+    difference = np.abs(statistics.rgb - statistics.half.astype(np.float64)).sum(axis=-1)
+    difference[statistics.count < 2] = np.inf
+    return difference
+
+
+def brightness(statistics: Statistics) -> np.ndarray:
+    """max(R + G + B, 0) of the mean, float64 (height, width)."""
+    return np.maximum(statistics.rgb.sum(axis=-1, dtype=np.float64), 0)
 
 
 def standard_error(statistics: Statistics) -> np.ndarray:
