@@ -43,7 +43,8 @@ def rows(path):
 
 
 def test_a_render_with_everything(capsys):
-    assert isonoise(*SMALL, "--spp", "16", "--seed", "7", "-o", "a.exr", "-o", "a.png", "--log", "a.csv") == 0
+    options = ("--spp", "16", "--seed", "7", "--strategy", "relative-median", "--log", "a.csv")
+    assert isonoise(*SMALL, *options, "-o", "a.exr", "-o", "a.png") == 0
     out, err = capsys.readouterr()
     assert err == ""
     for word in (
@@ -243,7 +244,13 @@ def test_a_log_that_fails_does_not_cost_the_image(capsys, monkeypatch):
 def test_help_explains_strategies_and_every_column(capsys):
     assert isonoise("render", "--help") == 0
     out = capsys.readouterr().out
-    for word in ("(default: relative-median)", "relative-median:kappa=8", "uniform", *columns(true_errors=True)):
+    for word in (
+        "(default: pooled)",
+        "pooled:window=5",
+        "relative-median:kappa=8",
+        "uniform",
+        *columns(true_errors=True),
+    ):
         assert word in out
     for option in ("--checkpoint", "--resume", "--layers"):  # not built yet
         assert option not in out

@@ -1,5 +1,7 @@
 """Measures and the floor: closed forms, the edge cases, and what scaling the light leaves unchanged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,13 @@ from isonoise.statistics import Statistics
 from isonoise.strategies import make_strategy
 from isonoise.strategies.measures import (
     image_floor,
+    pooled,
     relative_mean,
     relative_median,
     standard_error,
+    tsallis,
     variance_of_one,
+    window_sum,
 )
 
 
@@ -51,6 +56,43 @@ def test_measures_are_their_formulas():
     assert variance_of_one(s, relative_mean(s, 0.1))[0] == pytest.approx([1.0, 1.0, 1.0, 400.0])
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 5), (3, 2)])
+@pytest.mark.parametrize("window", [1, 3, 5, 31])
+def test_pooled_is_a_plain_loop_over_the_window(shape, window):
+    rng = np.random.default_rng(3)
+    s = statistics(rng.integers(2, 50, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape))
+    n, reach = s.count.astype(float), window // 2
+    for (y, x), value in np.ndenumerate(pooled(s, 0.5, window)):
+        around = np.s_[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
+        variance, mean = (np.average(plane[around], weights=n[around]) for plane in (s.variance, s.mean))
+        assert value == pytest.approx(np.sqrt(variance / n[y, x]) / max(mean, 0.5), rel=1e-12)
+    if window == 1:
+        assert pooled(s, 0.5, 1) == pytest.approx(relative_mean(s, 0.5), rel=1e-14)
+
+
+def test_window_sums_do_not_cancel():
+    values = np.full((9, 9), 1e-20)
+    values[0, 0] = 1e20
+    assert window_sum(values, 3)[8, 8] == pytest.approx(4e-20, rel=1e-15)
+
+
+@pytest.mark.parametrize("q", [0.5, 1.0, 1.5, 2.0, 3.0])
+def test_tsallis_is_the_entropy_of_the_shares(q):
+    x = np.random.default_rng(4).lognormal(0, 1.5, size=(20, 3, 4))
+    power = np.mean(x * np.log(x) if q == 1 else x**q, axis=0)
+    s = replace(statistics(20, x.mean(axis=0), x.var(axis=0, ddof=1)), power=power)
+    p = x / x.sum(axis=0)
+    if q == 1:
+        expected = np.sqrt(1 - -(p * np.log(p)).sum(axis=0) / np.log(20))
+    else:
+        expected = np.sqrt(1 - (1 - (p**q).sum(axis=0)) / (1 - 20.0 ** (1 - q)))
+    assert tsallis(s, q) == pytest.approx(expected, rel=1e-9)
+    if q == 2:  # relative-mean exactly, where the mean is above the floor
+        assert tsallis(s, 2) == pytest.approx(relative_mean(s, 0.0), rel=1e-15)
+    dark = statistics([[0, 1, 9]], [[0.0, 1.0, 0.0]], np.zeros((1, 3)))
+    assert tsallis(replace(dark, power=np.zeros((1, 3))), q).tolist() == [[0, 0, 0]]
+
+
 def test_unknown_is_inf_and_noiseless_is_zero():
     s = statistics([[0, 1, 2, 16, 16]], [[0.0, 3.0, 3.0, 0.0, 3.0]], np.zeros((1, 5)))
     for measure in (relative_mean(s, 0.01), relative_median(s, 0.01)):
@@ -83,7 +125,19 @@ def test_with_the_bare_floor_pixels_of_zero_median_take_the_whole_budget():
     assert make_strategy("relative-mean:clip=1,cap=inf").allocate(s, budget)[5, 5] < 0.1 * budget
 
 
-@pytest.mark.parametrize("spec", ["relative-mean", "relative-median", "relative-median:kappa=inf"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "relative-mean",
+        "relative-median",
+        "relative-median:kappa=inf",
+        "relative-median:literal=true",
+        "absolute",
+        "pooled",
+        "tsallis",
+        "pooled:rule=proportional",
+    ],
+)
 def test_scaling_the_light_changes_no_allocation(spec):
     rng = np.random.default_rng(3)
     x = rng.gamma(0.3, size=(20, 30, 40)) * np.exp(rng.normal(0, 2, size=(30, 40)))

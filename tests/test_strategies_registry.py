@@ -54,15 +54,18 @@ def first(strategy, k):
 
 
 def test_the_built_in_strategies():
-    assert available_strategies()[:3] == ["uniform", "relative-mean", "relative-median"]
-    assert DEFAULT_STRATEGY == "relative-median"
+    assert available_strategies()[:3] == ["uniform", "pooled", "relative-median"]
+    assert DEFAULT_STRATEGY == "pooled"
+    assert make_strategy("pooled").needs == make_strategy("tsallis").needs == Needs()  # q = 2 is in the variance
     assert make_strategy("relative-median").needs == Needs(median=True)
+    assert make_strategy("relative-median:chunk=9,batch=2").needs == Needs(median=True, chunk=9, batch=2)
+    assert make_strategy("tsallis:q=1").needs == Needs(power=1.0)
     assert make_strategy("relative-mean").needs == make_strategy("uniform").needs == Needs()
     strategy = make_strategy("uniform")
     assert make_strategy(strategy) is strategy
 
 
-@pytest.mark.parametrize("name", ["relative-mean", "relative-median"])
+@pytest.mark.parametrize("name", ["relative-mean", "relative-median", "pooled"])
 def test_uniform_and_adaptive_waves_take_turns(name):
     waves = first(make_strategy(name), 40)
     assert (waves[0].kind, waves[0].spp) == ("uniform", 16)
@@ -70,6 +73,12 @@ def test_uniform_and_adaptive_waves_take_turns(name):
     uniform = [w.spp for w in waves if w.kind == "uniform"]
     assert all(spp == int(spp) for spp in uniform)
     assert uniform[1:] == [w.spp for w in waves if w.kind == "adaptive"][:-1]  # 1:1
+
+
+def test_without_alternation_every_wave_but_the_first_is_adaptive():
+    waves = first(make_strategy("relative-mean:ratio=inf"), 12)
+    assert [w.kind for w in waves] == ["uniform"] + ["adaptive"] * 11
+    assert [w.spp for w in waves[:3]] == [16, 4, 5]
 
 
 def test_the_ratio_is_in_samples():
@@ -134,7 +143,7 @@ def test_names_from_entry_points(monkeypatch):
         EntryPoint("uniform", "my_strategies:Dark", registry.ENTRY_POINT_GROUP),  # a built-in name stays built in
     ]
     monkeypatch.setattr(registry, "_entry_points", lambda: entries)
-    assert available_strategies() == ["uniform", "relative-mean", "relative-median", "broken", "dark"]
+    assert available_strategies()[-3:] == ["oracle", "broken", "dark"]
     monkeypatch.syspath_prepend(".")
     assert make_strategy("dark:spp=3").spp == 3.0
     assert type(make_strategy("uniform")).__name__ == "Uniform"
@@ -147,7 +156,7 @@ def test_names_from_entry_points(monkeypatch):
     ("spec", "message"),
     [
         ("unifrom", "did you mean 'uniform'"),
-        ("", "known are uniform, relative-mean, relative-median"),
+        ("", "known are uniform, pooled, relative-median"),
         ("uniform:wave_sp=3", "did you mean 'wave_spp'"),
         ("uniform:3", "key=value"),
         ("uniform:", "key=value"),
@@ -155,9 +164,13 @@ def test_names_from_entry_points(monkeypatch):
         ("uniform:warmup=1,warmup=2", "given twice"),
         ("uniform:warmup=1.5", "a whole number"),
         ("relative-mean:ratio=much", "a number"),
-        ("relative-mean:ratio=0", "0.01 to 100"),
-        ("relative-mean:ratio=nan", "0.01 to 100"),
+        ("relative-mean:ratio=0", "from 0.01"),
+        ("relative-mean:ratio=nan", "from 0.01"),
         ("relative-mean:growth=inf", "0.01 to 4"),
+        ("relative-mean:rule=best", "deficit, sqrt, proportional"),
+        ("relative-median:chunk=4", "odd"),
+        ("pooled:window=2", "odd"),
+        ("tsallis:q=0", "0.1 to 8"),
         ("relative-mean:cap=1", "from 2"),
         ("relative-mean:cap=2.5", "whole number"),
         ("relative-median:kappa=0.5", "from 1"),
@@ -184,7 +197,7 @@ def test_two_runs_allocate_the_same():
     mean = rng.lognormal(size=(9, 8))
     count = np.full(mean.shape, 16, np.uint32)
     s = Statistics(count, np.zeros_like(count), np.zeros((9, 8, 3), np.float32), mean, mean**2, mean / 2)
-    for name in ("relative-mean", "relative-median"):
+    for name in ("relative-mean", "relative-median", "pooled", "relative-mean:rule=proportional"):
         a, b = make_strategy(name), make_strategy(name)
         assert (a.allocate(s, 100) == b.allocate(s, 100)).all()
         assert (a.allocate(s, 100) == b.allocate(s, 100)).all()  # no state: the same after a resume

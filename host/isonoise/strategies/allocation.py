@@ -9,7 +9,7 @@ MAX_COUNT = 2**32 - 1
 SAMPLE = 2**14
 """Pixels on which the water level is sought first."""
 MAX_STEPS = 200
-"""Of the search for the level; a handful is usual, and bisection of a bracket that spans all numbers ends well before."""
+"""Of the search for the level; a handful is usual, and bisection from any bracket of floats ends well before."""
 ROUNDING = 1e-13
 """Relative error of a sum of millions of float64 numbers; a level is not known better."""
 
@@ -157,7 +157,7 @@ def _clipped(variance: np.ndarray, clip: float) -> np.ndarray:
 
 
 def _fill(slope: np.ndarray, offset: np.ndarray, room: np.ndarray, budget: int) -> np.ndarray | None:
-    """Real-valued shares min(max(0, slope t - offset), room) that sum to the budget; None if together they hold less."""
+    """Real shares min(max(0, slope t - offset), room) that sum to the budget; None if together they hold less."""
     if float(room.sum(where=slope > 0)) <= budget:
         return None
     start = None

@@ -41,6 +41,66 @@ def relative_mean(statistics: Statistics, floor: float) -> np.ndarray:
     return _ratio(standard_error(statistics), np.maximum(statistics.mean, floor))
 
 
+def pooled(statistics: Statistics, floor: float, window: int) -> np.ndarray:
+    """The relative standard error with variance and mean pooled over the window around the pixel, samples weighing the
+    same: sqrt(sum n s^2 / sum n) / sqrt(n) / max(sum n mean / sum n, floor).
+
+    `window` is odd, pixels a side; beyond the image's edge there is nothing. Float64, shape (height, width); inf where
+    n < 2.
+    """
+    weight = statistics.count.astype(np.float64)
+    samples = window_sum(weight, window)
+    np.maximum(samples, 1, out=samples)
+    scale = window_sum(weight * statistics.mean, window)
+    scale /= samples
+    np.maximum(scale, floor, out=scale)
+    variance = window_sum(weight * statistics.variance, window)
+    variance /= samples
+    error = np.full(statistics.shape, np.inf)
+    np.divide(variance, weight, out=error, where=statistics.count >= 2)
+    return _ratio(np.sqrt(error, out=error), scale)
+
+
+def window_sum(values: np.ndarray, window: int) -> np.ndarray:
+    """Sums over `window` x `window` pixels around each, shape (height, width), nothing beyond the edge."""
+    reach = window // 2
+    for axis in (0, 1):
+        lines = np.moveaxis(values, axis, 0)
+        total = lines.copy()
+        for step in range(1, min(reach, len(lines) - 1) + 1):  # sums of neighbours: differences of running sums cancel
+            total[step:] += lines[:-step]
+            total[:-step] += lines[step:]
+        values = np.moveaxis(total, 0, axis)
+    return values
+
+
+def tsallis(statistics: Statistics, q: float) -> np.ndarray:
+    """sqrt(1 - S_q / S_max) with S_q = (1 - sum p^q) / (q - 1), p_i = x_i / sum x, S_max = (1 - n^(1-q)) / (q - 1);
+    for q = 1 their limits, Shannon's entropy and ln n.
+
+    Computed as (sum p^q - n^(1-q)) / (1 - n^(1-q)). For q = 2 that is se^2 / mean^2. It depends on the samples' shares
+    alone and needs no floor. Float64, shape (height, width); 0 where n < 2 or all samples were 0.
+    From: Xu, Sbert, Xing, Zhan 2007, 'Adaptive sampling based on Tsallis entropy'.
+    """
+    n = np.maximum(statistics.count, 2).astype(np.float64)
+    mean = statistics.mean
+    square = np.zeros(statistics.shape)
+    lit = (statistics.count >= 2) & (mean > 0)
+    if q == 2:
+        np.divide(statistics.variance, n, out=square, where=lit)
+        np.divide(square, mean, out=square, where=lit)
+        np.divide(square, mean, out=square, where=lit)
+    elif q == 1:
+        np.divide(statistics.power, mean, out=square, where=lit)
+        square -= np.log(mean, out=np.zeros(statistics.shape), where=lit)
+        square /= np.log(n)
+    else:
+        least = n ** (1 - q)
+        np.divide(statistics.power, np.where(lit, mean, 1) ** q, out=square, where=lit)
+        square = np.where(lit, (square - 1) * least / (1 - least), 0)
+    return np.sqrt(np.maximum(square, 0, out=square), out=square)
+
+
 def confidence(statistics: Statistics, significance: float) -> np.ndarray:
     """t se, t the quantile 1 - significance / 2 of Student's distribution with n - 1 degrees of freedom: half of the
     interval that holds the luminance with probability 1 - significance where samples are normal.

@@ -7,14 +7,15 @@ import sys
 from collections.abc import Iterable
 
 from isonoise.errors import UserError
+from isonoise.strategies.adaptive import Absolute, Pooled, RelativeMean, RelativeMedian, Tsallis
 from isonoise.strategies.base import Strategy
-from isonoise.strategies.relative import RelativeMean, RelativeMedian
+from isonoise.strategies.oracle import Oracle
 from isonoise.strategies.uniform import Uniform
 
 ENTRY_POINT_GROUP = "isonoise.strategies"
-DEFAULT_STRATEGY = RelativeMedian.name
+DEFAULT_STRATEGY = Pooled.name
 
-_BUILT_IN = {strategy.name: strategy for strategy in (Uniform, RelativeMean, RelativeMedian)}
+_BUILT_IN = {strategy.name: strategy for strategy in (Uniform, Pooled, RelativeMedian, RelativeMean, Absolute, Tsallis, Oracle)}
 
 
 def available_strategies() -> list[str]:

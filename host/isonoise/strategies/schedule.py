@@ -1,5 +1,6 @@
 """Schedules of waves, pure arithmetic: waves grow with the samples so far, so that their number is logarithmic."""
 
+import math
 from collections.abc import Iterator
 
 from isonoise.strategies.base import Wave
@@ -19,10 +20,14 @@ def alternating_waves(warmup: int, ratio: float, growth: float) -> Iterator[Wave
     """A uniform warm-up, then adaptive and uniform waves in turn without end.
 
     Each pair brings `growth` times the samples so far, `ratio` of them adaptive for one uniform. Uniform waves have a
-    whole number of samples per pixel, so that every pixel gets the same.
+    whole number of samples per pixel, so that every pixel gets the same. With `ratio` inf no uniform wave follows the
+    warm-up, and an adaptive one brings half of a pair's samples, as it does with ratio 1.
     """
     spp = float(warmup)
     yield Wave("uniform", warmup)
+    while ratio == math.inf:
+        yield Wave("adaptive", 0.5 * growth * spp)
+        spp *= 1 + 0.5 * growth
     while True:
         uniform = max(1, round(growth * spp / (1 + ratio)))
         yield Wave("adaptive", ratio * uniform)

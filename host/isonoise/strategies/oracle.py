@@ -1,0 +1,49 @@
+"""The strategy `oracle`: the variance of every pixel is known beforehand. The bound of every estimate."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isonoise.errors import UserError
+from isonoise.statistics import Statistics
+from isonoise.strategies.adaptive import Adaptive
+
+LAYER = "variance"
+
+
+@dataclass(kw_only=True, eq=False)
+class Oracle(Adaptive):
+    """Follows relative variances from an independent long run: what no strategy that estimates them can beat, unless
+    it gives up that the image is unbiased. For experiments.
+
+    - `file`: an .exr file with a float layer `variance`: that of one sample over max(mean, floor)^2, the same for every
+      pixel's luminance. `isonoise compare` makes one where the strategy is named without a file.
+    - and those of `Adaptive`.
+    """
+
+    name = "oracle"
+
+    file: str
+    clip: float = 1.0
+
+    @cached_property
+    def _variance(self) -> np.ndarray:
+        import OpenEXR
+
+        try:
+            with OpenEXR.File(self.file) as file:
+                return file.channels()[LAYER].pixels.astype(np.float64)
+        except KeyError:
+            raise UserError(f"strategy oracle: '{self.file}' has no layer '{LAYER}'") from None
+        except Exception as error:  # the binding raises bare RuntimeErrors
+            raise UserError(f"strategy oracle: cannot read '{self.file}': {error}") from error
+
+    def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
+        if self._variance.shape != statistics.shape:
+            sizes = ["x".join(map(str, shape[::-1])) for shape in (self._variance.shape, statistics.shape)]
+            raise UserError(f"strategy oracle: '{self.file}' is {sizes[0]} and the image {sizes[1]}")
+        return self._variance.copy()
+
+    def measure(self, statistics: Statistics, floor: float) -> np.ndarray:
+        return np.sqrt(self._variance / np.maximum(statistics.count, 1))
