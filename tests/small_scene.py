@@ -6,7 +6,7 @@ from isonoise.statistics import Statistics
 
 WIDTH, HEIGHT = 7, 5
 PIXELS = WIDTH * HEIGHT
-BUILT_IN = ["uniform", "pooled", "relative-mean", "relative-median"]
+BUILT_IN = ["uniform", "pooled", "relative-median", "relative-mean"]
 
 
 def lamp_over_floor(radiance: float = 5.0, width: int = WIDTH, height: int = HEIGHT, max_depth: int = 4) -> dict:

@@ -246,8 +246,9 @@ def test_help_explains_strategies_and_every_column(capsys):
     out = capsys.readouterr().out
     for word in (
         "(default: pooled)",
-        "pooled:window=5",
-        "relative-median:kappa=8",
+        "pooled:rule=sqrt",
+        "window=5",
+        "kappa=8",
         "uniform",
         *columns(true_errors=True),
     ):
