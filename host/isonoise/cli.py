@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
     _add_render(commands)
+    _add_compare(commands)
     devices = "list the OpenCL devices and say which one is the default"
     commands.add_parser("devices", help=devices, description=devices.capitalize() + ".")
     info = commands.add_parser(
@@ -101,6 +102,54 @@ def _add_render(commands) -> None:
     reports.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
 
 
+def _add_compare(commands) -> None:
+    compare = commands.add_parser(
+        "compare",
+        help="render scenes with several strategies and seeds, and report error against time",
+        description="Render every SCENE with every strategy and seed, measure each wave against a reference, and make\n"
+        "tables, plots and a report. A comparison that was stopped goes on when the same command is given again; more\n"
+        "scenes, strategies and seeds may be added then. Ctrl-C drops the run in flight and reports what is finished.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    compare.make_epilog = _compare_epilog
+    compare.add_argument("scenes", metavar="SCENE", nargs="*", help="a scene file or a built-in scene; one or more")
+    compare.add_argument("-o", "--output", metavar="DIR", required=True, help="the folder; the files are listed below")
+    what = compare.add_argument_group("what to compare")
+    what.add_argument(
+        "--strategies",
+        metavar="A,B,..",
+        action="append",
+        default=[],
+        help="as NAME[:k=v,..] of `isonoise render --help`, and those listed below; may be given more than once",
+    )
+    what.add_argument("--preset", metavar="NAME", help="a whole plan, listed below; options replace its pieces")
+    what.add_argument("--seeds", metavar="N", type=_count, help="runs of each strategy on each scene (default: 8)")
+    what.add_argument("--seed", metavar="K", type=_seed, default=0, help="seed of the first run (default: %(default)s)")
+    budget = compare.add_argument_group("budget of a run (one of them)")
+    budget.add_argument("--time", metavar="S", type=_positive, help="seconds of rendering (default: 10)")
+    budget.add_argument("--spp", metavar="N", type=_positive, help="mean samples per pixel")
+    how = compare.add_argument_group("how to render")
+    how.add_argument("--size", metavar="WxH", type=_size, help="image size in pixels instead of the scenes'")
+    how.add_argument("--max-depth", metavar="N", type=_max_depth, help="longest path: 1 is emitters only, -1 no end")
+    how.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
+    references = compare.add_argument_group("references")
+    references.add_argument(
+        "--reference",
+        metavar="[SCENE=]REF.exr",
+        action="append",
+        default=[],
+        help="converged image, with stderr.R, .G, .B if known; one for each scene in order, or by the scene's name; "
+        "without it one is rendered",
+    )
+    references.add_argument(
+        "--reference-time",
+        metavar="S",
+        type=_positive,
+        help="seconds for a reference, and as many for what an oracle knows (default: 20 times --time; "
+        "with --spp 20 times its samples)",
+    )
+
+
 def _add_definitions(parser) -> None:
     parser.add_argument(
         "-D",
@@ -132,6 +181,37 @@ def _render_epilog() -> str:
     for name, meaning in meanings.items():
         lines += textwrap.wrap(meaning, 110, initial_indent=f"  {name:{width}}  ", subsequent_indent=" " * (width + 4))
     lines += ["", "exit codes: 0 done; 1 --error was not met within the other limits; 2 bad input; 130 after Ctrl-C"]
+    return "\n".join(lines)
+
+
+def _compare_epilog() -> str:
+    from isonoise.comparison.presets import PRESETS
+
+    lines = [
+        "strategies beside those of `isonoise render`:",
+        "  oracle                   without file=: what it knows comes from a long uniform run, made once a scene",
+        "  mitsuba-independent      Mitsuba 3 with its sampler `independent`; needs the extra `peers`",
+        "  mitsuba-multijitter      the same with `multijitter`; DRJIT_LIBLLVM_PATH may have to name its libLLVM",
+        "",
+        "presets:",
+    ]
+    for name, preset in PRESETS.items():
+        lines.append(f"  {name}: {preset.meaning}")
+        lines.append(f"    {preset.seeds} seeds, {preset.time:g} s a run; scenes {', '.join(preset.scenes)};")
+        lines += [f"    {spec}" for spec in preset.strategies]
+    lines += [
+        "",
+        "files below DIR:",
+        "  report.html              tables and plots in one file",
+        "  summary.json             the tables' numbers",
+        "  waves.csv                one row a wave of every run: the columns of `isonoise render --help`, and device_s",
+        "  plots/                   the plots alone",
+        "  references/SCENE.exr     where none was given: R, G, B and standard errors stderr.R, .G, .B",
+        "  runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to have it rendered again",
+        "  plan.json                what is compared",
+        "",
+        "exit codes: 0 done; 2 bad input, or another plan than the one in DIR; 130 after Ctrl-C",
+    ]
     return "\n".join(lines)
 
 
@@ -179,6 +259,13 @@ def _positive(text: str) -> float:
     value = _number(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text} must be more than 0")
+    return value
+
+
+def _count(text: str) -> int:
+    value = _whole(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} must be 1 or more")
     return value
 
 

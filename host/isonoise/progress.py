@@ -1,16 +1,13 @@
-"""The progress bar of a render: time, samples, stated error and time left, on a terminal only."""
+"""Progress bars, on a terminal only: a render's, with time, samples, stated error and time left, and a bare one."""
 
 import math
 import sys
 
 
-class ProgressBar:
-    """A bar on stderr while the `with` block runs; where stderr is no terminal nothing is shown.
+class Bar:
+    """A bar on stderr while the `with` block runs; where stderr is no terminal nothing is shown."""
 
-    Call `update` with the render loop's progress.
-    """
-
-    def __enter__(self) -> "ProgressBar":
+    def __enter__(self):
         self._progress = None
         if sys.stderr.isatty():
             from rich.console import Console
@@ -31,17 +28,24 @@ class ProgressBar:
         if self._progress:
             self._progress.stop()
 
+    def show(self, completed: float, total: float | None, description: str) -> None:
+        """`completed` of `total` (None: not known) is done; `description` stands beside the bar."""
+        if self._progress:
+            self._progress.update(self._task, completed=completed, total=total, description=description)
+
+
+class ProgressBar(Bar):
+    """The bar of a render; call `update` with the render loop's progress."""
+
     def update(self, elapsed_s: float, samples: int, stated_error: float | None, remaining_s: float | None) -> None:
         """Show where the render stands; None is what is not known yet."""
-        if not self._progress:
-            return
         parts = [f"{duration(elapsed_s)}", f"{count(samples)} samples"]
         if stated_error is not None:
             parts.append(f"error {percent(stated_error)}")
         if remaining_s is not None:
             parts.append(f"{duration(remaining_s)} left")
         total = None if remaining_s is None else max(elapsed_s + remaining_s, 1e-9)
-        self._progress.update(self._task, completed=elapsed_s, total=total, description=", ".join(parts))
+        self.show(elapsed_s, total, ", ".join(parts))
 
 
 def duration(seconds: float) -> str:

@@ -1,0 +1,1 @@
+"""Comparisons: the same scenes by several strategies and seeds, measured against references."""

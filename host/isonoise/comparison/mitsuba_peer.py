@@ -1,0 +1,202 @@
+"""Mitsuba 3 as a strategy: the same scene file, size and depth, its own sampler, in passes of growing size.
+
+Mitsuba works in a process of its own: OpenCL drivers bring an LLVM of theirs, and a libLLVM that is too old for Mitsuba
+ends the process that loads it. The clock runs there, around rendering alone.
+"""
+
+import multiprocessing
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from isonoise.comparison.mitsuba_scene import mitsuba_xml
+from isonoise.comparison.plan import SceneEntry
+from isonoise.comparison.recording import Recorder
+from isonoise.comparison.specs import PEERS
+from isonoise.errors import UserError
+from isonoise.film.log import LogRow
+from isonoise.film.true_error import true_error
+from isonoise.rendering import LAST_WAVE_SHARE, LAST_WAVES, Stops
+
+VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
+"""Tried in this order: the first needs a libLLVM that DRJIT_LIBLLVM_PATH may have to name."""
+FIRST_PASS = 16
+"""Samples per pixel of the first pass: that of the strategy `uniform`."""
+GROWTH = {"independent": 0.25, "multijitter": 1.0}
+"""Later passes bring this many times the samples so far: as `uniform` does; strata are as many as a pass's samples."""
+LARGEST_PASS = 2**23
+"""Samples of a pass: the compiled variants keep them all in memory at once."""
+
+
+class Peers:
+    """Mitsuba's processes for one scene, begun when first needed and ended with the `with` block."""
+
+    def __init__(self, scene: SceneEntry, size: tuple[int, int] | None, max_depth: int | None):
+        self._scene, self._size, self._max_depth = scene, size, max_depth
+        self._workers: dict[str, _Worker] = {}
+
+    def __enter__(self) -> "Peers":
+        return self
+
+    def __exit__(self, *exception) -> None:
+        for worker in self._workers.values():
+            worker.close()
+
+    def run(
+        self,
+        strategy: str,
+        seed: int,
+        stops: Stops,
+        reference: tuple[np.ndarray, np.ndarray | None],
+        path: Path,
+        on_progress: Callable[[float, int], None],
+    ) -> dict:
+        """One run, written to `path`; returns its last row. Stated errors are nan. Raises UserError if it fails."""
+        worker = self._workers.get(strategy)
+        if worker is None:
+            xml = mitsuba_xml(Path(self._scene.source), PEERS[strategy], self._size, self._max_depth)
+            worker = self._workers[strategy] = _Worker(self._scene.name, xml)
+        pixels = self._scene.width * self._scene.height
+        recorder = Recorder(stops, reference[0])
+        total, spp, elapsed, speed = 0.0, 0, 0.0, None
+        while (wanted := _wanted(stops, pixels, GROWTH[PEERS[strategy]], spp, elapsed, speed)) >= 1:
+            number, size = len(recorder.rows), worker.whole_pass(wanted)
+            (pass_seed,) = np.random.SeedSequence([seed, number]).generate_state(1)
+            image, seconds = worker.render(size, int(pass_seed))
+            elapsed, spp, speed = elapsed + seconds, spp + size, size / seconds
+            total = total + size * image.astype(np.float64)
+            rgb = (total / spp).astype(np.float32)
+            row = LogRow(
+                elapsed_s=elapsed,
+                wave=number + 1,
+                kind="uniform",
+                samples=spp * pixels,
+                spp=float(spp),
+                stated_p50=np.nan,
+                stated_p95=np.nan,
+                stated_p99=np.nan,
+                true=true_error(rgb, *reference),
+                rejected=0,
+            )
+            recorder.wave(row, rgb, None)
+            on_progress(elapsed, row.samples)
+        facts = {
+            "strategy": f"{strategy}: Mitsuba {worker.version}, {worker.variant}, passes of growing size",
+            "scene": self._scene.name,
+            "seed": seed,
+            "device": f"CPU (Mitsuba 3, {worker.variant})",
+            "setup_s": worker.setup_s,
+            "samples": spp * pixels,
+            "elapsed_s": elapsed,
+            "stopped_by": "time" if stops.time is not None else "spp",
+        }
+        recorder.write(path, row, rgb, np.full(rgb.shape[:2], spp, np.uint32), facts)
+        return recorder.rows[-1]
+
+
+def _wanted(stops: Stops, pixels: int, growth: float, spp: int, elapsed: float, speed: float | None) -> int:
+    """Samples per pixel of the next pass, sized as the render loop sizes waves; below 1 there is none.
+
+    `spp` and `elapsed` are those so far, `speed` the last pass's samples per pixel and second.
+    """
+    wanted = FIRST_PASS if spp == 0 else max(round(growth * spp), 1)
+    wanted = min(wanted, max(LARGEST_PASS // pixels, 1))
+    if stops.spp is not None:
+        return min(wanted, max(round(stops.spp), 1) - spp)
+    if speed is None:
+        return wanted
+    left = stops.time - elapsed
+    share = LAST_WAVE_SHARE if left > LAST_WAVES * stops.time else 1.0
+    return min(wanted, int(share * speed * left))
+
+
+class _Worker:
+    """Mitsuba in a process of its own, with one scene. Raises UserError if no variant can render it."""
+
+    def __init__(self, name: str, xml: str):
+        begun = time.perf_counter()
+        failures = []
+        for variant in VARIANTS:
+            self._connection, other = multiprocessing.Pipe()
+            spawn = multiprocessing.get_context("spawn")
+            self._process = spawn.Process(target=_serve, args=(other, variant, xml), daemon=True)
+            self._process.start()
+            other.close()
+            try:
+                self.version = self._receive()
+                self.variant = variant
+                self.render(FIRST_PASS, 0)  # compiles
+                self.setup_s = time.perf_counter() - begun
+                return
+            except _FailedError as error:
+                failures.append(f"{variant}: {error}")
+                self.close()
+        raise UserError(f"Mitsuba cannot render {name}: {'; '.join(failures)}")
+
+    def whole_pass(self, spp: int) -> int:
+        """The largest number up to `spp` that the sampler does not round up."""
+        self._connection.send(("whole", spp))
+        return self._receive()
+
+    def render(self, spp: int, seed: int) -> tuple[np.ndarray, float]:
+        """Linear RGB float32 (height, width, 3), and the seconds it took."""
+        self._connection.send(("render", spp, seed))
+        return self._receive()
+
+    def close(self) -> None:
+        self._connection.close()
+        self._process.join(timeout=5)
+        if self._process.is_alive():
+            self._process.kill()
+
+    def _receive(self):
+        try:
+            kind, answer = self._connection.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            raise _FailedError(f"its process ended ({self._process.exitcode})") from None
+        if kind == "failed":
+            raise _FailedError(answer)
+        return answer
+
+
+class _FailedError(UserError):
+    """Mitsuba said no, or its process died."""
+
+
+def _serve(connection, variant: str, xml: str) -> None:
+    """Answers until the other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the other process decides what it means
+    try:
+        import mitsuba
+
+        mitsuba.set_variant(variant)
+        mitsuba.set_log_level(mitsuba.LogLevel.Error)
+        scene = mitsuba.load_string(xml)
+        sampler = scene.sensors()[0].sampler()
+        connection.send(("version", mitsuba.__version__))
+        while True:
+            command, *arguments = connection.recv()
+            if command == "whole":
+                connection.send(("whole", _whole(sampler, *arguments)))
+                continue
+            spp, seed = arguments
+            begun = time.perf_counter()
+            image = np.array(mitsuba.render(scene, spp=spp, seed=seed))  # the array waits for it
+            seconds = time.perf_counter() - begun
+            connection.send(("image", (image[..., :3].astype(np.float32), seconds)))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+    except Exception as error:
+        connection.send(("failed", str(error)))
+
+
+def _whole(sampler, spp: int) -> int:
+    for candidate in range(spp, 1, -1):
+        sampler.set_sample_count(candidate)
+        if sampler.sample_count() == candidate:
+            return candidate
+    return 1

@@ -1,0 +1,61 @@
+"""A scene file for Mitsuba 3 with what the comparison fixes: size, depth and sampler."""
+
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from isonoise.errors import SceneError
+from isonoise.scene import compile_scene, load
+from isonoise.scene.builtin import find_scene
+
+
+def mitsuba_xml(source: Path, sampler: str, size: tuple[int, int] | None, max_depth: int | None) -> str:
+    """The text of a scene as it is rendered here: a path tracer of the same depth and roulette, an RGB film of the same
+    size and filter, and `sampler`; file names are absolute. Raises SceneError if it is no XML or has no own sensor."""
+    from defusedxml.ElementTree import parse
+
+    path = find_scene(source)
+    if path.suffix.lower() != ".xml":
+        raise SceneError(f"{path}: Mitsuba 3 reads .xml scenes only; leave it out of this comparison")
+    compiled = compile_scene(load(source), size=size, max_depth=max_depth)
+    root = parse(path).getroot()
+    sensor = root.find("sensor")
+    if sensor is None:
+        raise SceneError(f"{path}: has no sensor in the file itself, which the comparison with Mitsuba 3 needs")
+
+    for old in root.findall("integrator"):
+        root.remove(old)
+    integrator = Element("integrator", type="path")
+    _set(integrator, "integer", "max_depth", compiled.max_depth)
+    _set(integrator, "integer", "rr_depth", compiled.rr_depth)
+    _set(integrator, "boolean", "hide_emitters", str(compiled.hide_emitters).lower())
+    root.append(integrator)
+
+    for old in sensor.findall("sampler"):
+        sensor.remove(old)
+    SubElement(sensor, "sampler", type=sampler)
+    film = sensor.find("film")
+    if film is None:
+        film = SubElement(sensor, "film", type="hdrfilm")
+    _set(film, "string", "pixel_format", "rgb")
+    if size is not None:
+        for name in ("crop_width", "crop_height", "crop_offset_x", "crop_offset_y"):
+            _drop(film, name)
+        _set(film, "integer", "width", size[0])
+        _set(film, "integer", "height", size[1])
+
+    for element in root.iter():
+        for key in ("value", "filename"):
+            is_file = element.tag == "include" or element.tag == "path" or element.get("name") == "filename"
+            if is_file and key in element.attrib and (path.parent / element.get(key)).exists():
+                element.set(key, str((path.parent / element.get(key)).resolve()))
+    return tostring(root, encoding="unicode")
+
+
+def _set(parent: Element, kind: str, name: str, value: object) -> None:
+    _drop(parent, name)
+    SubElement(parent, kind, name=name, value=str(value))
+
+
+def _drop(parent: Element, name: str) -> None:
+    for old in [child for child in parent if child.get("name") == name]:
+        parent.remove(old)

@@ -1,0 +1,258 @@
+"""What is compared: scenes, strategies, seeds and the budget of a run; kept in plan.json so that it can go on."""
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from importlib.metadata import version
+from pathlib import Path
+
+from isonoise.comparison.specs import describe_spec, title_of
+from isonoise.errors import UserError
+from isonoise.film.exr import read_reference
+from isonoise.film.files import write_whole
+from isonoise.scene import compile_scene, load
+from isonoise.scene.builtin import find_scene
+
+FILE = "plan.json"
+SEEDS = 2**63
+"""Seeds of runs are below; those from here on belong to references."""
+REFERENCE_SHARE = 20
+"""A reference takes this many times what one run takes, unless told otherwise. Its share of the samples alone makes its
+standard error 0.22 of a run's: below the quarter that `reference_serves` asks for."""
+
+
+@dataclass(frozen=True)
+class SceneEntry:
+    """A scene of the plan."""
+
+    slug: str  # names its folder and files
+    name: str
+    source: str  # what `Renderer` takes: a built-in scene's name, or an absolute path
+    hash: str  # of the compiled scene, size and depth included
+    width: int
+    height: int
+    reference: str  # absolute where it was given, else below the comparison's folder
+    reference_sha256: str | None  # of a given one
+
+
+@dataclass(frozen=True)
+class StrategyEntry:
+    """A strategy of the plan."""
+
+    slug: str
+    title: str
+    spec: str  # as it was named
+    parameters: str  # the spec with every parameter written out
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole comparison: every scene with every strategy and seed. Either `time` or `spp` is the budget of a run."""
+
+    version: str
+    scenes: tuple[SceneEntry, ...]
+    strategies: tuple[StrategyEntry, ...]
+    seeds: tuple[int, ...]
+    time: float | None  # seconds
+    spp: float | None  # mean samples per pixel
+    size: tuple[int, int] | None  # (width, height) in place of the scenes'
+    max_depth: int | None  # in place of the scenes'
+    device: str  # its name
+    reference_time: float | None  # seconds; None: REFERENCE_SHARE times spp
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user asked for, before it is looked up."""
+
+    scenes: Sequence[str]
+    strategies: Sequence[str]
+    first_seed: int
+    seeds: int
+    time: float | None
+    spp: float | None
+    size: tuple[int, int] | None = None
+    max_depth: int | None = None
+    device: str | None = None
+    references: Sequence[str] = ()  # a file for each scene, in order, or SCENE=FILE
+    reference_time: float | None = None
+
+
+def make_plan(request: Request, stored: Plan | None = None) -> Plan:
+    """Looks up and checks all that is named. Scenes and strategies of the `stored` plan keep their slugs.
+
+    Raises SceneError, DeviceError, UserError: something is unknown, named twice, or does not go together.
+    """
+    from isonoise.device.opencl import Device
+
+    if request.first_seed + request.seeds > SEEDS:
+        raise UserError(f"seeds go up to {SEEDS - 1}: those beyond are the references'")
+    if request.time is not None and request.spp is not None:
+        raise UserError("--time and --spp are both given: a run has one budget")
+    sources = [_source(name) for name in request.scenes]
+    specs = [spec.strip() for spec in request.strategies]
+    for what, names in (("scene", sources), ("strategy", specs)):
+        if not names:
+            raise UserError(f"nothing to compare: name a {what}")
+        for name in names:
+            if names.count(name) > 1:
+                raise UserError(f"{what} '{name}' is named twice")
+    device = Device(request.device).name
+    known = {entry.spec: entry.slug for entry in stored.strategies} if stored else {}
+    strategies = tuple(
+        StrategyEntry(slug, title_of(spec), spec, describe_spec(spec))
+        for spec, slug in zip(specs, _slugs(specs, known, lambda spec: [spec]), strict=True)
+    )
+    reference_time = request.reference_time
+    if reference_time is None and request.time is not None:
+        reference_time = REFERENCE_SHARE * request.time
+    return Plan(
+        version=version("isonoise"),
+        scenes=_scenes(request, sources, stored),
+        strategies=strategies,
+        seeds=tuple(range(request.first_seed, request.first_seed + request.seeds)),
+        time=request.time,
+        spp=request.spp,
+        size=request.size,
+        max_depth=request.max_depth,
+        device=device,
+        reference_time=reference_time,
+    )
+
+
+def read_plan(directory: Path) -> Plan | None:
+    """The plan of a comparison that was begun in `directory`, None if there is none. Raises UserError if unreadable."""
+    path = directory / FILE
+    if not path.exists():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content["scenes"] = tuple(SceneEntry(**entry) for entry in content["scenes"])
+        content["strategies"] = tuple(StrategyEntry(**entry) for entry in content["strategies"])
+        content["seeds"] = tuple(content["seeds"])
+        content["size"] = content["size"] and tuple(content["size"])
+        return Plan(**content)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"cannot read the plan '{path}' ({error}): compare into another folder") from error
+
+
+def write_plan(directory: Path, plan: Plan) -> None:
+    """Raises UserError if the file cannot be written."""
+    text = json.dumps(asdict(plan), indent=1) + "\n"
+    write_whole(directory / FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def differences(stored: Plan, plan: Plan) -> list[str]:
+    """What keeps `plan` from going on with the runs of `stored`, in words; scenes, strategies and seeds may be more."""
+    found = []
+    for name in ("version", "time", "spp", "size", "max_depth", "device", "reference_time"):
+        before, now = getattr(stored, name), getattr(plan, name)
+        if before != now:
+            found.append(f"{name} was {_text(before)} and is {_text(now)}")
+    for what in ("scenes", "strategies"):
+        now = {entry.slug: entry for entry in getattr(plan, what)}
+        for entry in getattr(stored, what):
+            if entry.slug not in now:
+                found.append(f"'{_title(entry)}' is missing")
+                continue
+            for field in fields(entry):
+                old, new = getattr(entry, field.name), getattr(now[entry.slug], field.name)
+                if old != new:
+                    found.append(f"{field.name} of '{_title(entry)}' was {_text(old)} and is {_text(new)}")
+    missing = sorted(set(stored.seeds) - set(plan.seeds))
+    if missing:
+        found.append(f"seeds are missing: {', '.join(map(str, missing))}")
+    return found
+
+
+def additions(stored: Plan, plan: Plan) -> list[str]:
+    """Titles of the scenes and strategies, and seeds, that `plan` has and `stored` has not."""
+    found = []
+    for what in ("scenes", "strategies"):
+        before = {entry.slug for entry in getattr(stored, what)}
+        found += [_title(entry) for entry in getattr(plan, what) if entry.slug not in before]
+    return found + [f"seed {seed}" for seed in sorted(set(plan.seeds) - set(stored.seeds))]
+
+
+def _scenes(request: Request, sources: list[str], stored: Plan | None) -> tuple[SceneEntry, ...]:
+    known = {entry.source: entry.slug for entry in stored.scenes} if stored else {}
+    slugs = _slugs(sources, known, _scene_names)
+    given = _given_references(request, sources, slugs)
+    entries = []
+    for source, slug in zip(sources, slugs, strict=True):
+        scene = compile_scene(load(source), size=request.size, max_depth=request.max_depth)
+        path, digest = f"references/{slug}.exr", None
+        if source in given:
+            path, digest = _checked_reference(given[source], slug, (scene.width, scene.height))
+        entries.append(SceneEntry(slug, slug, source, scene.hash, scene.width, scene.height, path, digest))
+    return tuple(entries)
+
+
+def _source(name: str) -> str:
+    """What stands for the scene wherever the command runs: the absolute path of a file, or a built-in scene's name."""
+    path = find_scene(name)
+    return str(path.resolve()) if Path(name).is_file() else name
+
+
+def _scene_names(source: str) -> list[str]:
+    """Names for a scene, the best one first: many are called scene.xml in a folder that says what they are."""
+    path = Path(source)
+    folder = [f"{path.parent.name}-{path.stem}"] if path.parent.name else []
+    return [path.parent.name, *folder] if path.stem == "scene" and folder else [path.stem, *folder]
+
+
+def _slugs(keys: Iterable[str], known: Mapping[str, str], names: Callable[[str], list[str]]) -> list[str]:
+    """A name that a folder can have for each key, none twice, those already known first."""
+    given = dict(known)
+    for key in keys:
+        if key not in given:
+            digest = hashlib.sha256(key.encode()).hexdigest()[:8]
+            choices = [_slug(name) for name in names(key)]
+            choices.append(f"{choices[0]}-{digest}")
+            given[key] = next(choice for choice in choices if choice not in given.values())
+    return [given[key] for key in keys]
+
+
+def _slug(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", name).strip("-.")[:100] or "unnamed"
+
+
+def _given_references(request: Request, sources: list[str], slugs: list[str]) -> dict[str, str]:
+    """Files by the scene's source."""
+    by_name = {}
+    for name, source, slug in zip(request.scenes, sources, slugs, strict=True):
+        by_name |= {name: source, slug: source}
+    named, in_order = {}, []
+    for text in request.references:
+        name, equals, file = text.partition("=")
+        if equals and name in by_name:
+            named[by_name[name]] = file
+        else:
+            in_order.append(text)
+    if in_order and (named or len(in_order) != len(sources)):
+        raise UserError(
+            f"--reference {in_order[0]}: name one for each of the {len(sources)} scenes, in their order, "
+            "or write SCENE=FILE"
+        )
+    return named or dict(zip(sources, in_order, strict=False))
+
+
+def _checked_reference(path: str, scene: str, size: tuple[int, int]) -> tuple[str, str]:
+    """The file's absolute path and hash. Raises UserError if it is no reference or of another size."""
+    height, width = read_reference(path)[0].shape[:2]
+    if (width, height) != size:
+        raise UserError(
+            f"reference '{path}' is {width}x{height} and the image of {scene} {size[0]}x{size[1]}: "
+            f"compare with --size {width}x{height}, or give another reference"
+        )
+    return str(Path(path).resolve()), hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _title(entry: SceneEntry | StrategyEntry) -> str:
+    return entry.name if isinstance(entry, SceneEntry) else entry.title
+
+
+def _text(value: object) -> str:
+    return "x".join(map(str, value)) if isinstance(value, tuple) else "not given" if value is None else str(value)
