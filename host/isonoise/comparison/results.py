@@ -100,7 +100,7 @@ class Results:
 
     def reference(self, scene: Mapping) -> Reference:
         """The reference that a scene's runs were measured against. Raises UserError if it cannot be read."""
-        rgb, rgb_se = read_reference(self._path(scene["reference"]))
+        rgb, rgb_se = read_reference(self.directory / scene["reference"])
         r = luminance(rgb)
         floor = image_floor(r)
         if rgb_se is None:
@@ -116,11 +116,6 @@ class Results:
         """Relative variance of one sample, (height, width), where the comparison has it."""
         path = self.directory / "references" / f"{scene}-variance.exr"
         return read_exr(path)[0].get("variance") if path.is_file() else None
-
-    def _path(self, path: str) -> Path:
-        """Paths in the plan that are not absolute are below the comparison's folder, or where the command ran."""
-        below = self.directory / path
-        return below if below.is_file() else Path(path)
 
 
 def common_seeds(runs: Mapping[str, Mapping[int, Run]]) -> list[int]:

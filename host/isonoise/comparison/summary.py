@@ -143,15 +143,15 @@ class _Measured:
         if reference.relative_se is not None:
             self._freed = metrics.freed_of_reference(self._freed, reference.relative_se)
         self._freed = _quantiles(self._freed)
-        found = [metrics.rms_quantiles(np.stack(at), list(QUANTILES.values())) for at in zip(*errors, strict=True)]
-        self._rms, self._rms_without = found[-1]
+        self._rms, self._rms_without = metrics.rms_quantiles(final, list(QUANTILES.values()))
+        worst = [metrics.rms_quantiles(np.stack(at), [QUANTILES["p99"]]) for at in zip(*errors, strict=True)]
         times = np.stack([run.snapshot_s for run in runs])
         self._curves = {
             "rms_p99": metrics.Curve(
                 times.mean(axis=0),
-                np.array([everything[-1] for everything, _ in found]),
+                np.concatenate([everything for everything, _ in worst]),
                 np.array([np.delete(times, i, axis=0).mean(axis=0) for i in range(len(times)) if len(times) > 1]),
-                np.stack([without[:, -1] for _, without in found], axis=1),
+                np.concatenate([without for _, without in worst], axis=1),
             ),
             "rel_mse": metrics.curve_of_means(
                 [np.array([row["elapsed_s"] for row in rows]) for rows in self._rows],
