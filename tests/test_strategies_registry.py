@@ -143,7 +143,7 @@ def test_names_from_entry_points(monkeypatch):
         EntryPoint("uniform", "my_strategies:Dark", registry.ENTRY_POINT_GROUP),  # a built-in name stays built in
     ]
     monkeypatch.setattr(registry, "_entry_points", lambda: entries)
-    assert available_strategies()[-3:] == ["oracle", "broken", "dark"]
+    assert available_strategies()[-3:] == ["luxcore", "broken", "dark"]
     monkeypatch.syspath_prepend(".")
     assert make_strategy("dark:spp=3").spp == 3.0
     assert type(make_strategy("uniform")).__name__ == "Uniform"

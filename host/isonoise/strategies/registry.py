@@ -9,13 +9,20 @@ from collections.abc import Iterable
 from isonoise.errors import UserError
 from isonoise.strategies.adaptive import Absolute, Pooled, RelativeMean, RelativeMedian, Tsallis
 from isonoise.strategies.base import Strategy
+from isonoise.strategies.cycles import Cycles
+from isonoise.strategies.dammertz import Dammertz
+from isonoise.strategies.luxcore import LuxCore
 from isonoise.strategies.oracle import Oracle
+from isonoise.strategies.purgathofer import Purgathofer
+from isonoise.strategies.tungsten import Tungsten
 from isonoise.strategies.uniform import Uniform
 
 ENTRY_POINT_GROUP = "isonoise.strategies"
 DEFAULT_STRATEGY = Pooled.name
 
-_BUILT_IN = {strategy.name: strategy for strategy in (Uniform, Pooled, RelativeMedian, RelativeMean, Absolute, Tsallis, Oracle)}
+_OWN = (Uniform, Pooled, RelativeMedian, RelativeMean, Absolute, Tsallis, Oracle)
+_RIVALS = (Purgathofer, Dammertz, Cycles, Tungsten, LuxCore)
+_BUILT_IN = {strategy.name: strategy for strategy in (*_OWN, *_RIVALS)}
 
 
 def available_strategies() -> list[str]:
