@@ -37,6 +37,6 @@ INLINE Compensated divide(Compensated a, uint n)
     const float n_high = (float)(n & 0xFFFFF000u), n_low = (float)(n & 0xFFFu);
     const float inverse = 1.0f / (n_high + n_low);
     const float quotient = a.high * inverse;
-    const float remainder = fma(-quotient, n_low, fma(-quotient, n_high, a.high)) + a.low;
+    const float remainder = FMA(-quotient, n_low, FMA(-quotient, n_high, a.high)) + a.low;
     return quick_two_sum(quotient, remainder * inverse);
 }

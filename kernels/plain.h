@@ -18,6 +18,13 @@
 #define SQRT(x) sqrt(x)
 #endif
 
+// A call to `fma` costs PoCL several times what the instruction does.
+#ifdef __FMA__
+#define FMA(a, b, c) __builtin_fmaf(a, b, c)
+#else
+#define FMA(a, b, c) fma(a, b, c)
+#endif
+
 INLINE float dot3(float3 a, float3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;

@@ -1,46 +1,45 @@
 // Stage: the samples of a slice enter the per-pixel statistics. One work-item a pixel, which reads its samples in order.
 // Blocks of BLOCK samples, by sample index, are summed about the mean of all before them and merged; the unfinished one waits
-// in the state, so that the result depends on the samples alone and not on how they were cut into waves.
-#include "compensated.h"
+// in the state, so that the result depends on the samples alone and not on how they were cut into waves. So do chunks.
+#include "statistics.h"
 #include "vectors.h"
 
 #define LUMINANCE_LIMIT 0x1p62f  // beyond it a square would leave float32; such a sample counts as not finite
 
-#define MEAN_NOISE 0x1p-44f  // the same in host/isonoise/integrator/accumulator.py
-
 #if FEATURE_MEDIAN
-// The median of the CHUNK values that `pending` holds, by sorting them.
-INLINE float chunk_median(float* values)
+// An entry takes its place in its chunk; the median of a full chunk enters the sum.
+INLINE void enter_chunk(uint number, float entry, float* pending, Compensated* median_sum)
 {
-    for (int i = 1; i < CHUNK; ++i)
-        for (int j = i; j > 0 && values[j] < values[j - 1]; --j) {
-            const float swapped = values[j];
-            values[j] = values[j - 1];
-            values[j - 1] = swapped;
-        }
-    return values[CHUNK / 2];
+    pending[number % CHUNK] = entry;
+    if (number % CHUNK != CHUNK - 1) return;
+    float sorted[CHUNK];
+    for (uint k = 0; k < CHUNK; ++k) sorted[k] = pending[k];
+    *median_sum = add(*median_sum, chunk_median(sorted, CHUNK));
 }
 #endif
 
-// Merges a finished block into the n samples before it. Its sums are about `shift`: the mean of those, rounded to a float
-// (so `rest` is what the rounding left), or the block's own first sample if it is the first.
-// Chan, Golub, LeVeque, "Algorithms for Computing the Sample Variance", 1983.
-INLINE void merge_block(uint n, float shift, float rest, float sum, float squares, Compensated* sum_x, Compensated* m2)
+#if FEATURE_POWER
+// x^q, for q = 1 x ln x; 0 where x is none or so small that some devices take it for 0.
+INLINE float raised(float x, float q)
 {
-    const float block_mean = sum / BLOCK;
-    *m2 = add(*m2, GREATER(squares - sum * block_mean, 0.0f));
-    if (n > 0) {
-        float difference = block_mean - rest;
-        // a mean is known to 2^-48 of itself: equal samples must not seem to vary by its rounding
-        if (abs1(difference) < MEAN_NOISE * abs1(shift)) difference = 0.0f;
-        *m2 = add(*m2, difference * difference * (BLOCK / (1.0f + BLOCK / (float)n)));
-    }
-    *sum_x = add(add(*sum_x, shift * BLOCK), sum);
+    if (!(x >= 0x1p-126f)) return 0.0f;
+    return q == 1.0f ? x * log(x) : powr(x, q);
 }
+#endif
 
 __kernel void reduce(__global const float* samples, uint first_pixel, uint pixels, uint slice_samples,
                      __global const uint* pixel_offset, uint total_pixels, __global uint* count, __global uint* rejected,
-                     __global float* sums, __global float* block_sums, __global float* medians)
+                     __global float* sums, __global float* block_sums
+#if FEATURE_MEDIAN
+                     , __global float* medians
+#endif
+#if FEATURE_POWER
+                     , __global float* powers, float power
+#endif
+#if FEATURE_HALF
+                     , __global float* halves
+#endif
+                     )
 {
     const uint i = get_global_id(0);
     if (i >= pixels) return;
@@ -50,23 +49,28 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
     const uint end = LESSER(next, slice_samples);  // a slice may have been cut short
     if (begin >= end) return;
 
-    // state: one plane of total_pixels floats a member
     __global float* full = sums + pixel;
-    Compensated sum[4], m2;  // red, green, blue, x
-    for (uint c = 0; c < 4; ++c) {
-        sum[c].high = full[(2 * c) * total_pixels];
-        sum[c].low = full[(2 * c + 1) * total_pixels];
-    }
-    m2.high = full[8 * total_pixels];
-    m2.low = full[9 * total_pixels];
+    Compensated sum[4];  // red, green, blue, x
+    for (uint c = 0; c < 4; ++c) sum[c] = load_sum(full + 2 * c * total_pixels, total_pixels);
+    Compensated m2 = load_sum(full + 8 * total_pixels, total_pixels);
     __global float* open = block_sums + pixel;
     float3 open_rgb = (float3)(open[0], open[total_pixels], open[2 * total_pixels]);
     float shift = open[3 * total_pixels], open_sum = open[4 * total_pixels], open_squares = open[5 * total_pixels];
 #if FEATURE_MEDIAN
     __global float* median_state = medians + pixel;
-    Compensated median_sum = {median_state[0], median_state[total_pixels]};
+    Compensated median_sum = load_sum(median_state, total_pixels);
     float pending[CHUNK];
     for (uint k = 0; k + 1 < CHUNK; ++k) pending[k] = median_state[(2 + k) * total_pixels];
+#endif
+#if FEATURE_BATCHES
+    Compensated batch_sum = load_sum(median_state + (CHUNK + 1) * total_pixels, total_pixels);
+#endif
+#if FEATURE_POWER
+    Compensated power_sum = load_sum(powers + pixel, total_pixels);
+#endif
+#if FEATURE_HALF
+    Compensated half_sum[3];
+    for (uint c = 0; c < 3; ++c) half_sum[c] = load_sum(halves + pixel + 2 * c * total_pixels, total_pixels);
 #endif
     uint n = count[pixel], dropped = 0;
 
@@ -89,28 +93,36 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
         open_squares += d * d;
         if (place == BLOCK - 1) {
             const uint before = n - place;
-            merge_block(before, shift, before ? divide(sum[3], before).low : 0.0f, open_sum, open_squares, sum + 3, &m2);
+            const float rest = before ? divide(sum[3], before).low : 0.0f;
+            m2 = merge_squares(m2, before, BLOCK, shift, rest, open_sum, open_squares);
             sum[0] = add(sum[0], open_rgb.x);
             sum[1] = add(sum[1], open_rgb.y);
             sum[2] = add(sum[2], open_rgb.z);
+            sum[3] = add(add(sum[3], shift * BLOCK), open_sum);  // BLOCK is a power of two: the product is exact
         }
-#if FEATURE_MEDIAN
-        pending[n % CHUNK] = x;
-        if (n % CHUNK == CHUNK - 1) {
-            float sorted[CHUNK];
-            for (uint k = 0; k < CHUNK; ++k) sorted[k] = pending[k];
-            median_sum = add(median_sum, chunk_median(sorted));
+#if FEATURE_BATCHES
+        if (n % BATCH == 0) batch_sum.high = batch_sum.low = 0.0f;
+        batch_sum = add(batch_sum, x);
+        if (n % BATCH == BATCH - 1) enter_chunk(n / BATCH, divide(batch_sum, BATCH).high, pending, &median_sum);
+#elif FEATURE_MEDIAN
+        enter_chunk(n, x, pending, &median_sum);
+#endif
+#if FEATURE_POWER
+        power_sum = add(power_sum, raised(x, power));
+        if (!is_finite(power_sum.high)) power_sum.high = FLT_MAX;  // low is 0 then; the sum stays as large as it can be
+#endif
+#if FEATURE_HALF
+        if (n & 1u) {
+            half_sum[0] = add(half_sum[0], rgb.x);
+            half_sum[1] = add(half_sum[1], rgb.y);
+            half_sum[2] = add(half_sum[2], rgb.z);
         }
 #endif
         ++n;
     }
 
-    for (uint c = 0; c < 4; ++c) {
-        full[(2 * c) * total_pixels] = sum[c].high;
-        full[(2 * c + 1) * total_pixels] = sum[c].low;
-    }
-    full[8 * total_pixels] = m2.high;
-    full[9 * total_pixels] = m2.low;
+    for (uint c = 0; c < 4; ++c) store_sum(sum[c], full + 2 * c * total_pixels, total_pixels);
+    store_sum(m2, full + 8 * total_pixels, total_pixels);
     open[0] = open_rgb.x;
     open[total_pixels] = open_rgb.y;
     open[2 * total_pixels] = open_rgb.z;
@@ -118,9 +130,17 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
     open[4 * total_pixels] = open_sum;
     open[5 * total_pixels] = open_squares;
 #if FEATURE_MEDIAN
-    median_state[0] = median_sum.high;
-    median_state[total_pixels] = median_sum.low;
+    store_sum(median_sum, median_state, total_pixels);
     for (uint k = 0; k + 1 < CHUNK; ++k) median_state[(2 + k) * total_pixels] = pending[k];
+#endif
+#if FEATURE_BATCHES
+    store_sum(batch_sum, median_state + (CHUNK + 1) * total_pixels, total_pixels);
+#endif
+#if FEATURE_POWER
+    store_sum(power_sum, powers + pixel, total_pixels);
+#endif
+#if FEATURE_HALF
+    for (uint c = 0; c < 3; ++c) store_sum(half_sum[c], halves + pixel + 2 * c * total_pixels, total_pixels);
 #endif
     count[pixel] = n;
     rejected[pixel] += dropped;

@@ -11,6 +11,8 @@ from isonoise.device.opencl import Device
 from isonoise.integrator.wavefront import KERNELS
 from isonoise.renderer import Renderer
 from isonoise.scene.vocabulary import PLUGINS
+from isonoise.statistics import NOTHING_MORE, Needs
+from isonoise.strategies.uniform import Uniform
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 PACKAGE = CHECKOUT / "host" / "isonoise"
@@ -19,7 +21,7 @@ KERNEL_TEXT = (CHECKOUT / "kernels" / "README.md").read_text()
 
 LAYERS = {  # what each may import beside itself; the table in host/README.md
     "errors": set(),
-    "statistics": set(),
+    "statistics": {"errors"},
     "student": set(),
     "device": {"errors"},
     "scene": {"errors"},
@@ -68,11 +70,19 @@ def test_links_between_the_documents_lead_somewhere():
             assert (path.parent / target).exists(), f"{path}: {target}"
 
 
-@pytest.mark.parametrize("strategy", ["uniform", "relative-median"])
+@pytest.mark.parametrize(
+    ("needs", "more"),
+    [
+        (NOTHING_MORE, 0),
+        (Needs(median=True), 24),
+        (Needs(median=True, chunk=7, batch=3), 32 + 8),
+        (Needs(power=1.5), 8),
+        (Needs(half=True), 24),
+    ],
+)
 @pytest.mark.parametrize("lit", [False, True])
-def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, lit, strategy):
+def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, lit, needs, more):
     """The table in kernels/README.md against what is allocated for two pools and two image sizes."""
-    names = {"uniform": 0, "relative-median": 24}
     stated = [int(number) for number in re.findall(r"\| (\d+) a path", KERNEL_TEXT)]
     path_bytes = sum(stated) - (0 if lit else 48)
     (pixel_bytes,) = (int(number) for number in re.findall(r"\| (\d+) a pixel", KERNEL_TEXT))
@@ -84,6 +94,8 @@ def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, lit, strategy):
     }
     if lit:
         scene["light"] = {"type": "point", "intensity": 1.0}
+    strategy = Uniform()
+    strategy.needs = needs
     # this is about buffers alone: no kernel is built
     monkeypatch.setattr(Device, "build", lambda self, text, options: {})
 
@@ -103,4 +115,4 @@ def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, lit, strategy):
     small = allocated(1024, (8, 8))
     blocks = 4 * 1024 / 512  # of the compaction, 4 bytes for 512 paths on a CPU and for 64 on a GPU
     assert 0 <= allocated(2048, (8, 8)) - small - 1024 * path_bytes <= 8 * blocks
-    assert allocated(1024, (16, 8)) - small == 64 * (pixel_bytes + names[strategy])
+    assert allocated(1024, (16, 8)) - small == 64 * (pixel_bytes + more)

@@ -17,16 +17,17 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten, stage_source
 from isonoise.errors import DeviceError
-from isonoise.integrator.accumulator import BLOCK, CHUNK
+from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.wavefront import KERNELS, STRUCTS
 from isonoise.renderer import Renderer
 from isonoise.scene import structs
+from isonoise.statistics import Needs
 
 FOLDER = resources.files("isonoise.kernels")
 FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
 STAGES = [name for name in FILES if name.endswith(".cl")]
-CONSTANTS = {**structs.CONSTANTS, "BLOCK": BLOCK, "CHUNK": CHUNK}
+CONSTANTS = structs.CONSTANTS | build_constants(Needs(batch=2))
 
 NEEDS = {  # no scene has the one without the others
     "VERTEX_NORMALS": {"TRIANGLES"},
@@ -38,6 +39,7 @@ NEEDS = {  # no scene has the one without the others
     "DISK_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "DISKS"},
     "CYLINDER_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "CYLINDERS"},
     "NEXT_EVENT": {"DIFFUSE"},
+    "BATCHES": {"MEDIAN"},
 }
 COMPANION = {  # of these a scene with the one has at least one: it stands for them where nothing else does
     "ANALYTICS": "SPHERES",
@@ -142,7 +144,7 @@ def test_features_are_tested_by_value(name):
 
 
 def test_a_feature_that_nobody_set_is_an_error():
-    with pytest.raises(KeyError, match="MEDIAN"):
+    with pytest.raises(KeyError, match="BATCHES"):
         stage_source("reduce.cl", STRUCTS, CONSTANTS, {})
 
 
@@ -195,7 +197,8 @@ MARKERS = {  # functions and variables that belong to one feature
         "DISKS": "disk_distance",
         "CYLINDERS": "cylinder_distance",
     },
-    "reduce.cl": {"MEDIAN": "chunk_median"},
+    "reduce.cl": {"MEDIAN": "medians", "BATCHES": "batch_sum", "POWER": "powers", "HALF": "halves"},
+    "summarise.cl": {"MEDIAN": "medians", "POWER": "powers", "HALF": "halves"},
 }
 
 

@@ -1,8 +1,8 @@
-"""The reduce stage against float64: made samples go in, statistics come out.
+"""The statistics of the device against float64: made samples go in, statistics come out.
 
 Tolerances: a mean of x carries 48 bits over full blocks of 16, within which plain float32 sums of differences from the
 running mean round by at most 16 * 2^-24 of their size; so 2e-6 of the samples' spread, plus the 2^-24 of an RGB image
-in float32.
+in float32. OpenCL allows powr 16 ulp, 2e-6, and log 3.
 """
 
 from itertools import pairwise
@@ -11,52 +11,61 @@ import numpy as np
 import pytest
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import stage_source
-from isonoise.integrator.accumulator import BLOCK, CHUNK, Accumulator
+from isonoise.errors import UserError
+from isonoise.integrator.accumulator import STRIP, Accumulator, build_constants
+from isonoise.integrator.features import statistics_features
+from isonoise.integrator.stages import Stages
+from isonoise.integrator.wavefront import KERNELS
+from isonoise.statistics import NOTHING_MORE, Needs, Statistics
 
 SLICE = 2**22
+ALL = Needs(median=True, power=1.3, half=True)
+VARIANTS = [
+    pytest.param(ALL, id="all"),
+    pytest.param(Needs(median=True, chunk=1, power=1), id="chunk 1, entropy"),
+    pytest.param(Needs(median=True, chunk=3, batch=7, power=0.5), id="3 of 7, root"),
+    pytest.param(Needs(median=True, chunk=31, batch=2, power=2), id="31 of 2, square"),
+]
 
 
 class Reducer:
-    """One reduce stage over pixels in a row, fed with samples as the wavefront would."""
+    """The stages of the statistics over pixels in a row, fed with samples as the wavefront would."""
 
-    def __init__(self, pixels: int):
+    def __init__(self, pixels: int, needs: Needs = ALL):
         self.device = Device()
-        self.accumulator = Accumulator(self.device, (1, pixels), with_median=True)
-        source, options = stage_source("reduce.cl", {}, {"BLOCK": BLOCK, "CHUNK": CHUNK}, {"MEDIAN": True})
-        self.kernel = self.device.build(source, options)["reduce"]
-        self.offsets = self.device.buffer(4 * pixels, "offsets")
+        table = {name: KERNELS[name] for name in ("reduce", "summarise")}
+        self.stages = Stages(self.device, table, statistics_features(needs), build_constants(needs), {})
+        self.accumulator = Accumulator(self.stages, (1, pixels), needs)
+        self.stages.arguments["pixel_offset"] = self.device.buffer(4 * pixels, "offsets")
 
     def feed(self, samples: list[np.ndarray]) -> None:
         """One slice; samples of each pixel, (n,) grey or (n, 3)."""
-        rgb = [np.repeat(s[:, None], 3, axis=1) if s.ndim == 1 else s for s in samples]
-        flat = np.concatenate(rgb).astype(np.float32)
+        flat = np.concatenate([colour(s) for s in samples])
         ends = np.cumsum([len(s) for s in samples])
-        self.device.write(self.offsets, (ends - [len(s) for s in samples]).astype(np.uint32))
+        offsets = (ends - [len(s) for s in samples]).astype(np.uint32)
+        self.device.write(self.stages.arguments["pixel_offset"], offsets)
         buffer = self.device.buffer(flat, "samples")
-        a, u = self.accumulator, np.uint32
-        self.device.launch(
-            self.kernel,
-            len(samples),
-            (
-                *(buffer, u(0), u(len(samples)), u(len(flat)), self.offsets, u(len(samples))),
-                *(a.count, a.rejected, a.sums, a.block_sums, a.medians),
-            ),
-        )
+        bounds = {"pixels": np.uint32(len(samples)), "slice_samples": np.uint32(len(flat))}
+        self.stages.launch("reduce", len(samples), samples=buffer, first_pixel=np.uint32(0), **bounds)
         self.device.finish()
         buffer.release()
 
-    def statistics(self):
-        return self.accumulator.statistics()
+    def statistics(self, scale: float = 1.0) -> Statistics:
+        return self.accumulator.statistics(scale)
 
 
-def reduce(samples: list[np.ndarray], cuts=()):
+def reduce(samples: list[np.ndarray], cuts=(), needs: Needs = ALL, scale: float = 1.0) -> Statistics:
     """Statistics of the pixels' samples, brought in slices that end at the given fractions."""
-    reducer = Reducer(len(samples))
+    reducer = Reducer(len(samples), needs)
     edges = [0.0, *cuts, 1.0]
     for a, b in pairwise(edges):
         reducer.feed([s[int(a * len(s)) : int(b * len(s))] for s in samples])
-    return reducer.statistics()
+    return reducer.statistics(scale)
+
+
+def colour(samples: np.ndarray) -> np.ndarray:
+    """As float32 (n, 3)."""
+    return (samples if samples.ndim == 2 else np.repeat(samples[:, None], 3, axis=1)).astype(np.float32)
 
 
 def luminance32(samples: np.ndarray) -> np.ndarray:
@@ -67,32 +76,58 @@ def luminance32(samples: np.ndarray) -> np.ndarray:
     return (r * f(0.2126) + g * f(0.7152) + b * f(0.0722)).astype(np.float64)
 
 
-def chunk_medians(x: np.ndarray) -> float:
-    if len(x) < CHUNK:
-        return float(np.median(x))
-    return float(np.median(x[: len(x) // CHUNK * CHUNK].reshape(-1, CHUNK), axis=1).mean())
+def chunk_medians(x: np.ndarray, needs: Needs = ALL) -> float:
+    full = len(x) // needs.batch
+    if full == 0:
+        return float(x.mean())
+    entries = x[: full * needs.batch].reshape(full, -1).mean(axis=1)
+    if full < needs.chunk:
+        return float(np.median(entries))
+    return float(np.median(entries[: full // needs.chunk * needs.chunk].reshape(-1, needs.chunk), axis=1).mean())
 
 
-def check(statistics, samples, mean_of_spread=2e-6, relative=2e-7, variance=2e-5):
+def powers(x: np.ndarray, q: float) -> np.ndarray:
+    """max(x, 0)^q, for q = 1 of x ln x."""
+    x = np.maximum(x, 0)
+    return x * np.log(np.where(x > 0, x, 1)) if q == 1 else x ** float(np.float32(q))
+
+
+def check(statistics, samples, needs=ALL, scale=1.0):
+    """Every statistic of every pixel against float64; the device had `scale` times the samples."""
     for place, s in enumerate(samples):
-        x = luminance32(s)
+        x, rgb = luminance32(s), colour(s).astype(np.float64)
         assert statistics.count[0, place] == len(x)
         spread = x.std() if len(x) else 0.0
         expected = x.mean() if len(x) else 0.0
-        assert statistics.mean[0, place] == pytest.approx(expected, abs=mean_of_spread * spread, rel=relative)
+        assert statistics.mean[0, place] == pytest.approx(expected, abs=2e-6 * spread, rel=2e-7)
         if len(x) > 1:
-            assert statistics.variance[0, place] == pytest.approx(x.var(ddof=1), rel=variance, abs=1e-37)
+            assert statistics.variance[0, place] == pytest.approx(x.var(ddof=1), rel=2e-5, abs=1e-37)
         if len(x):
-            assert statistics.median[0, place] == pytest.approx(chunk_medians(x), rel=1e-6)
-            rgb = s if s.ndim == 2 else np.repeat(s[:, None], 3, axis=1)
-            expected_rgb = rgb.astype(np.float32).astype(np.float64).mean(axis=0)
-            assert statistics.rgb[0, place] == pytest.approx(expected_rgb, rel=2e-6, abs=1e-6 * abs(rgb).mean())
+            assert statistics.median[0, place] == pytest.approx(chunk_medians(x, needs), rel=1e-6)
+            size = 1e-6 * abs(rgb).mean()
+            assert statistics.rgb[0, place] == pytest.approx(rgb.mean(axis=0), rel=2e-6, abs=size)
+            raised = powers(x, needs.power)
+            # x ln x passes zero where the rounding of the device's x ln(scale x) does not
+            size = 2e-6 * abs(raised).mean() + 2e-7 * (1 + abs(np.log(scale))) * x.clip(0).mean()
+            assert statistics.power[0, place] == pytest.approx(raised.mean(), rel=2e-6, abs=size)
+        if needs.half:
+            half = rgb[1::2].mean(axis=0) if len(x) > 1 else np.zeros(3)
+            assert statistics.half[0, place] == pytest.approx(half, rel=2e-7, abs=1e-7 * abs(rgb[1::2]).max(initial=0))
 
 
-def test_ordinary_samples_in_colour():
+def assert_same_bits(a: Statistics, b: Statistics, names=tuple(Statistics.__dataclass_fields__)) -> None:
+    for name in names:
+        plane, other = getattr(a, name), getattr(b, name)
+        assert (plane is None) == (other is None), name
+        assert plane is None or np.array_equal(plane, other), name
+
+
+@pytest.mark.parametrize("needs", VARIANTS)
+def test_ordinary_samples_in_colour(needs):
     random = np.random.default_rng(1)
-    samples = [random.exponential(size=(n, 3)) for n in (1, 2, 3, 4, 5, 6, 15, 16, 17, 31, 32, 33, 1000)]
-    check(reduce(samples), samples)
+    counts = (1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 16, 17, 20, 21, 31, 32, 33, 61, 62, 63, 1000)
+    samples = [random.exponential(size=(n, 3)) for n in counts]
+    check(reduce(samples, needs=needs), samples, needs)
 
 
 def test_small_noise_on_a_large_mean():
@@ -106,17 +141,19 @@ def test_small_noise_on_a_large_mean():
         assert statistics.variance[0, place] == pytest.approx(x.var(ddof=1), rel=1e-3)
 
 
-def test_values_over_thirty_decades():
+@pytest.mark.parametrize("needs", VARIANTS)
+def test_values_over_thirty_decades(needs):
     random = np.random.default_rng(3)
     samples = [10 ** random.uniform(-15, 15, n) for n in (10, 1000, 100_000)]
-    check(reduce(samples), samples)
+    check(reduce(samples, needs=needs), samples, needs)
 
 
 @pytest.mark.parametrize("alpha", [1.1, 1.5, 2.5])
 def test_pareto_tails(alpha):
     random = np.random.default_rng(int(10 * alpha))
     samples = [1 + random.pareto(alpha, n) for n in (100, 10_000, 100_000)]
-    check(reduce(samples), samples)
+    for needs in (ALL, Needs(median=True, chunk=7, batch=1000, power=1.0, half=True)):
+        check(reduce(samples, needs=needs), samples, needs)
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, 0.1, 1e-30, 1e15])
@@ -143,9 +180,9 @@ def test_one_sample_with_all_the_energy():
 def test_without_samples():
     statistics = reduce([np.zeros(0), np.ones(3), np.zeros(0)])
     assert statistics.count.tolist() == [[0, 3, 0]]
-    for plane in (statistics.mean, statistics.variance, statistics.median, statistics.rgb):
-        assert np.isfinite(plane).all()
-    assert statistics.mean[0, 0] == 0
+    for name, plane in vars(statistics).items():
+        assert (plane[0, [0, 2]] == 0).all(), name
+        assert np.isfinite(plane).all(), name
 
 
 def test_samples_that_are_not_finite_are_counted_apart():
@@ -156,19 +193,29 @@ def test_samples_that_are_not_finite_are_counted_apart():
     mixed = np.insert(good, [0, 3, 500, 996, 997], bad, axis=0)
     statistics, expected = reduce([mixed, bad]), reduce([good, np.zeros((0, 3))])
     assert statistics.rejected.tolist() == [[5, 5]]
-    for name in ("count", "mean", "variance", "median", "rgb"):
-        assert np.array_equal(getattr(statistics, name), getattr(expected, name)), name
+    assert_same_bits(statistics, expected, set(vars(statistics)) - {"rejected"})
     check(statistics, [good, np.zeros((0, 3))])
 
 
-def test_any_cut_into_slices_gives_the_same_bits():
+@pytest.mark.parametrize("needs", VARIANTS)
+def test_any_cut_into_slices_gives_the_same_bits(needs):
     random = np.random.default_rng(6)
     samples = [random.pareto(1.5, size=(n, 3)) for n in (1, 4, 17, 100, 1234, 5000)]
-    whole = reduce(samples)
+    whole = reduce(samples, needs=needs)
     for cuts in [(0.5,), (0.01, 0.02, 0.3, 0.77), np.linspace(0, 1, 101)[1:-1]]:
-        cut = reduce(samples, cuts)
-        for name in ("count", "mean", "variance", "median", "rgb"):
-            assert np.array_equal(getattr(whole, name), getattr(cut, name)), name
+        assert_same_bits(whole, reduce(samples, cuts, needs))
+
+
+def test_what_is_kept_beside_them_changes_no_bit_of_the_others():
+    random = np.random.default_rng(8)
+    samples = [random.pareto(1.5, size=(n, 3)) for n in (1, 4, 17, 100, 1234)]
+    everything = reduce(samples)
+    for needs in (NOTHING_MORE, Needs(median=True), Needs(power=ALL.power), Needs(half=True)):
+        statistics = reduce(samples, needs=needs)
+        kept = {name for name, plane in vars(statistics).items() if plane is not None}
+        optional = {"median": needs.median, "power": needs.power is not None, "half": needs.half}
+        assert kept == {"count", "rejected", "rgb", "mean", "variance"} | {name for name in optional if optional[name]}
+        assert_same_bits(statistics, everything, kept)
 
 
 def test_scaling_by_a_power_of_two_scales_the_statistics_exactly():
@@ -177,7 +224,54 @@ def test_scaling_by_a_power_of_two_scales_the_statistics_exactly():
     plain, scaled = reduce(samples), reduce([s * 2.0**20 for s in samples])
     assert np.array_equal(plain.mean * 2.0**20, scaled.mean)
     assert np.array_equal(plain.variance * 2.0**40, scaled.variance)
-    assert np.array_equal(plain.median * 2.0**20, scaled.median)
+    for name in ("median", "rgb", "half"):
+        assert np.array_equal(getattr(plain, name) * 2.0**20, getattr(scaled, name)), name
+
+
+@pytest.mark.parametrize("scale", [2.0**-40, 0.5, 1.0, 8.0, 2.0**40])
+@pytest.mark.parametrize("needs", VARIANTS)
+def test_statistics_in_the_units_of_the_scene(needs, scale):
+    """Samples on the device are `scale` times the scene's."""
+    random = np.random.default_rng(9)
+    samples = [random.pareto(2.5, size=(n, 3)).astype(np.float32) for n in (1, 3, 100, 5000)]
+    check(reduce([s * np.float32(scale) for s in samples], needs=needs, scale=scale), samples, needs, scale)
+
+
+@pytest.mark.filterwarnings("ignore:overflow")  # the RGB image is float32 in any units
+@pytest.mark.parametrize("power", [1.0, 2.0, 3.0, 40.0])
+@pytest.mark.parametrize("scale", [2.0**-900, 1.0, 2.0**900])
+def test_powers_do_not_overflow(power, scale):
+    """Up to the largest luminance that enters, 2^62, and in any scene's units."""
+    samples = [np.full(40, 2.0**61), np.full(3, 2.0**-120), np.zeros(3)]
+    power_mean = reduce(samples, needs=Needs(power=power), scale=scale).power[0]
+    assert np.isfinite(power_mean).all()
+    assert power_mean[2] == 0
+    if scale <= 1:
+        assert power_mean[0] > 1e19
+
+
+def test_images_larger_than_a_strip():
+    """Pixels on both sides of the seams, and of the last, narrower strip."""
+    reducer = Reducer(2 * STRIP + 1000)
+    pixels = reducer.accumulator.pixels
+    for k in range(3):
+        reducer.feed(list(np.arange(pixels, dtype=np.float32)[:, None] + k))
+    statistics = reducer.statistics()
+    x = luminance32(np.arange(pixels)) + luminance32(np.arange(pixels) + 1) + luminance32(np.arange(pixels) + 2)
+    assert statistics.mean[0] == pytest.approx(x / 3, rel=1e-6)
+    assert statistics.median[0] == pytest.approx(x / 3, rel=1e-6)
+    for channel in range(3):
+        assert statistics.rgb[0, :, channel] == pytest.approx(np.arange(pixels) + 1, rel=1e-6)
+        assert np.array_equal(statistics.half[0, :, channel], np.arange(pixels) + 1)
+
+
+@pytest.mark.parametrize(
+    "needs",
+    [{"chunk": 4}, {"chunk": 33}, {"chunk": -1}, {"batch": 0}, {"batch": 1.5}, {"power": 0}, {"power": np.inf}],
+)
+def test_needs_out_of_range(needs):
+    with pytest.raises(UserError, match=str(next(iter(needs.values())))):
+        Needs(median=True, **needs)
 
 
 @pytest.mark.long

@@ -42,6 +42,7 @@ class Renderer:
         max_depth: in place of the integrator's.
         parameters: values for the scene file's `$names`.
         pool_size: paths in flight, from 1; None chooses for the device. It changes no pixel.
+        profile: whether `device_seconds` are kept.
 
     Raises:
         SceneError, DeviceError, UserError: with a message for the user.
@@ -57,6 +58,7 @@ class Renderer:
         max_depth: int | None = None,
         parameters: dict[str, str] | None = None,
         pool_size: int | None = None,
+        profile: bool = False,
     ):
         if not 0 <= seed < 2**64:
             raise UserError(f"seed {seed} is outside 0 to 2^64 - 1")
@@ -75,13 +77,14 @@ class Renderer:
         lap("load")
         bvh = build_bvh(self.scene.vertices[self.scene.faces], *analytic_bounds(self.scene.analytics))
         lap("build")
-        on_device = Device(device)
+        on_device = Device(device, profile)
         self.device_name = on_device.name
         self._wavefront = Wavefront(on_device, self.scene, bvh, self.strategy.needs, seed, pool_size)
         self._wavefront.warm_up()
         lap("compile")
         self._schedule = self.strategy.waves()
         self._cut_short: Wave | None = None
+        self._statistics: Statistics | None = None  # until the next wave is traced
         self._waves = 0
         self._most = 0  # samples that any pixel can have by now
 
@@ -94,6 +97,12 @@ class Renderer:
     def room(self) -> int:
         """Samples that one pixel can still get: the device counts them in 32 bits."""
         return 2**32 - 1 - self._most
+
+    @property
+    def device_seconds(self) -> float | None:
+        """Seconds that the device has worked on kernels since the set-up; None unless they are kept (`profile`)."""
+        device = self._wavefront.device
+        return sum(device.seconds.values()) if device.profile else None
 
     def step(self, samples: int | None = None, goes_on: Callable[[int], bool] = lambda entered: True) -> WaveRecord:
         """Renders the strategy's next wave, of at most `samples` samples.
@@ -113,12 +122,15 @@ class Renderer:
             raise UserError(f"a wave asks for {most} samples in one pixel, which has room for {self.room}")
         self._most += most
         self._waves += 1
+        self._statistics = None
         entered = self._wavefront.trace(allocation, goes_on)
         return WaveRecord(wave.kind, entered, planned, time.perf_counter() - begun)
 
     def statistics(self) -> Statistics:
         """The statistics of every pixel so far, as numpy arrays in the scene's units. Waits for the device."""
-        return self._wavefront.accumulator.statistics(self.scene.radiance_scale)
+        if self._statistics is None:
+            self._statistics = self._wavefront.accumulator.statistics(self.scene.radiance_scale)
+        return self._statistics
 
     def image(self) -> np.ndarray:
         """Mean linear RGB, float32 (height, width, 3)."""

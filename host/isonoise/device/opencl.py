@@ -5,6 +5,9 @@ import os
 import platform
 import tempfile
 import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -98,14 +101,22 @@ _programs: dict[tuple, object] = {}
 
 
 class Device:
-    """Context, in-order queue, buffers and programs on one OpenCL device."""
+    """Context, in-order queue, buffers and programs on one OpenCL device.
 
-    def __init__(self, choice: str | int | None = None):
+    With `profile` it keeps how often every kernel was launched (`launches`, by name) and for how many seconds the
+    device worked on it (`seconds`), of the launches that have been waited for.
+    """
+
+    def __init__(self, choice: str | int | None = None, profile: bool = False):
         self._cl = _opencl()
         self.device = select_device(choice)
         self.context = _context(self.device)
-        self.queue = self._cl.CommandQueue(self.context)
+        self.profile = profile
+        properties = self._cl.command_queue_properties.PROFILING_ENABLE if profile else 0
+        self.queue = self._cl.CommandQueue(self.context, properties=properties)
         self.allocated = 0
+        self._running: list[tuple] = []  # kernel and event of the launches since the last wait
+        self.forget_profile()
 
     @property
     def name(self) -> str:
@@ -153,7 +164,9 @@ class Device:
     def launch(self, kernel, items: int, arguments: tuple) -> None:
         """Runs a kernel over at least `items` work-items; kernels return at once beyond their own bound."""
         groups = (items + LOCAL_SIZE - 1) // LOCAL_SIZE
-        kernel(self.queue, (groups * LOCAL_SIZE,), (LOCAL_SIZE,), *arguments)
+        event = kernel(self.queue, (groups * LOCAL_SIZE,), (LOCAL_SIZE,), *arguments)
+        if self.profile:
+            self._running.append((kernel, event))
 
     def write(self, buffer, array: np.ndarray, offset: int = 0) -> None:
         self._cl.enqueue_copy(self.queue, buffer, np.ascontiguousarray(array), dst_offset=offset)
@@ -164,7 +177,36 @@ class Device:
         array = np.empty(count, dtype)
         if count:
             self._cl.enqueue_copy(self.queue, array, buffer, src_offset=offset * dtype.itemsize)
+            self._sum_profile()
         return array
+
+    @contextmanager
+    def mapped(self, buffer, dtype, count: int) -> Iterator[np.ndarray]:
+        """The buffer's first `count` numbers, to be read within the context; waits for the device.
+
+        Where host and device share their memory nothing is copied.
+        """
+        array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, self._cl.map_flags.READ, 0, (count,), dtype)
+        self._sum_profile()
+        try:
+            yield array
+        finally:
+            array.base.release(self.queue)
 
     def finish(self) -> None:
         self.queue.finish()
+        self._sum_profile()
+
+    def forget_profile(self) -> None:
+        """Begins to count launches and seconds anew."""
+        self._running.clear()
+        self.launches: Counter[str] = Counter()
+        self.seconds: Counter[str] = Counter()
+
+    def _sum_profile(self) -> None:
+        """After a wait: the queue is in order, so all that was launched is done."""
+        for kernel, event in self._running:
+            name = kernel.function_name
+            self.launches[name] += 1
+            self.seconds[name] += 1e-9 * (event.profile.end - event.profile.start)
+        self._running.clear()

@@ -1,102 +1,128 @@
-"""The per-pixel statistics on the device: the planes that the reduce stage updates, and how they read in float64."""
-
-from collections.abc import Callable
+"""The per-pixel statistics on the device: the planes that the stage `reduce` updates, and how the host reads them."""
 
 import numpy as np
 
-from isonoise.device.opencl import Device
-from isonoise.statistics import Statistics
+from isonoise.integrator.stages import Stages
+from isonoise.statistics import Needs, Statistics
 
 BLOCK = 16
-"""Samples that are summed before they are merged into the statistics (kernels/reduce.cl)."""
-CHUNK = 5
-"""Samples of a chunk, whose median enters M_x; odd."""
+"""Samples that are summed before they are merged into the statistics, a power of two (kernels/reduce.cl)."""
 
-MEAN_NOISE = 2.0**-44
-"""Differences of means below this share of them are rounding, and count as none (kernels/reduce.cl)."""
-
-STRIP = 2**18
-"""Pixels that are read at a time."""
+STRIP = 2**16
+"""Pixels that are summarised and read at a time: what a strip holds stays in a CPU's cache."""
 
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x, and of M2, over the full blocks
 _OPEN = 6  # planes of the unfinished block: sums of red, green, blue; shift; sums of x - shift and its square
-_MEDIANS = 2 + CHUNK - 1  # planes: high and low part of the sum of the chunk medians; x of the unfinished chunk
+
+
+def build_constants(needs: Needs) -> dict[str, int]:
+    """What the kernels of the statistics are built with."""
+    return {"BLOCK": BLOCK, "CHUNK": needs.chunk, "BATCH": needs.batch}
 
 
 class Accumulator:
-    """State of the reduce stage for an image of shape (height, width); medians are kept only if wanted."""
+    """State of the stage `reduce` for an image of shape (height, width), and of `summarise`, which closes the sums.
 
-    def __init__(self, device: Device, shape: tuple[int, int], with_median: bool):
-        self._device, self._shape = device, shape
+    It enters its buffers into the arguments of `stages`. What `needs` doesn't ask for has no buffer.
+    """
+
+    def __init__(self, stages: Stages, shape: tuple[int, int], needs: Needs):
+        self._stages, self._device = stages, stages.device
+        self._shape, self._needs = shape, needs
         self.pixels = shape[0] * shape[1]
-        self.count = device.buffer(4 * self.pixels, "the sample counts")
-        self.rejected = device.buffer(4 * self.pixels, "the counts of rejected samples")
-        self.sums = device.buffer(4 * _SUMS * self.pixels, "the statistics")
-        self.block_sums = device.buffer(4 * _OPEN * self.pixels, "the statistics of unfinished blocks")
-        self.medians = device.buffer(4 * _MEDIANS * self.pixels, "the chunk medians") if with_median else None
+
+        def planes(number: int, what: str):
+            return self._device.buffer(4 * number * self.pixels, what)
+
+        self.count = planes(1, "the sample counts")
+        self.rejected = planes(1, "the counts of rejected samples")
+        # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
+        medians = 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
+        summary = 6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half  # kernels/summarise.cl
+        self._summary = self._device.buffer(4 * summary * STRIP, "the summary of the statistics")
+        self._summary_floats = summary * STRIP
+        stages.arguments.update(
+            total_pixels=np.uint32(self.pixels),
+            count=self.count,
+            rejected=self.rejected,
+            sums=planes(_SUMS, "the statistics"),
+            block_sums=planes(_OPEN, "the statistics of unfinished blocks"),
+            summary=self._summary,
+            stride=np.uint32(STRIP),
+        )
+        if needs.median:
+            stages.arguments["medians"] = planes(medians, "the chunk medians")
+        if needs.power is not None:
+            stages.arguments["powers"] = planes(2, "the sums of powers")
+            stages.arguments["power"] = np.float32(needs.power)
+        if needs.half:
+            stages.arguments["halves"] = planes(6, "the sums of every second sample")
 
     def statistics(self, scale: float = 1.0) -> Statistics:
-        """Reads the state; samples on the device are `scale` times those of the scene. Waits for the device."""
-        n = self.pixels
+        """Reads the statistics; samples on the device are `scale` (a power of two) times those of the scene.
+
+        The arrays cannot be written to. Waits for the device.
+        """
+        n, needs = self.pixels, self._needs
         flat = Statistics(
-            count=np.empty(n, np.uint32),
-            rejected=np.empty(n, np.uint32),
+            count=self._device.read(self.count, np.uint32, n),
+            rejected=self._device.read(self.rejected, np.uint32, n),
             rgb=np.empty((n, 3), np.float32),
             mean=np.empty(n),
             variance=np.empty(n),
-            median=None if self.medians is None else np.empty(n),
+            median=np.empty(n) if needs.median else None,
+            power=np.empty(n) if needs.power is not None else None,
+            half=np.empty((n, 3), np.float32) if needs.half else None,
         )
-        for begin in range(0, n, STRIP):  # in strips, so that the intermediate results of a large image stay small
-            self._read_strip(flat, begin, min(STRIP, n - begin), scale)
-        shape = self._shape
-        return Statistics(
-            **{
-                name: plane if plane is None else plane.reshape(*shape, *plane.shape[1:])
-                for name, plane in vars(flat).items()
-            }
-        )
+        for begin in range(0, n, STRIP):
+            pixels = min(STRIP, n - begin)
+            bounds = {"first_pixel": np.uint32(begin), "pixels": np.uint32(pixels)}
+            self._stages.launch("summarise", pixels, **bounds)
+            with self._device.mapped(self._summary, np.float32, self._summary_floats) as summary:
+                self._read_strip(flat, slice(begin, begin + pixels), summary.reshape(-1, STRIP), scale)
+        planes = {name: plane for name, plane in vars(flat).items() if plane is not None}
+        for name, plane in planes.items():
+            planes[name] = plane.reshape(*self._shape, *plane.shape[1:])
+            planes[name].flags.writeable = False
+        return Statistics(**{"median": None} | planes)
 
-    def _read_strip(self, into: Statistics, begin: int, n: int, scale: float) -> None:
-        """Fills pixels begin to begin + n of the planes of `into`."""
-        strip = slice(begin, begin + n)
+    def _read_strip(self, into: Statistics, strip: slice, summary: np.ndarray, scale: float) -> None:
+        """Fills the pixels `strip` of the planes of `into`, in the scene's units, from the planes of `summary`."""
+        unit, pixels, place = 1 / scale, strip.stop - strip.start, 0
 
-        def plane(buffer, number: int) -> np.ndarray:
-            return self._device.read(buffer, np.float32, n, number * self.pixels + begin).astype(np.float64)
+        def planes(number: int) -> np.ndarray:
+            nonlocal place
+            place += number
+            return summary[place - number : place]
 
-        def total(number: int) -> np.ndarray:
-            return plane(self.sums, number) + plane(self.sums, number + 1)
+        def mean(to: np.ndarray) -> None:
+            high, low = planes(2)[:, :pixels]
+            np.add(high, low, out=to, dtype=np.float64)
 
-        into.count[strip] = count = self._device.read(self.count, np.uint32, n, begin)
-        into.rejected[strip] = self._device.read(self.rejected, np.uint32, n, begin)
-        opened = count % BLOCK
-        some, full, is_open = np.maximum(count, 1), count - opened, opened > 0
-        for channel in range(3):
-            rgb = total(2 * channel) + np.where(is_open, plane(self.block_sums, channel), 0)
-            into.rgb[strip, channel] = rgb / some / scale
+        def colour(to: np.ndarray) -> None:
+            rgb = planes(3).reshape(-1, 3)[:pixels]
+            np.multiply(rgb, unit, out=to, dtype=np.float64, casting="same_kind")
 
-        open_sum, open_squares = plane(self.block_sums, 4), plane(self.block_sums, 5)
-        open_mean = open_sum / np.maximum(opened, 1)
-        m2 = total(8) + np.where(is_open, np.maximum(open_squares - open_sum * open_mean, 0), 0)
-        open_mean += plane(self.block_sums, 3)
-        full_sum = total(6)
-        difference = np.where(is_open & (full > 0), open_mean - full_sum / np.maximum(full, 1), 0)
-        difference[np.abs(difference) < MEAN_NOISE * np.abs(open_mean)] = 0
-        # Chan, Golub, LeVeque 1983: the unfinished block merged as the kernel merges a full one
-        m2 += difference * difference * (full * (opened / some))
-        into.mean[strip] = (full_sum + np.where(is_open, open_mean * opened, 0)) / some / scale
-        into.variance[strip] = np.where(count > 1, m2 / np.maximum(count.astype(np.int64) - 1, 1) / scale**2, 0)
+        mean(into.mean[strip])
+        into.mean[strip] *= unit
+        np.multiply(planes(1)[0, :pixels], unit, out=into.variance[strip], dtype=np.float64)
+        into.variance[strip] *= unit
+        colour(into.rgb[strip])
         if into.median is not None:
-            into.median[strip] = self._median(count, plane) / scale
+            np.multiply(planes(1)[0, :pixels], unit, out=into.median[strip], dtype=np.float64)
+        if into.power is not None:
+            mean(into.power[strip])
+            self._power_in_scene_units(into.power[strip], into.mean[strip], scale)
+        if into.half is not None:
+            colour(into.half[strip])
 
-    def _median(self, count: np.ndarray, plane: Callable) -> np.ndarray:
-        """M_x: mean of the medians of the full chunks; before the first of these, the median of what is there."""
-        median = (plane(self.medians, 0) + plane(self.medians, 1)) / np.maximum(count // CHUNK, 1)
-        early = np.flatnonzero((count > 0) & (count < CHUNK))
-        if len(early):
-            pending = np.stack([plane(self.medians, 2 + place)[early] for place in range(CHUNK - 1)])
-            n = count[early]
-            pending[np.arange(CHUNK - 1)[:, None] >= n] = np.inf
-            pending.sort(axis=0)
-            middle = np.arange(len(early))
-            median[early] = 0.5 * (pending[(n - 1) // 2, middle] + pending[n // 2, middle])
-        return median
+    def _power_in_scene_units(self, power: np.ndarray, mean: np.ndarray, scale: float) -> None:
+        """In place; `mean` is that of x, in the scene's units."""
+        exponent, q = float(np.log2(scale)), float(np.float32(self._needs.power))
+        if q == 1:
+            power *= 1 / scale
+            power -= mean * (exponent * np.log(2.0))  # x ln x = x' ln x' / scale - x ln(scale) with x' = scale x
+        else:
+            with np.errstate(over="ignore"):
+                power *= 2.0 ** min(max(-exponent * q, -1022), 1023)
+            np.minimum(power, np.finfo(np.float64).max, out=power)

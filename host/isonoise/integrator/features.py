@@ -45,7 +45,10 @@ FEATURES = {
     "RUSSIAN_ROULETTE": Feature("russian roulette", "code in shade"),
     "HIDE_EMITTERS": Feature("lights hidden from the camera", "code in shade"),
     "FILTER_TABLE": Feature("pixel filter other than a box", "table of 16 KiB"),
-    "MEDIAN": Feature("chunk medians M_x", "24 bytes a pixel, sorting in reduce"),
+    "MEDIAN": Feature("chunk medians M_x", "4 bytes a pixel and entry of a chunk, 4 more, sorting in reduce"),
+    "BATCHES": Feature("chunks of means of several samples", "8 bytes a pixel, a division an entry in reduce"),
+    "POWER": Feature("mean of a power of the samples", "8 bytes a pixel, a power or logarithm a sample in reduce"),
+    "HALF": Feature("mean of every second sample", "24 bytes a pixel, three sums in reduce"),
 }
 
 
@@ -77,5 +80,15 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,
         "FILTER_TABLE": scene.filter != "box",
+        **statistics_features(needs),
+    }
+
+
+def statistics_features(needs: Needs) -> dict[str, bool]:
+    """Which features the statistics of `needs` ask for: all that the stages `reduce` and `summarise` know."""
+    return {
         "MEDIAN": needs.median,
+        "BATCHES": needs.median and needs.batch > 1,
+        "POWER": needs.power is not None,
+        "HALF": needs.half,
     }

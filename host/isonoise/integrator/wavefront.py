@@ -11,10 +11,10 @@ from functools import partial
 import numpy as np
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import stage_source
-from isonoise.integrator.accumulator import BLOCK, CHUNK, Accumulator
+from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
+from isonoise.integrator.stages import Stages
 from isonoise.scene import structs
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
@@ -30,7 +30,7 @@ STRUCTS = {
     "Alias": structs.ALIAS,
 }
 
-# Kernel -> file and arguments, by the names in `Wavefront._arguments` or given at the launch.
+# Kernel -> file and arguments, by the names in `Stages.arguments` or given at the launch.
 KERNELS = {
     "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
     "generate": (
@@ -61,7 +61,12 @@ KERNELS = {
     ),
     "reduce": (
         "reduce.cl",
-        "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums medians",
+        "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums "
+        "MEDIAN:medians POWER:powers POWER:power HALF:halves",
+    ),
+    "summarise": (
+        "summarise.cl",
+        "first_pixel pixels stride total_pixels count sums block_sums summary MEDIAN:medians POWER:powers HALF:halves",
     ),
 }
 
@@ -88,18 +93,11 @@ class Wavefront:
         self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
-        self.accumulator = Accumulator(device, (scene.height, scene.width), self.features["MEDIAN"])
-        self._kernels = self._build()
-        self._arguments = self._upload(bvh, seed)
-
-    def _build(self) -> dict[str, object]:
-        constants = {**structs.CONSTANTS, "BLOCK": BLOCK, "CHUNK": CHUNK}
-        kernels = {}
-        for name in dict.fromkeys(file for file, _ in KERNELS.values()):
-            if name == "shadow.cl" and not self.features["NEXT_EVENT"]:
-                continue
-            kernels.update(self.device.build(*stage_source(name, STRUCTS, constants, self.features)))
-        return kernels
+        table = {name: row for name, row in KERNELS.items() if name != "shadow" or self.features["NEXT_EVENT"]}
+        self._stages = Stages(device, table, self.features, structs.CONSTANTS | build_constants(needs), STRUCTS)
+        self._arguments = self._stages.arguments
+        self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
+        self._arguments.update(self._upload(bvh, seed))
 
     def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
         scene, device, on = self.scene, self.device, self.features
@@ -150,12 +148,6 @@ class Wavefront:
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
             "pixel_offset": device.buffer(4 * pixels, "the allocation"),
-            "total_pixels": np.uint32(pixels),
-            "count": self.accumulator.count,
-            "rejected": self.accumulator.rejected,
-            "sums": self.accumulator.sums,
-            "block_sums": self.accumulator.block_sums,
-            "medians": self.accumulator.medians,
         }
 
     def warm_up(self) -> None:
@@ -163,9 +155,10 @@ class Wavefront:
         bounds = ("pixels", "slice_samples", "count_new", "paths", "blocks_in_use")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (1, self.pool_size):
-            for name in self._kernels:
-                self._launch(name, items, **nothing)
+            for name in self._stages:
+                self._stages.launch(name, items, **nothing)
         self.device.finish()
+        self.device.forget_profile()
 
     def trace(self, allocation: np.ndarray, goes_on: Callable[[int], bool] = lambda entered: True) -> int:
         """Traces the allocation map, uint32 of shape (height, width); returns how many samples entered the statistics.
@@ -192,12 +185,12 @@ class Wavefront:
         pixels = len(offsets)
         self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
         of_slice = {"first_pixel": np.uint32(first_pixel), "pixels": np.uint32(pixels)}
-        self._launch("list_samples", pixels, slice_samples=np.uint32(samples), **of_slice)
+        self._stages.launch("list_samples", pixels, slice_samples=np.uint32(samples), **of_slice)
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
             samples = self._trace_paths(samples, goes_on)
-        self._launch("reduce", pixels, slice_samples=np.uint32(samples), **of_slice)
+        self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **of_slice)
         self.device.finish()
         return samples
 
@@ -207,7 +200,7 @@ class Wavefront:
             new = min(self.pool_size - paths, samples - begun)
             if new:
                 places = {"first_slot": np.uint32(paths), "first_sample": np.uint32(begun)}
-                self._launch("generate", new, count_new=np.uint32(new), **places)
+                self._stages.launch("generate", new, count_new=np.uint32(new), **places)
             begun += new
             paths = self._bounce(paths + new)
             if begun < samples and not goes_on():
@@ -217,20 +210,15 @@ class Wavefront:
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
         bound = {"paths": np.uint32(paths)}
-        self._launch("intersect", paths, **bound)
-        self._launch("shade", paths, **bound)
+        self._stages.launch("intersect", paths, **bound)
+        self._stages.launch("shade", paths, **bound)
         if self.features["NEXT_EVENT"]:
-            self._launch("shadow", paths, **bound)
+            self._stages.launch("shadow", paths, **bound)
         blocks = -(-paths // self.block_size)
-        self._launch("count_alive", blocks, **bound)
-        self._launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
-        self._launch("move_paths", blocks, **bound)
+        self._stages.launch("count_alive", blocks, **bound)
+        self._stages.launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
+        self._stages.launch("move_paths", blocks, **bound)
         of = self._arguments
         for name in PATH_STATE:
             of[name], of[f"next_{name}"] = of[f"next_{name}"], of[name]
         return int(self.device.read(of["total_alive"], np.uint32, 1)[0])
-
-    def _launch(self, name: str, items: int, **given) -> None:
-        names = KERNELS[name][1].split()
-        arguments = tuple(given[each] if each in given else self._arguments[each] for each in names)
-        self.device.launch(self._kernels[name], items, arguments)

@@ -1,0 +1,45 @@
+"""Kernels that are built and launched by name, with arguments by name."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from isonoise.device.opencl import Device
+from isonoise.device.program import stage_source
+
+
+class Stages:
+    """The kernels of a table: kernel -> its file and its arguments, by their names and in its order.
+
+    An argument `NAME:argument` is there only with the feature NAME. `arguments` holds those that stay the same from
+    launch to launch; whoever owns a buffer enters it.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        table: Mapping[str, tuple[str, str]],
+        features: Mapping[str, bool],
+        constants: Mapping[str, int],
+        structs: Mapping[str, np.dtype],
+    ):
+        self.device = device
+        self.arguments: dict[str, object] = {}
+        self._kernels: dict[str, object] = {}
+        for file in dict.fromkeys(file for file, _ in table.values()):
+            self._kernels.update(device.build(*stage_source(file, structs, constants, features)))
+        self._names = {kernel: _present(arguments, features) for kernel, (_, arguments) in table.items()}
+
+    def __iter__(self):
+        return iter(self._kernels)
+
+    def launch(self, kernel: str, items: int, **given) -> None:
+        """Runs a kernel over at least `items` work-items; `given` are the arguments of this launch alone."""
+        arguments = tuple(given[name] if name in given else self.arguments[name] for name in self._names[kernel])
+        self.device.launch(self._kernels[kernel], items, arguments)
+
+
+def _present(arguments: str, features: Mapping[str, bool]) -> tuple[str, ...]:
+    """Names of the arguments whose feature, if they have one, is on."""
+    pairs = [argument.rpartition(":") for argument in arguments.split()]
+    return tuple(name for feature, _, name in pairs if not feature or features[feature])
