@@ -73,8 +73,8 @@ def error_plot(summary: Mapping, scene: Mapping, metric: str) -> "Figure":
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     label, form = METRICS[metric]
-    figure = Figure(figsize=(8.6, 4.6), dpi=140)
-    axes = figure.add_axes((0.085, 0.11, 0.6, 0.86))
+    figure = Figure(figsize=(7.2, 4.8), dpi=150)
+    axes = figure.add_axes((0.1, 0.1, 0.56, 0.88))
     axes.set(xscale="log", yscale="log")
     bold = {summary["baseline"], summary["default"]}
     titles = {strategy["slug"]: strategy["title"] for strategy in summary["strategies"]}
