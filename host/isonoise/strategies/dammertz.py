@@ -65,8 +65,8 @@ class Dammertz(Retiring):
 
     def active(self, error: np.ndarray, statistics: Statistics, scale: float, before: np.ndarray | None) -> np.ndarray:
         height, width = error.shape
-        anew = before is None
-        blocks = [Block(0, height, 0, width)] if anew else self._blocks
+        blocks = [Block(0, height, 0, width)] if before is None else self._blocks
+        on_all_levels = before is None and scale < 1  # a new round
         self._blocks = []
         while blocks:
             parts = []
@@ -77,7 +77,7 @@ class Dammertz(Retiring):
                     parts += halves
                 elif size >= 1:
                     self._blocks.append(block)
-            if not anew:
+            if not on_all_levels:
                 self._blocks += parts
                 break
             blocks = parts
