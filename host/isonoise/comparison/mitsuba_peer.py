@@ -4,6 +4,7 @@ Mitsuba works in a process of its own: OpenCL drivers bring an LLVM of theirs, a
 ends the process that loads it. The clock runs there, around rendering alone.
 """
 
+import contextlib
 import multiprocessing
 import signal
 import time
@@ -25,8 +26,8 @@ VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Tried in this order: the first needs a libLLVM that DRJIT_LIBLLVM_PATH may have to name."""
 FIRST_PASS = 16
 """Samples per pixel of the first pass: that of the strategy `uniform`."""
-GROWTH = {"independent": 0.25, "multijitter": 1.0}
-"""Later passes bring this many times the samples so far: as `uniform` does; strata are as many as a pass's samples."""
+GROWTH = {"independent": 0.5, "multijitter": 1.0}
+"""Later passes bring up to this many times the samples so far; a pass of multijitter has as many strata as samples."""
 LARGEST_PASS = 2**23
 """Samples of a pass: the compiled variants keep them all in memory at once."""
 
@@ -55,15 +56,16 @@ class Peers:
         on_progress: Callable[[float, int], None],
     ) -> dict:
         """One run, written to `path`; returns its last row. Stated errors are nan. Raises UserError if it fails."""
+        pixels = self._scene.width * self._scene.height
         worker = self._workers.get(strategy)
         if worker is None:
             xml = mitsuba_xml(Path(self._scene.source), PEERS[strategy], self._size, self._max_depth)
-            worker = self._workers[strategy] = _Worker(self._scene.name, xml)
-        pixels = self._scene.width * self._scene.height
+            worker = self._workers[strategy] = _Worker(self._scene.name, xml, pixels)
+            worker.warm_up(stops)
         recorder = Recorder(stops, reference[0])
         total, spp, elapsed, speed = 0.0, 0, 0.0, None
-        while (wanted := _wanted(stops, pixels, GROWTH[PEERS[strategy]], spp, elapsed, speed)) >= 1:
-            number, size = len(recorder.rows), worker.whole_pass(wanted)
+        while (wanted := _wanted(stops, GROWTH[PEERS[strategy]], spp, elapsed, speed)) >= 1:
+            number, size = len(recorder.rows), max(size for size in worker.sizes if size <= wanted)
             (pass_seed,) = np.random.SeedSequence([seed, number]).generate_state(1)
             image, seconds = worker.render(size, int(pass_seed))
             elapsed, spp, speed = elapsed + seconds, spp + size, size / seconds
@@ -97,26 +99,29 @@ class Peers:
         return recorder.rows[-1]
 
 
-def _wanted(stops: Stops, pixels: int, growth: float, spp: int, elapsed: float, speed: float | None) -> int:
-    """Samples per pixel of the next pass, sized as the render loop sizes waves; below 1 there is none.
+def _wanted(stops: Stops, growth: float, spp: int, elapsed: float, speed: float | None) -> float:
+    """Samples per pixel of the next pass at most, as the render loop sizes waves; below 1 there is none.
 
     `spp` and `elapsed` are those so far, `speed` the last pass's samples per pixel and second.
     """
-    wanted = FIRST_PASS if spp == 0 else max(round(growth * spp), 1)
-    wanted = min(wanted, max(LARGEST_PASS // pixels, 1))
+    wanted = max(growth * spp, 1) if spp else FIRST_PASS
     if stops.spp is not None:
         return min(wanted, max(round(stops.spp), 1) - spp)
     if speed is None:
         return wanted
     left = stops.time - elapsed
     share = LAST_WAVE_SHARE if left > LAST_WAVES * stops.time else 1.0
-    return min(wanted, int(share * speed * left))
+    return min(wanted, share * speed * left)
 
 
 class _Worker:
-    """Mitsuba in a process of its own, with one scene. Raises UserError if no variant can render it."""
+    """Mitsuba in a process of its own, with one scene. Raises UserError if no variant can render it.
 
-    def __init__(self, name: str, xml: str):
+    `sizes`: samples per pixel that a pass may have, rising: near powers of two, where the sampler does not round them
+    up. They are few because the compiled variants may compile anew for each.
+    """
+
+    def __init__(self, name: str, xml: str, pixels: int):
         begun = time.perf_counter()
         failures = []
         for variant in VARIANTS:
@@ -128,7 +133,8 @@ class _Worker:
             try:
                 self.version = self._receive()
                 self.variant = variant
-                self.render(FIRST_PASS, 0)  # compiles
+                self.sizes = self._ask("sizes", max(LARGEST_PASS // pixels, 1))
+                self.render(1, 0)  # compiles
                 self.setup_s = time.perf_counter() - begun
                 return
             except _FailedError as error:
@@ -136,21 +142,28 @@ class _Worker:
                 self.close()
         raise UserError(f"Mitsuba cannot render {name}: {'; '.join(failures)}")
 
-    def whole_pass(self, spp: int) -> int:
-        """The largest number up to `spp` that the sampler does not round up."""
-        self._connection.send(("whole", spp))
-        return self._receive()
+    def warm_up(self, stops: Stops) -> None:
+        """Render a pass of every size that a run may come to, so that none is compiled while the clock runs."""
+        for size in self.sizes:
+            _, seconds = self.render(size, 0)
+            within = stops.spp if stops.spp is not None else size / seconds * stops.time
+            if size >= max(within / 2, FIRST_PASS):
+                break
 
     def render(self, spp: int, seed: int) -> tuple[np.ndarray, float]:
         """Linear RGB float32 (height, width, 3), and the seconds it took."""
-        self._connection.send(("render", spp, seed))
-        return self._receive()
+        return self._ask("render", spp, seed)
 
     def close(self) -> None:
         self._connection.close()
         self._process.join(timeout=5)
         if self._process.is_alive():
             self._process.kill()
+
+    def _ask(self, *question):
+        with contextlib.suppress(OSError):  # it is gone; what it said last tells why
+            self._connection.send(question)
+        return self._receive()
 
     def _receive(self):
         try:
@@ -180,8 +193,8 @@ def _serve(connection, variant: str, xml: str) -> None:
         connection.send(("version", mitsuba.__version__))
         while True:
             command, *arguments = connection.recv()
-            if command == "whole":
-                connection.send(("whole", _whole(sampler, *arguments)))
+            if command == "sizes":
+                connection.send(("sizes", _sizes(sampler, *arguments)))
                 continue
             spp, seed = arguments
             begun = time.perf_counter()
@@ -194,9 +207,13 @@ def _serve(connection, variant: str, xml: str) -> None:
         connection.send(("failed", str(error)))
 
 
-def _whole(sampler, spp: int) -> int:
-    for candidate in range(spp, 1, -1):
-        sampler.set_sample_count(candidate)
-        if sampler.sample_count() == candidate:
-            return candidate
-    return 1
+def _sizes(sampler, largest: int) -> list[int]:
+    """The largest sample count of the sampler's own up to each power of two, up to `largest`."""
+    sizes = {1}
+    for power in range(1, largest.bit_length()):
+        for candidate in range(2**power, 2 ** (power - 1), -1):
+            sampler.set_sample_count(candidate)
+            if sampler.sample_count() == candidate:
+                sizes.add(candidate)
+                break
+    return sorted(sizes)

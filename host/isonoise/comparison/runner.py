@@ -1,6 +1,5 @@
 """Carries out a plan: references first, then every run that is not there yet; each is a file that appears whole."""
 
-import inspect
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -102,14 +101,12 @@ class _Runner:
             seconds = min(WARM_UP, self.stops.time or WARM_UP)
             render_loop(self._renderer(scene, strategy=spec, seed=seed), Stops(time=seconds, spp=self.stops.spp))
             self.warm.add((scene.slug, strategy.slug))
-        renderer = self._renderer(scene, strategy=spec, seed=seed, **_PROFILE)
+        renderer = self._renderer(scene, strategy=spec, seed=seed, profile=True)
         recorder = Recorder(self.stops, reference[0])
         outcome = render_loop(
             renderer,
             self.stops,
-            on_wave=lambda row, statistics: recorder.wave(
-                row, statistics.rgb, getattr(renderer, "device_seconds", None)
-            ),
+            on_wave=lambda row, statistics: recorder.wave(row, statistics.rgb, renderer.device_seconds),
             on_progress=progress,
             reference=reference,
         )
@@ -138,6 +135,3 @@ class _Runner:
             return ""
         seconds = (time.perf_counter() - self.begun) / self.done * (self.total - self.done)
         return f", {duration(seconds)} left"
-
-
-_PROFILE = {"profile": True} if "profile" in inspect.signature(Renderer).parameters else {}

@@ -1,6 +1,7 @@
 """Output files appear whole or not at all: they are written beside their final name and then moved there."""
 
 import os
+import re
 import secrets
 from collections.abc import Callable
 from pathlib import Path
@@ -57,6 +58,13 @@ def write_whole(path: str | os.PathLike, write: Callable[[Path], None]) -> None:
         raise UserError(f"cannot write '{path}': {_reason(error)}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what `write_whole` could not, below `folder`, when its process was killed."""
+    for path in folder.rglob(".*.tmp*"):
+        if re.fullmatch(r"\.[0-9a-f]{12}\.tmp(\.\w+)?", path.name):
+            path.unlink(missing_ok=True)
 
 
 def _temporary_beside(target: Path) -> Path:
