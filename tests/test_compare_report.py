@@ -1,0 +1,346 @@
+"""Tables, files and page that a comparison makes, from runs with drawn errors."""
+
+import base64
+import csv
+import io
+import itertools
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from made_comparison import SNAPSHOTS, make_comparison
+
+from isonoise.comparison.columns import number, percent
+from isonoise.comparison.metrics import perfect_uniformity
+from isonoise.comparison.summary import summarise, text_table, write_summary
+from isonoise.errors import UserError
+from isonoise.film.log import columns
+
+SCENES = ("bright", "dim")
+STRATEGIES = {"uniform": np.ones_like, "relative-median": lambda v: v, "oracle:rule=sqrt": np.sqrt}
+FILES = ("waves.csv", "summary.json", "tables.md")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A comparison that is finished, its summary, and the folder's page."""
+    pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
+    pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
+    from isonoise.comparison.report import write_report
+
+    directory = make_comparison(
+        tmp_path_factory.mktemp("made") / "out", SCENES, STRATEGIES, seeds=range(1, 9), shape=(60, 80)
+    )
+    write_report(directory)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def rows(made):
+    summary = json.loads((made / "summary.json").read_text(), parse_constant=pytest.fail)  # neither NaN nor Infinity
+    return {row["strategy"]: row for row in summary["scenes"][0]["rows"]}
+
+
+def test_figures_are_those_that_the_errors_were_drawn_from(rows):
+    variance = np.geomspace(0.04, 4, 80)  # times what varies by 6 % within a column
+    uniform, deficit, root = rows["uniform"], rows["relative-median"], rows["oracle-rule-sqrt"]
+    assert (uniform["spp"], uniform["elapsed_s"], uniform["device_s"]) == pytest.approx((64, 4, 3.88))
+    assert uniform["rms"]["p50"] == pytest.approx(np.sqrt(np.median(variance) / 64), rel=0.1)
+    assert deficit["uniformity"] == pytest.approx(perfect_uniformity(8), rel=0.05)
+    assert uniform["uniformity"] > 3
+    bound = np.mean(np.sqrt(variance)) ** 2 / variance.mean()
+    ratio = root["rel_mse_ratio"]
+    assert ratio["value"] == pytest.approx(bound, rel=0.1)
+    assert ratio["low"] < ratio["value"] < ratio["high"] < 1
+    assert root["rms_ratio"]["p99"]["high"] < 1
+    assert uniform["stated_over_true"]["p99"] == pytest.approx(0.98, rel=1e-6)
+    assert uniform["coverage"] == pytest.approx(0.95)
+
+
+def test_time_to_equal_error_follows_the_samples(tmp_path):
+    """Twice as many samples in the same time: half of the time, whatever the error is measured by."""
+    made = make_comparison(
+        tmp_path / "out", ["a"], {"uniform": np.ones_like, "twice": np.ones_like}, range(8), (60, 80), speed=2
+    )
+    baseline, twice = summarise(made)["scenes"][0]["rows"]
+    assert baseline["time_ratio"]["rel_mse"]["low"] == 1
+    for metric in ("rms_p99", "rel_mse"):
+        ratio = twice["time_ratio"][metric]
+        assert ratio["low"] == ratio["high"] == pytest.approx(0.5, rel=0.15)
+        assert ratio["common"]["low"] < 0.5 < ratio["common"]["high"]
+
+
+def test_the_bound_of_the_variance_is_given(made):
+    variance = np.geomspace(0.04, 4, 80)
+    expected = np.mean(np.sqrt(variance)) ** 2 / variance.mean()
+    assert summarise(made)["scenes"][0]["rel_mse_bound"] == pytest.approx(expected, rel=0.02)
+
+
+def test_energy_that_is_lost_is_seen(tmp_path):
+    strategies = {"uniform": np.ones_like, "dark": np.ones_like}
+    made = make_comparison(tmp_path / "out", ["a"], strategies, range(8), (60, 80), bias=-0.02)
+    honest, dark = summarise(made)["scenes"][0]["rows"]
+    assert abs(honest["energy"]["value"] - 1) < 0.003  # 4 standard errors of the drawn errors
+    assert abs(honest["bias"]["z"]) < 5.4  # 1 in 1000 at 7 degrees of freedom
+    assert dark["energy"]["value"] == pytest.approx(0.98, abs=0.003)
+    assert dark["energy"]["high"] < 1
+    assert dark["bias"]["z"] < -dark["bias"]["critical"]
+
+
+def test_a_reference_that_is_no_better_is_said(tmp_path):
+    made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, reference_se=0.1)
+    scene = summarise(made)["scenes"][0]
+    assert [row["below_reference"] for row in scene["rows"]] == [True] * 3
+    assert scene["reference"]["p99"] == pytest.approx(0.1, rel=1e-3)
+    text = text_table(made)
+    assert "† below reference" in text
+    assert all("†" in line for line in text.splitlines() if line.startswith((" uniform", " relative-median")))
+    exact = summarise(make_comparison(tmp_path / "exact", ["a"], STRATEGIES, reference_se=None))
+    assert [row["below_reference"] for row in exact["scenes"][0]["rows"]] == [False] * 3
+
+
+def test_waves_are_tidy(made):
+    found = list(csv.DictReader(io.StringIO((made / "waves.csv").read_text())))
+    assert list(found[0]) == ["scene", "strategy", "seed", *columns(true_errors=True), "device_s"]
+    assert len(found) == len(SCENES) * len(STRATEGIES) * 8 * SNAPSHOTS
+    keys = [(row["scene"], row["strategy"], int(row["seed"]), int(row["wave"])) for row in found]
+    slugs = ["uniform", "relative-median", "oracle-rule-sqrt"]
+    assert keys == sorted(keys, key=lambda key: (key[0], slugs.index(key[1]), *key[2:]))
+    assert float(found[-1]["elapsed_s"]) == 4
+
+
+def test_the_same_runs_give_the_same_files(made):
+    from isonoise.comparison.report import write_report
+
+    files = [*FILES, "report.html", *(f"plots/{path.name}" for path in (made / "plots").iterdir())]
+    before = {name: (made / name).read_bytes() for name in files}
+    write_report(made)
+    assert [name for name in files if (made / name).read_bytes() != before[name]] == []
+
+
+def test_an_unfinished_comparison_uses_the_seeds_that_all_have(tmp_path):
+    made = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=range(1, 6))
+    for name in ("bright/relative-median/5", "bright/oracle-rule-sqrt/4", "bright/oracle-rule-sqrt/5"):
+        (made / "runs" / f"{name}.npz").unlink()
+    for path in (made / "runs" / "dim" / "oracle-rule-sqrt").iterdir():
+        path.unlink()
+    bright, dim = summarise(made)["scenes"]
+    assert bright["seeds"] == [1, 2, 3]
+    assert (bright["runs"], bright["planned_runs"]) == (12, 15)
+    assert [row["seeds"] for row in bright["rows"]] == [5, 4, 3]
+    assert bright["perfect_uniformity"] == pytest.approx(perfect_uniformity(3))
+    assert dim["seeds"] == [1, 2, 3, 4, 5]
+    assert [row["strategy"] for row in dim["rows"]] == ["uniform", "relative-median"]
+    text = text_table(made)
+    assert "Not finished: 12 of 15 runs. Figures are from the 3 of 5 seeds" in text
+
+
+def test_a_scene_without_runs_is_left_out(tmp_path):
+    made = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=[1, 2])
+    for path in (made / "runs" / "dim").rglob("*.npz"):
+        path.unlink()
+    (made / "references" / "dim.exr").unlink()
+    assert [scene["slug"] for scene in summarise(made)["scenes"]] == ["bright"]
+
+
+@pytest.mark.parametrize("left", ["uniform", "relative-median"])
+def test_without_a_partner_there_are_no_ratios(tmp_path, left):
+    made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1])
+    for path in (made / "runs" / "a").rglob("*.npz"):
+        if path.parent.name != left:
+            path.unlink()
+    summary = summarise(made)
+    write_summary(made, summary)
+    (row,) = summary["scenes"][0]["rows"]
+    if left == "uniform":
+        assert row["rms_ratio"]["p99"] == {"value": 1.0, "low": None, "high": None}
+    else:
+        assert "rms_ratio" not in row
+    assert left in text_table(made)
+
+
+def test_what_cannot_be_read_is_the_users_to_mend(tmp_path):
+    from isonoise.comparison.report import write_report
+
+    with pytest.raises(UserError, match=r"plan\.json"):
+        summarise(tmp_path)
+    made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1, 2])
+    damaged = made / "runs" / "a" / "uniform" / "2.npz"
+    damaged.write_bytes(damaged.read_bytes()[:1000])
+    with pytest.raises(UserError, match=r"uniform/2\.npz.*delete it"):
+        summarise(made)
+    for path in (made / "runs").rglob("*.npz"):
+        path.unlink()
+    with pytest.raises(UserError, match="nothing to report"):
+        write_report(made)
+    assert not (made / "report.html").exists()
+
+
+def test_the_tables_of_the_terminal_are_aligned(made):
+    text = text_table(made)
+    lines = text.splitlines()
+    for line, after in itertools.pairwise(lines):
+        if line.startswith(" uniform"):
+            assert after.startswith(" relative-median")
+            assert len(line) == len(after) < 160
+    for name in ("Time to equal RMS p99, relative to uniform", "Time to equal relMSE", "bright", "dim"):
+        assert any(line.startswith(name) for line in lines)
+    first = text.index("Time to equal RMS p99")
+    assert first < text.index("Time to equal relMSE") < text.index("\nbright\n") < text.index("\ndim\n")
+
+
+class Page(HTMLParser):
+    """Collects what a browser would fetch, and whether elements are closed in order."""
+
+    VOID = ("meta", "link", "img", "br", "line", "use", "path")
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.fetched, self.ids, self.images, self.text, self.tags = [], [], [], [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        self.tags.append(tag)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for name, value in attributes.items():
+            if name in ("src", "href", "xlink:href", "srcset", "data", "action"):
+                self.fetched.append(value)
+            if name == "id":
+                self.ids.append(value)
+        if tag == "img":
+            self.images.append(attributes)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def page(made):
+    parser = Page()
+    parser.feed((made / "report.html").read_text(encoding="utf-8"))
+    parser.close()
+    assert parser.open == []
+    return parser
+
+
+def test_the_page_fetches_nothing(made, page):
+    assert page.fetched
+    assert [url[:60] for url in page.fetched if not url.startswith(("#", "data:"))] == []
+    html = (made / "report.html").read_text(encoding="utf-8")
+    for name in ("http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"):
+        html = html.replace(f'="{name}"', "")
+    for outside in ("http:", "https:", "file:", "@import", "fetch(", "url(/", 'url("'):
+        assert outside not in html
+
+
+def test_the_page_has_every_picture(page):
+    from PIL import Image
+
+    maps = len(SCENES) * (1 + 2 * len(STRATEGIES))
+    assert len(page.images) == maps
+    for image in page.images:
+        assert image["alt"]
+        head, data = image["src"].split(",", 1)
+        assert head == "data:image/png;base64"
+        assert Image.open(io.BytesIO(base64.b64decode(data))).size == (80, 60)
+    assert page.tags.count("table") == 2 + 2 * len(SCENES)
+
+
+def test_the_ids_of_the_page_are_its_own_and_its_links_lead_somewhere(page):
+    assert sorted(set(page.ids)) == sorted(page.ids)
+    assert {url[1:] for url in page.fetched if url.startswith("#")} <= set(page.ids)
+
+
+def test_the_page_begins_with_the_time_to_equal_error(page):
+    text = "".join(page.text)
+    assert text.index("Time to equal RMS p99") < text.index("RMS p50")
+    for needed in ("a made device", "own relative error", "How it was measured", "95 % interval", "0.0100 %"):
+        assert needed in text
+
+
+def test_names_are_text_and_not_markup(tmp_path):
+    made = make_comparison(
+        tmp_path / "out", ["a"], {"uniform": np.ones_like, "relative-median": lambda v: v}, seeds=[1, 2]
+    )
+    plan = json.loads((made / "plan.json").read_text())
+    plan["scenes"][0]["name"] = "<script>alert(1)</script>"
+    plan["strategies"][1]["title"] = 'a "b" <i>&'
+    (made / "plan.json").write_text(json.dumps(plan))
+    from isonoise.comparison.report import write_report
+
+    write_report(made)
+    html = (made / "report.html").read_text()
+    assert html.count("<script>") == 1
+    assert "<i>" not in html
+
+
+def test_plots_are_there(made):
+    from PIL import Image
+
+    kinds = ("reference", "rms-p99", "rel-mse", "samples", "errors")
+    expected = sorted(f"{scene}-{kind}.png" for scene in SCENES for kind in kinds)
+    assert sorted(path.name for path in (made / "plots").iterdir()) == expected
+    for name in expected:
+        with Image.open(made / "plots" / name) as picture:
+            picture.verify()
+
+
+def test_maps_keep_the_scale_and_shrink_by_whole_blocks():
+    from PIL import Image
+
+    from isonoise.comparison.plots import map_png, sample_maps, shrink
+
+    image = np.arange(6 * 9, dtype=float).reshape(6, 9)
+    assert shrink(image, 9).tolist() == image.tolist()
+    assert shrink(image, 5).shape == (3, 4)
+    assert shrink(image, 5)[0, 0] == np.mean([0, 1, 9, 10])
+    grid = sample_maps({"low": np.full((4, 4), 1), "middle": np.full((4, 4), 10), "high": np.full((4, 4), 100)})
+    shades = [np.array(Image.open(io.BytesIO(map_png(m, grid)))) for m in grid.maps]
+    assert [int(shade[0, 0]) for shade in shades] == [0, 32, 63]
+    constant = sample_maps({"uniform": np.full((4, 4), 7)})
+    assert constant.low < 7 < constant.high
+
+
+def test_labels_are_moved_apart_and_no_further():
+    from isonoise.comparison.plots import _spread_apart
+
+    assert _spread_apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
+    assert _spread_apart([0.5, 0.5], 0.1) == pytest.approx([0.45, 0.55])
+    assert _spread_apart([0.0, 0.0, 0.0], 0.1) == pytest.approx([0.0, 0.1, 0.2])
+    heights = np.sort(np.random.default_rng(1).beta(1, 8, 20))
+    moved = np.array(_spread_apart(heights, 0.04))
+    assert (np.diff(moved) >= 0.04 - 1e-9).all()
+    assert moved[0] >= 0
+    assert moved[-1] <= 1
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0, "0"),
+        (0.99999, "1.00"),
+        (1234.5, "1,234"),
+        (0.01, "0.0100"),
+        (99.99, "100"),
+        (2e-7, "2.00e-07"),
+        (None, "\u2013"),
+    ],
+)
+def test_numbers_have_three_digits(value, text):
+    assert number(value) == text
+
+
+def test_percentages():
+    assert percent(0.01) == "1.00 %"
+    assert percent(1.44) == "144 %"
