@@ -165,10 +165,13 @@ def test_time_to_reach_on_a_power_law():
     assert metrics.time_to_reach(curve.time, curve.error, curve.error[-1]) == pytest.approx((8.0, 8.0))
 
 
-def test_time_to_reach_uses_the_smallest_error_so_far():
-    time, error = np.array([1.0, 2.0, 4.0, 8.0]), np.array([4.0, 1.0, 3.0, 0.5])
-    assert metrics.time_to_reach(time, error, 1.0) == pytest.approx((2, 2))
-    assert metrics.time_to_reach(time, error, 0.75)[0] == pytest.approx(4 * 2 ** (math.log(4 / 3) / math.log(2)))
+def test_an_error_counts_as_reached_when_it_stays():
+    """The dip at 2 s is an image that has found no firefly yet."""
+    time, error = np.array([1.0, 2.0, 4.0, 8.0]), np.array([4.0, 0.4, 3.0, 0.5])
+    assert metrics.time_to_reach(time, error, 1.0)[0] == pytest.approx(4 * 2 ** (math.log(3) / math.log(6)))
+    rising = np.array([1.0, 2.0, 2.0, 3.0])
+    assert metrics.time_to_reach(time, rising, 3.0) == (8.0, 8.0)
+    assert metrics.time_to_reach(time, rising, 4.0) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("scale", [0.9, 0.5, 0.25])

@@ -182,7 +182,7 @@ class TimeRatio:
     """Time to the baseline's final error over the baseline's time to it: between `low` and `high`.
 
     The two are the same where both curves pass through that error; `high` is inf where the strategy did not reach it,
-    `low` 0 where it was below before its first point. `common`: the same ratio at the smallest error that both reach,
+    `low` 0 where it was never above. `common`: the same ratio at the larger of the two errors that the curves end with,
     which is another one only where the baseline's is not reached, with its 95 % interval: the jackknife's over the
     seeds, both curves without the same seed. It goes on smoothly where the one case becomes the other.
     """
@@ -207,20 +207,22 @@ def curve_of_means(times: Sequence[np.ndarray], errors: Sequence[np.ndarray], po
 
 
 def time_to_reach(time: np.ndarray, error: np.ndarray, level: float) -> tuple[float, float]:
-    """Earliest and latest time at which the error fell to `level`.
+    """Earliest and latest time from which on the error is at most `level`.
 
     Both are the same where the curve passes through it: interpolated, logarithm against logarithm, on the curve's
-    monotone envelope (the smallest error so far). (0, first time) if the first point is below already, (last time, inf)
-    if the level is not reached.
+    monotone envelope, the largest error from then on. (An image that has found no firefly yet has small errors, for a
+    while: the smallest error so far would take it for the better one.) (0, first time) if the curve is never above
+    `level`, (last time, inf) if it ends above. The error that it ends with is reached at its end, by definition.
     """
-    envelope = np.log(np.maximum(np.minimum.accumulate(error), TINY))
+    envelope = np.log(np.maximum(np.maximum.accumulate(error[::-1])[::-1], TINY))
     target = math.log(max(level, TINY))
     if envelope[-1] > target:
         return float(time[-1]), math.inf
+    if envelope[-1] == target:
+        return float(time[-1]), float(time[-1])
     after = int(np.argmax(envelope <= target))
     if after == 0:
-        exact = envelope[0] == target
-        return (float(time[0]) if exact else 0.0), float(time[0])
+        return 0.0, float(time[0])
     share = (envelope[after - 1] - target) / (envelope[after - 1] - envelope[after])
     at = math.exp((1 - share) * math.log(time[after - 1]) + share * math.log(time[after]))
     return at, at
@@ -243,8 +245,8 @@ def _time_ratio_at(level: float, time, error, base_time, base_error) -> tuple[fl
 
 
 def _common_ratio(time, error, base_time, base_error) -> float:
-    """Ratio at the smallest error that both curves reach; nan where one of them is below it from its first point on."""
-    level = max(float(np.min(error)), float(base_error[-1]))
+    """Ratio at the larger of the two errors that the curves end with; nan where one of them is never above it."""
+    level = max(float(error[-1]), float(base_error[-1]))
     low, high = _time_ratio_at(level, time, error, base_time, base_error)
     return low if low == high else math.nan
 

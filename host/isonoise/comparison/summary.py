@@ -58,7 +58,7 @@ def summarise(directory: Path) -> dict:
     | `curves` | `rms_p99`, `rel_mse`: `time`, `error`, `low`, `high` (95 %): error against seconds |
 
     A time ratio has `low` = `high`, the ratio; or `high` None: not reached, it is over `low`; or `low` 0: it is under
-    `high`. `common` is the ratio at the smallest error that both reach, an interval.
+    `high`. `common` is the ratio at the larger of the two final errors, an interval.
     """
     results = Results(directory)
     slugs = {strategy["spec"]: strategy["slug"] for strategy in results.strategies}

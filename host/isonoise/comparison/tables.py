@@ -45,8 +45,8 @@ def time_table(summary: Mapping, metric: str) -> Table:
     notes = [
         f"Time to reach the {name} that {baseline} ends with, over the time that {baseline} takes: 0.5 is twice as "
         "fast. In brackets the 95 % interval over the seeds.",
-        "'> x': not reached in the budget; beside it the ratio at the error that was reached. '< x': below it when "
-        "first measured.",
+        "'> x': not reached in the budget; beside it the ratio at the error that it ends with. '< x': never above it "
+        "since the first measurement.",
     ]
     if any(row["below_reference"] for scene in summary["scenes"] for row in scene["rows"]):
         notes.append(BELOW_REFERENCE)
