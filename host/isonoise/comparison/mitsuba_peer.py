@@ -143,11 +143,16 @@ class _Worker:
         raise UserError(f"Mitsuba cannot render {name}: {'; '.join(failures)}")
 
     def warm_up(self, stops: Stops) -> None:
-        """Render a pass of every size that a run may come to, so that none is compiled while the clock runs."""
-        for size in self.sizes:
+        """Render a pass of every size that a run may come to, and leave out the larger ones: what is compiled for them
+        is compiled before the clock runs. No pass takes more than half of a run."""
+        for number, size in enumerate(self.sizes, 1):
             _, seconds = self.render(size, 0)
-            within = stops.spp if stops.spp is not None else size / seconds * stops.time
-            if size >= max(within / 2, FIRST_PASS):
+            if stops.time is None:
+                enough = 2 * size >= stops.spp
+            else:  # once more where it took long: the first time may have compiled
+                enough = 2 * seconds >= stops.time and 2 * self.render(size, 1)[1] >= stops.time
+            if enough and size >= FIRST_PASS:
+                self.sizes = self.sizes[:number]
                 break
 
     def render(self, spp: int, seed: int) -> tuple[np.ndarray, float]:

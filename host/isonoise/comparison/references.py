@@ -30,7 +30,9 @@ FEWEST = 8
 PILOT_SHARE = 0.05
 """Of a reference's budget, for the render that decides its map."""
 SPREAD = 16
-"""A pixel gets at most this many times the samples of the uniform half of the map."""
+"""A pixel gets at most this many times the samples of the uniform half of the map. In the penumbra 16 takes the p99 of
+the relative standard error to 0.41 of a uniform map's and 4 to 0.71; among bright spots 64 makes it worse than uniform,
+because the pilot has not seen most of them."""
 CLIP = 0.999
 """Quantile over the pixels at which the pilot's variance is cut for the map."""
 _STREAMS = {"reference": SEEDS, "variance": SEEDS + 2**62}
