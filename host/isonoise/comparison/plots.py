@@ -50,17 +50,23 @@ class MapGrid:
     colours: str
 
 
+DECADES = 2.5
+"""Most powers of ten that a map of errors shows below its largest: pixels without noise would stretch it for ever."""
+
+
 def sample_maps(counts: Mapping[str, np.ndarray]) -> MapGrid:
-    """`counts`: title -> samples of every pixel. The scale goes from the smallest to the largest."""
+    """`counts`: title -> samples of every pixel. The scale leaves out a thousandth of a map's pixels at either end."""
     maps = [Map(title, np.maximum(count, 1).astype(np.float64)) for title, count in counts.items()]
-    low, high = min(m.values.min() for m in maps), max(m.values.max() for m in maps)
-    return MapGrid(maps, *_spread(low, high), "viridis")
+    ends = np.array([np.quantile(m.values, (0.001, 0.999)) for m in maps])
+    return MapGrid(maps, *_spread(ends[:, 0].min(), ends[:, 1].max()), "viridis")
 
 
 def error_maps(errors: Mapping[str, np.ndarray]) -> MapGrid:
-    """`errors`: title -> RMS relative error of every pixel. The scale spans all but 1 % of the pixels at either end."""
+    """`errors`: title -> RMS relative error of every pixel. The scale leaves out a hundredth at either end."""
     together = np.concatenate([image.ravel() for image in errors.values()])
-    low, high = np.quantile(together[together > 0], (0.01, 0.99)) if (together > 0).any() else (1.0, 1.0)
+    noisy = together[together > 0]
+    low, high = np.quantile(noisy, (0.01, 0.99)) if noisy.size else (1.0, 1.0)
+    low = max(low, high / 10**DECADES)
     return MapGrid([Map(title, image) for title, image in errors.items()], *_spread(low, high), "magma")
 
 
@@ -79,7 +85,7 @@ def error_plot(summary: Mapping, scene: Mapping, metric: str) -> "Figure":
     bold = {summary["baseline"], summary["default"]}
     titles = {strategy["slug"]: strategy["title"] for strategy in summary["strategies"]}
     styles = line_styles(summary)
-    ends = []
+    ends, bands = [], []
     for row in scene["rows"]:
         name = row["strategy"]
         curve = {key: np.array(values, dtype=float) for key, values in row["curves"][metric].items()}
@@ -88,8 +94,11 @@ def error_plot(summary: Mapping, scene: Mapping, metric: str) -> "Figure":
             curve["time"], curve["error"], **style, marker="o" if len(curve["time"]) < 9 else None, markersize=2.5
         )
         if len(scene["rows"]) <= BANDS or name in bold:
-            axes.fill_between(curve["time"], curve["low"], curve["high"], color=style["color"], alpha=0.13, linewidth=0)
+            bands.append((curve["time"], curve["low"], curve["high"], style["color"]))
         ends.append((curve["time"][-1], curve["error"][-1], titles[name], style, name in bold))
+    axes.set_ylim(axes.get_ylim())  # of the lines: bands of few seeds may go anywhere
+    for time, low, high, colour in bands:
+        axes.fill_between(time, low, high, color=colour, alpha=0.13, linewidth=0)
     axes.set_xlabel("seconds of rendering", color=INK)
     axes.set_ylabel(label, color=INK)
     for axis, write in ((axes.xaxis, number), (axes.yaxis, form)):
