@@ -204,6 +204,7 @@ def _compare_epilog() -> str:
         "files below DIR:",
         "  report.html              tables and plots in one file",
         "  summary.json             the tables' numbers",
+        "  tables.md                the tables as Markdown",
         "  waves.csv                one row a wave of every run: the columns of `isonoise render --help`, and device_s",
         "  plots/                   the plots alone",
         "  references/SCENE.exr     where none was given: R, G, B and standard errors stderr.R, .G, .B",
