@@ -247,7 +247,7 @@ def test_help_explains_strategies_and_every_column(capsys):
     for word in (
         "(default: pooled)",
         "pooled:rule=sqrt",
-        "window=5",
+        "window=3",
         "kappa=8",
         "uniform",
         *columns(true_errors=True),

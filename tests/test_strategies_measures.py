@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from isonoise.statistics import Statistics
-from isonoise.strategies import make_strategy
+from isonoise.strategies import make_strategy, measures
 from isonoise.strategies.measures import (
     image_floor,
-    pooled,
+    pooled_variance,
     relative_mean,
     relative_median,
     standard_error,
@@ -58,16 +58,17 @@ def test_measures_are_their_formulas():
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 5), (3, 2)])
 @pytest.mark.parametrize("window", [1, 3, 5, 31])
-def test_pooled_is_a_plain_loop_over_the_window(shape, window):
+def test_pooled_is_a_plain_loop_over_the_window(shape, window, monkeypatch):
+    monkeypatch.setattr(measures, "STRIP", 10)  # a few rows at a time
     rng = np.random.default_rng(3)
     s = statistics(rng.integers(2, 50, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape))
     n, reach = s.count.astype(float), window // 2
-    for (y, x), value in np.ndenumerate(pooled(s, 0.5, window)):
+    for (y, x), value in np.ndenumerate(pooled_variance(s, 0.5, window)):
         around = np.s_[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
         variance, mean = (np.average(plane[around], weights=n[around]) for plane in (s.variance, s.mean))
-        assert value == pytest.approx(np.sqrt(variance / n[y, x]) / max(mean, 0.5), rel=1e-12)
+        assert value == pytest.approx(variance / max(mean, 0.5) ** 2, rel=1e-12)
     if window == 1:
-        assert pooled(s, 0.5, 1) == pytest.approx(relative_mean(s, 0.5), rel=1e-14)
+        assert pooled_variance(s, 0.5, 1) == pytest.approx(variance_of_one(s, relative_mean(s, 0.5)), rel=1e-14)
 
 
 def test_window_sums_do_not_cancel():

@@ -65,7 +65,7 @@ def test_the_built_in_strategies():
     assert make_strategy(strategy) is strategy
 
 
-@pytest.mark.parametrize("name", ["relative-mean", "relative-median", "pooled"])
+@pytest.mark.parametrize("name", ["relative-mean", "relative-median", "pooled:ratio=1,growth=0.5"])
 def test_uniform_and_adaptive_waves_take_turns(name):
     waves = first(make_strategy(name), 40)
     assert (waves[0].kind, waves[0].spp) == ("uniform", 16)

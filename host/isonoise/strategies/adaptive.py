@@ -183,8 +183,10 @@ class Pooled(Adaptive):
 
     name = "pooled"
 
-    window: int = 5
+    window: int = 3
     rule: str = "sqrt"
+    ratio: float = 0.4
+    growth: float = 0.2
     clip: float = 1.0
 
     def __post_init__(self):
@@ -193,5 +195,8 @@ class Pooled(Adaptive):
         if self.window % 2 == 0:
             raise UserError(f"strategy parameter window = {self.window} must be odd, so that it has a middle")
 
+    def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
+        return measures.pooled_variance(statistics, floor, self.window)
+
     def measure(self, statistics: Statistics, floor: float) -> np.ndarray:
-        return measures.pooled(statistics, floor, self.window)
+        return np.sqrt(self.variance(statistics, floor) / np.maximum(statistics.count, 1))

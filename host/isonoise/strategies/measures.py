@@ -5,6 +5,9 @@ import numpy as np
 from isonoise.statistics import Statistics
 from isonoise.student import quantile
 
+STRIP = 2**15
+"""Pixels that are pooled at a time, so that what lies between the steps stays in the cache."""
+
 
 def image_floor(mean: np.ndarray) -> float:
     """1 % of the geometric mean of max(L, 1e-4 mean L) over the pixels with L > 0, both means over these pixels.
@@ -41,24 +44,30 @@ def relative_mean(statistics: Statistics, floor: float) -> np.ndarray:
     return _ratio(standard_error(statistics), np.maximum(statistics.mean, floor))
 
 
-def pooled(statistics: Statistics, floor: float, window: int) -> np.ndarray:
-    """The relative standard error with variance and mean pooled over the window around the pixel, samples weighing the
-    same: sqrt(sum n s^2 / sum n) / sqrt(n) / max(sum n mean / sum n, floor).
+def pooled_variance(statistics: Statistics, floor: float, window: int) -> np.ndarray:
+    """V = s^2 / max(mean, floor)^2, the relative variance of one sample, with s^2 and mean pooled over the window around
+    the pixel, samples weighing the same: sum n s^2 / sum n, and sum n mean / sum n.
 
     `window` is odd, pixels a side; beyond the image's edge there is nothing. Float64, shape (height, width); inf where
-    n < 2.
+    n < 2. 0 / 0 is 0 and noise over nothing inf, as in the other measures.
     """
-    weight = statistics.count.astype(np.float64)
-    samples = window_sum(weight, window)
-    np.maximum(samples, 1, out=samples)
-    scale = window_sum(weight * statistics.mean, window)
-    scale /= samples
-    np.maximum(scale, floor, out=scale)
-    variance = window_sum(weight * statistics.variance, window)
-    variance /= samples
-    error = np.full(statistics.shape, np.inf)
-    np.divide(variance, weight, out=error, where=statistics.count >= 2)
-    return _ratio(np.sqrt(error, out=error), scale)
+    height, width = statistics.shape
+    result = np.empty((height, width))
+    reach, rows = window // 2, max(1, STRIP // width)
+    for top in range(0, height, rows):
+        begin, end = max(top - reach, 0), min(top + rows + reach, height)
+        inside = np.s_[top - begin : min(top + rows, height) - begin]
+        part = np.s_[begin:end]
+        weight = statistics.count[part].astype(np.float64)
+        samples = np.maximum(window_sum(weight, window)[inside], 1)
+        scale = window_sum(weight * statistics.mean[part], window)[inside]
+        scale /= samples
+        np.maximum(scale, floor, out=scale)
+        variance = window_sum(np.multiply(weight, statistics.variance[part], out=weight), window)[inside]
+        variance /= samples
+        result[top : top + rows] = _ratio(_ratio(variance, scale), scale)
+    result[statistics.count < 2] = np.inf
+    return result
 
 
 def window_sum(values: np.ndarray, window: int) -> np.ndarray:
