@@ -45,7 +45,7 @@ def relative_mean(statistics: Statistics, floor: float) -> np.ndarray:
 
 
 def pooled_variance(statistics: Statistics, floor: float, window: int) -> np.ndarray:
-    """V = s^2 / max(mean, floor)^2, the relative variance of one sample, with s^2 and mean pooled over the window around
+    """V = s^2 / max(mean, floor)^2, the relative variance of one sample, with s^2 and mean pooled over the window about
     the pixel, samples weighing the same: sum n s^2 / sum n, and sum n mean / sum n.
 
     `window` is odd, pixels a side; beyond the image's edge there is nothing. Float64, shape (height, width); inf where
