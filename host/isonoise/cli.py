@@ -1,27 +1,23 @@
-"""The command line: options, what they may be, and exit codes. Each command is a module of `isonoise.commands`.
+"""The command line: options and exit codes. Each command is a module of `isonoise.commands`.
 
 Nothing heavy is imported here, so that `isonoise --help` answers at once.
 """
 
 import argparse
 import importlib
-import math
 import os
-import re
 import signal
 import sys
 
+from isonoise import arguments
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.errors import UserError
 
-MAX_PIXELS = 1 << 28
-"""Largest image that --size takes; beyond it the statistics alone need over 10 GiB, so it is most likely a slip."""
 
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command that `arguments` (default: the process's own) name; returns the exit code."""
+def main(argv: list[str] | None = None) -> int:
+    """Run the command that `argv` (default: the process's own) names; returns the exit code."""
     try:
-        options = _parser().parse_args(arguments)
+        options = _parser().parse_args(argv)
         code = importlib.import_module(f"isonoise.commands.{options.command}").run(options)
         sys.stdout.flush()
         return code
@@ -79,21 +75,27 @@ def _add_render(commands) -> None:
         help=".exr: all layers, float32; .png: tone-mapped for a look; may be given more than once",
     )
     limits = render.add_argument_group("when to stop")
-    limits.add_argument("--spp", metavar="N", type=_positive, help="mean samples per pixel")
-    limits.add_argument("--time", metavar="S", type=_positive, help="seconds of rendering; set-up is not counted")
-    limits.add_argument("--error", metavar="E", type=_positive, help="stated relative error, as in 0.02")
+    limits.add_argument("--spp", metavar="N", type=arguments.positive, help="mean samples per pixel")
+    limits.add_argument(
+        "--time", metavar="S", type=arguments.positive, help="seconds of rendering; set-up is not counted"
+    )
+    limits.add_argument("--error", metavar="E", type=arguments.positive, help="stated relative error, as in 0.02")
     limits.add_argument(
         "--quantile",
         metavar="Q",
-        type=_quantile,
+        type=arguments.quantile,
         default=0.99,
         help="quantile over the pixels at which --error holds (default: %(default)s)",
     )
     how = render.add_argument_group("how to render")
     how.add_argument("--strategy", metavar="NAME[:k=v,..]", help="how samples are spread over the image; listed below")
-    how.add_argument("--seed", metavar="K", type=_seed, default=0, help="same seed, same image (default: %(default)s)")
-    how.add_argument("--size", metavar="WxH", type=_size, help="image size in pixels instead of the scene's")
-    how.add_argument("--max-depth", metavar="N", type=_max_depth, help="longest path: 1 is emitters only, -1 no end")
+    how.add_argument(
+        "--seed", metavar="K", type=arguments.seed, default=0, help="same seed, same image (default: %(default)s)"
+    )
+    how.add_argument("--size", metavar="WxH", type=arguments.size, help="image size in pixels instead of the scene's")
+    how.add_argument(
+        "--max-depth", metavar="N", type=arguments.max_depth, help="longest path: 1 is emitters only, -1 no end"
+    )
     _add_definitions(how)
     how.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
     reports = render.add_argument_group("what to report")
@@ -122,15 +124,25 @@ def _add_compare(commands) -> None:
         default=[],
         help="as NAME[:k=v,..] of `isonoise render --help`, and those listed below; may be given more than once",
     )
-    what.add_argument("--preset", metavar="NAME", help="a whole plan, listed below; options replace its pieces")
-    what.add_argument("--seeds", metavar="N", type=_count, help="runs of each strategy on each scene (default: 8)")
-    what.add_argument("--seed", metavar="K", type=_seed, default=0, help="seed of the first run (default: %(default)s)")
+    what.add_argument(
+        "--preset",
+        metavar="NAME",
+        help="a whole plan, listed below; scenes and options that are given replace its pieces",
+    )
+    what.add_argument(
+        "--seeds", metavar="N", type=arguments.count, help="runs of each strategy on each scene (default: 8)"
+    )
+    what.add_argument(
+        "--seed", metavar="K", type=arguments.seed, default=0, help="seed of the first run (default: %(default)s)"
+    )
     budget = compare.add_argument_group("budget of a run (one of them)")
-    budget.add_argument("--time", metavar="S", type=_positive, help="seconds of rendering (default: 10)")
-    budget.add_argument("--spp", metavar="N", type=_positive, help="mean samples per pixel")
+    budget.add_argument("--time", metavar="S", type=arguments.positive, help="seconds of rendering (default: 10)")
+    budget.add_argument("--spp", metavar="N", type=arguments.positive, help="mean samples per pixel")
     how = compare.add_argument_group("how to render")
-    how.add_argument("--size", metavar="WxH", type=_size, help="image size in pixels instead of the scenes'")
-    how.add_argument("--max-depth", metavar="N", type=_max_depth, help="longest path: 1 is emitters only, -1 no end")
+    how.add_argument("--size", metavar="WxH", type=arguments.size, help="image size in pixels instead of the scenes'")
+    how.add_argument(
+        "--max-depth", metavar="N", type=arguments.max_depth, help="longest path: 1 is emitters only, -1 no end"
+    )
     how.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
     references = compare.add_argument_group("references")
     references.add_argument(
@@ -144,7 +156,7 @@ def _add_compare(commands) -> None:
     references.add_argument(
         "--reference-time",
         metavar="S",
-        type=_positive,
+        type=arguments.positive,
         help="seconds for a reference, and as many for what an oracle knows (default: 20 times --time; "
         "with --spp 20 times its samples)",
     )
@@ -155,7 +167,7 @@ def _add_definitions(parser) -> None:
         "-D",
         dest="parameters",
         metavar="name=value",
-        type=_definition,
+        type=arguments.definition,
         action="append",
         default=[],
         help="set a <default> parameter of the scene file; may be given more than once",
@@ -238,73 +250,3 @@ class _Version(argparse.Action):
 
         print(f"isonoise {version('isonoise')}")
         parser.exit()
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
-    return value
-
-
-def _whole(text: str) -> int:
-    if not re.fullmatch(r"[+-]?[0-9]+", text):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number")
-    return int(text)
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} must be more than 0")
-    return value
-
-
-def _count(text: str) -> int:
-    value = _whole(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} must be 1 or more")
-    return value
-
-
-def _quantile(text: str) -> float:
-    value = _number(text)
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1, as in 0.99")
-    return value
-
-
-def _seed(text: str) -> int:
-    value = _whole(text)
-    if not 0 <= value < 1 << 64:
-        raise argparse.ArgumentTypeError(f"{text} must be from 0 to {(1 << 64) - 1}")
-    return value
-
-
-def _max_depth(text: str) -> int:
-    value = _whole(text)
-    if value < 1 and value != -1:
-        raise argparse.ArgumentTypeError(f"{text} must be 1 or more, or -1 for no end")
-    return value
-
-
-def _size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"([0-9]+)[xX]([0-9]+)", text)
-    if not match:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a size: write WIDTHxHEIGHT, as in 640x480")
-    width, height = map(int, match.groups())
-    if width < 1 or height < 1:
-        raise argparse.ArgumentTypeError(f"{text} has no pixels: width and height must be 1 or more")
-    if width * height > MAX_PIXELS:
-        raise argparse.ArgumentTypeError(f"{text} has more than {MAX_PIXELS:,} pixels")
-    return width, height
-
-
-def _definition(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not (name and equals):
-        raise argparse.ArgumentTypeError(f"'{text}' is not of the form name=value")
-    return name, value

@@ -1,0 +1,78 @@
+"""What options may be: from a text on the command line to a value, or argparse.ArgumentTypeError saying what is wrong."""
+
+import argparse
+import math
+import re
+
+MAX_PIXELS = 1 << 28
+"""Largest image that --size takes; beyond it the statistics alone need over 10 GiB, so it is most likely a slip."""
+
+
+def number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
+    return value
+
+
+def whole(text: str) -> int:
+    if not re.fullmatch(r"[+-]?[0-9]+", text):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number")
+    return int(text)
+
+
+def positive(text: str) -> float:
+    value = number(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text} must be more than 0")
+    return value
+
+
+def count(text: str) -> int:
+    value = whole(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} must be 1 or more")
+    return value
+
+
+def quantile(text: str) -> float:
+    value = number(text)
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1, as in 0.99")
+    return value
+
+
+def seed(text: str) -> int:
+    value = whole(text)
+    if not 0 <= value < 1 << 64:
+        raise argparse.ArgumentTypeError(f"{text} must be from 0 to {(1 << 64) - 1}")
+    return value
+
+
+def max_depth(text: str) -> int:
+    value = whole(text)
+    if value < 1 and value != -1:
+        raise argparse.ArgumentTypeError(f"{text} must be 1 or more, or -1 for no end")
+    return value
+
+
+def size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([0-9]+)[xX]([0-9]+)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a size: write WIDTHxHEIGHT, as in 640x480")
+    width, height = map(int, match.groups())
+    if width < 1 or height < 1:
+        raise argparse.ArgumentTypeError(f"{text} has no pixels: width and height must be 1 or more")
+    if width * height > MAX_PIXELS:
+        raise argparse.ArgumentTypeError(f"{text} has more than {MAX_PIXELS:,} pixels")
+    return width, height
+
+
+def definition(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form name=value")
+    return name, value
