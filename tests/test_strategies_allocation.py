@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from isonoise.strategies.allocation import deficit, proportional, uniform_allocation
+from isonoise.strategies.allocation import deficit, proportional, proportional_to_error, uniform_allocation
 
 
 def exact_shares(count, variance, budget, cap):
@@ -47,7 +47,8 @@ def test_deficit_equals_rational_arithmetic(seed):
 @pytest.mark.parametrize("cap", [2, 4, np.inf])
 @pytest.mark.parametrize("clip", [0.9, 1.0])
 @pytest.mark.parametrize("budget", [0, 1, 62, 63, 64, 1000, 10**6, 2**33])
-def test_counts_sum_to_the_budget(budget, clip, cap):
+@pytest.mark.parametrize("rule", [deficit, proportional_to_error])
+def test_counts_sum_to_the_budget(rule, budget, clip, cap):
     rng = np.random.default_rng(budget)
     count = rng.integers(0, 100, size=(7, 9), dtype=np.uint32)
     variances = {
@@ -62,7 +63,7 @@ def test_counts_sum_to_the_budget(budget, clip, cap):
         "huge": np.full(count.shape, 1e308),
     }
     for name, variance in variances.items():
-        allocation = deficit(count, variance, budget, 1, clip=clip, cap=cap)
+        allocation = rule(count, variance, budget, 1, clip=clip, cap=cap)
         assert allocation.dtype == np.uint32, name
         assert allocation.shape == count.shape, name
         assert int(allocation.sum(dtype=np.int64)) == budget, name
@@ -98,6 +99,27 @@ def test_exact_water_filling_keeps_the_mean_error_of_uniform_sampling_and_sqrt_l
     root = np.sqrt(variance) * total / np.sqrt(variance).sum()
     assert np.mean(variance / root) < 0.9 * uniform  # exp(-sigma^2 / 4) = 0.78 for this distribution
     assert np.max(variance / filled) < 0.3 * np.max(variance / root)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 3.0])
+def test_proportional_to_the_error_converges_to_a_power_of_the_variance(exponent):
+    """Fixed point of n ~ (V / n)^p: n ~ V^(p / (p + 1)), so V / n is not the same everywhere."""
+    variance = np.array([[1.0, 4.0, 16.0, 64.0]])
+    count = np.full(variance.shape, 100, dtype=np.uint32)
+    for wave in range(400):
+        count += proportional_to_error(count, variance, int(0.1 * count.sum()), wave, exponent=exponent)
+        count = np.maximum(count // 2, 1) if count.sum() > 10**8 else count  # forgets where it began
+    slope = np.polyfit(np.log(variance[0]), np.log(count[0]), 1)[0]
+    assert slope == pytest.approx(exponent / (exponent + 1), rel=0.01)
+
+
+def test_proportional_to_the_error_is_its_formula():
+    count = np.array([[10, 20, 40]], dtype=np.uint32)
+    variance = np.array([[1.0, 4.0, 2.0]])
+    weight = (variance / count) ** 2
+    expected = 10**6 * weight / weight.sum()
+    got = proportional_to_error(count, variance, 10**6, 0, exponent=2.0, cap=np.inf)
+    assert np.abs(got - expected).max() < 1
 
 
 def test_no_pixel_exceeds_the_cap_while_others_have_room():

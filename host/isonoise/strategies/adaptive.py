@@ -105,7 +105,7 @@ class RelativeMedian(Adaptive):
 
     kappa: float = 8.0
     chunk: int = 5
-    batch: int = 1
+    batch: int = 4
     literal: bool = False
 
     def __post_init__(self):

@@ -63,7 +63,7 @@ def deficit(
 
     exactly: the left side is piecewise linear in 1 / lambda and changes slope at n_i / V_i and g n_i / V_i. When every
     pixel with V > 0 is at its cap, the rest is spread evenly over the pixels below theirs, and when all are, evenly
-    over the image. Shares are rounded by largest remainders; ties go by a hashed order that changes with the wave.
+    over the image. Where no pixel has any, all count as equal. Shares are rounded by largest remainders; ties go by a hashed order that changes with the wave.
 
     - `count`: uint32 (height, width). A pixel without samples has no variance to speak of: g times nothing is nothing.
     - `variance`: float64 (height, width); its unit does not matter. NaN and negative values are no evidence and count
@@ -142,8 +142,8 @@ def _clipped(variance: np.ndarray, clip: float) -> np.ndarray:
     unknown = np.isposinf(variance)
     variance[~(variance > 0) | unknown] = 0.0
     positive = variance[variance > 0]
-    if positive.size == 0:
-        variance[unknown] = 0.5
+    if positive.size == 0:  # nothing is known to be worse than the rest
+        variance[unknown if unknown.any() else np.s_[:]] = 0.5
         return variance
     top = positive.max()
     if clip < 1:
