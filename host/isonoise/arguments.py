@@ -1,4 +1,4 @@
-"""What options may be: from a text on the command line to a value, or argparse.ArgumentTypeError saying what is wrong."""
+"""What options may be: from a text on the command line to a value, or an ArgumentTypeError that says what is wrong."""
 
 import argparse
 import math
