@@ -185,7 +185,7 @@ class Pooled(Adaptive):
 
     window: int = 3
     rule: str = "sqrt"
-    ratio: float = 0.4
+    ratio: float = 0.35
     growth: float = 0.2
     clip: float = 1.0
 

@@ -63,7 +63,8 @@ def deficit(
 
     exactly: the left side is piecewise linear in 1 / lambda and changes slope at n_i / V_i and g n_i / V_i. When every
     pixel with V > 0 is at its cap, the rest is spread evenly over the pixels below theirs, and when all are, evenly
-    over the image. Where no pixel has any, all count as equal. Shares are rounded by largest remainders; ties go by a hashed order that changes with the wave.
+    over the image. Where no pixel has any, all count as equal. Shares are rounded by largest remainders; ties go by a
+    hashed order that changes with the wave.
 
     - `count`: uint32 (height, width). A pixel without samples has no variance to speak of: g times nothing is nothing.
     - `variance`: float64 (height, width); its unit does not matter. NaN and negative values are no evidence and count
