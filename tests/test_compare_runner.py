@@ -235,6 +235,33 @@ def test_presets_can_be_planned():
         assert len(made.scenes) == len(preset.scenes)
 
 
+def test_a_plan_keeps_its_preset(tmp_path):
+    """Its figures belong to the report, also when the runs that are missing were asked for one by one."""
+    stored = plans.make_plan(request(preset="poster"))
+    plans.write_plan(tmp_path, stored)
+    assert plans.read_plan(tmp_path) == stored
+    assert plans.make_plan(request(), stored).preset == "poster"
+    late = plans.make_plan(request(preset="poster"), plans.make_plan(request()))
+    assert (late.preset, plans.differences(plans.make_plan(request()), late)) == ("poster", [])
+
+
+def test_options_replace_pieces_of_a_preset():
+    from isonoise.cli import _parser
+    from isonoise.commands.compare import _request
+
+    def made(*arguments):
+        return _request(_parser().parse_args(["compare", "--preset", "poster", "-o", "out", *arguments]))
+
+    whole, preset = made(), PRESETS["poster"]
+    assert (whole.scenes, whole.strategies, whole.seeds) == (preset.scenes, preset.strategies, preset.seeds)
+    assert (whole.time, whole.spp, whole.size) == (preset.time, None, None)
+    small = made("--time", "1", "--seeds", "2", "--size", "64x64")
+    assert (small.time, small.seeds, small.size, small.strategies) == (1, 2, (64, 64), preset.strategies)
+    assert (made("--spp", "4").time, made("--spp", "4").spp) == (None, 4)
+    assert made("--strategies", "uniform").strategies == ["uniform"]
+    assert made("cornell").scenes == ["cornell"]
+
+
 # ---- bad input
 
 

@@ -76,6 +76,7 @@ def _request(options: argparse.Namespace) -> Request:
         device=options.device,
         references=options.reference,
         reference_time=options.reference_time,
+        preset=options.preset,
     )
 
 

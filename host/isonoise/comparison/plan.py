@@ -61,6 +61,7 @@ class Plan:
     max_depth: int | None  # in place of the scenes'
     device: str  # its name
     reference_time: float | None  # seconds; None: REFERENCE_SHARE times spp
+    preset: str | None = None  # what it was made with; its figures are in the report
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,12 @@ class Request:
     device: str | None = None
     references: Sequence[str] = ()  # a file for each scene, in order, or SCENE=FILE
     reference_time: float | None = None
+    preset: str | None = None
 
 
 def make_plan(request: Request, stored: Plan | None = None) -> Plan:
-    """Looks up and checks all that is named. Scenes and strategies of the `stored` plan keep their slugs.
+    """Looks up and checks all that is named. Scenes and strategies of the `stored` plan keep their slugs, and
+    its preset stays.
 
     Raises SceneError, DeviceError, UserError: something is unknown, named twice, or does not go together.
     """
@@ -119,6 +122,7 @@ def make_plan(request: Request, stored: Plan | None = None) -> Plan:
         max_depth=request.max_depth,
         device=device,
         reference_time=reference_time,
+        preset=request.preset or (stored.preset if stored else None),
     )
 
 

@@ -116,8 +116,6 @@ def error_plot(summary: Mapping, scene: Mapping, metric: str) -> "Figure":
 
 def grid_figure(grid: MapGrid, caption: str, form=number) -> "Figure":
     """The maps side by side with one colour bar."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
     across = min(5, len(grid.maps))
@@ -125,18 +123,34 @@ def grid_figure(grid: MapGrid, caption: str, form=number) -> "Figure":
     height, width = grid.maps[0].values.shape
     figure = Figure(figsize=(2.1 * across, (2.1 * height / width + 0.25) * down + 0.6), dpi=130, layout="compressed")
     axes = figure.subplots(down, across, squeeze=False)
-    norm = LogNorm(grid.low, grid.high)
     for place in axes.flat:
         place.axis("off")
     for place, drawn in zip(axes.flat, grid.maps, strict=False):
-        place.imshow(np.maximum(drawn.values, grid.low), norm=norm, cmap=grid.colours, interpolation="nearest")
-        place.set_title(drawn.title, fontsize=8)
-    bar = figure.colorbar(ScalarMappable(norm, grid.colours), ax=axes, location="bottom", aspect=60, shrink=0.6)
+        draw_map(place, drawn, grid)
+    draw_scale(figure, axes, grid, caption, form, location="bottom", aspect=60, shrink=0.6)
+    return figure
+
+
+def draw_map(axes, drawn: Map, grid: MapGrid) -> None:
+    """One map of a grid, with its title, in matplotlib's `axes`."""
+    from matplotlib.colors import LogNorm
+
+    norm = LogNorm(grid.low, grid.high)
+    axes.imshow(np.maximum(drawn.values, grid.low), norm=norm, cmap=grid.colours, interpolation="nearest")
+    axes.set_title(drawn.title, fontsize=8)
+    axes.set(xticks=[], yticks=[])
+
+
+def draw_scale(figure: "Figure", axes, grid: MapGrid, caption: str, form=number, **how) -> None:
+    """The colour bar of a grid beside `axes`; `how` goes to matplotlib's `colorbar`."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    bar = figure.colorbar(ScalarMappable(LogNorm(grid.low, grid.high), grid.colours), ax=axes, **how)
     bar.set_label(caption)
     bar.ax.minorticks_off()
     ticks = nice_ticks(grid.low, grid.high)
     bar.set_ticks(ticks, labels=[form(value, 1) for value in ticks])
-    return figure
 
 
 def map_png(drawn: Map, grid: MapGrid, longest: int = 256) -> bytes:
@@ -177,7 +191,8 @@ def write_figure(path: Path, figure: "Figure") -> None:
     stream = io.BytesIO()
     with matplotlib.rc_context(RC):
         figure.savefig(stream, format="png", facecolor="white")
-    picture = Image.open(stream).convert("RGB").quantize(256)
+    picture = Image.open(stream).convert("RGB")
+    picture = picture.quantize(256, Image.Quantize.MAXCOVERAGE)  # others merge the rare colours at the end of a scale
     write_whole(path, lambda temporary: temporary.write_bytes(png_bytes(picture)))
 
 

@@ -2,6 +2,10 @@
 
 from dataclasses import dataclass
 
+from isonoise.strategies.registry import DEFAULT_STRATEGY
+
+POSTER = "poster"
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -15,10 +19,21 @@ class Preset:
 
 
 PRESETS = {
-    "poster": Preset(
+    POSTER: Preset(
         meaning="the figures of the method's poster, from the built-in scenes",
         scenes=("bright-spots", "penumbra", "cornell"),
-        strategies=("uniform", "relative-mean", "relative-median"),
+        strategies=(
+            "uniform",
+            "relative-mean",
+            "relative-median",
+            "relative-median:kappa=inf",  # as the poster writes it
+            "relative-median:kappa=inf,literal=true",  # as it can be read: the variance over M_x
+            "relative-mean:ratio=inf",  # without alternation
+            "relative-median:ratio=inf",
+            "tsallis",
+            "tsallis:q=1",
+            DEFAULT_STRATEGY,
+        ),
         seeds=8,
         time=10.0,
     ),

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison import metrics, plots
+from isonoise.comparison import metrics, plots, poster
 from isonoise.comparison.columns import SCENE_COLUMNS, SINGLE_COLUMNS, number, percent
+from isonoise.comparison.presets import POSTER
 from isonoise.comparison.results import Results
 from isonoise.comparison.summary import summarise, write_summary
 from isonoise.comparison.tables import BELOW_REFERENCE, TIME_METRICS, scene_tables, time_table
@@ -40,6 +41,7 @@ def write_report(directory: Path) -> None:
     page = _template().render(
         summary=summary,
         scenes=[_scene(results, summary, scene) for scene in shown],
+        poster=_poster(results, summary),
         times=[time_table(summary, metric) for metric in TIME_METRICS],
         columns=[*SCENE_COLUMNS, *SINGLE_COLUMNS],
         below_reference=BELOW_REFERENCE,
@@ -58,6 +60,28 @@ def _template():
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"number": number, "percent": percent}
     return environment.from_string(files("isonoise.comparison").joinpath("report.html.j2").read_text(encoding="utf-8"))
+
+
+def _poster(results: Results, summary: Mapping) -> list[dict]:
+    """What the page shows of the poster's figures, if they are wanted; they are written below plots/ too."""
+    shown = []
+    for figure in poster.poster_figures(results, summary) if results.plan.get("preset") == POSTER else ():
+        path = results.directory / "plots" / f"{figure.name}.png"
+        if figure.rows:
+            plots.write_figure(path, poster.draw(figure))
+        else:
+            path.unlink(missing_ok=True)  # of other runs
+        shown.append(
+            {
+                "name": figure.name,
+                "design": figure.design,
+                "missing": figure.missing,
+                "rows": [
+                    _shown_grid(row.grid, row.caption, row.form) | {"figures": row.figures} for row in figure.rows
+                ],
+            }
+        )
+    return shown
 
 
 def _scene(results: Results, summary: Mapping, scene: Mapping) -> dict:

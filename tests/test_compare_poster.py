@@ -1,0 +1,164 @@
+"""The poster's figures, from runs with drawn errors."""
+
+import base64
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from made_comparison import make_comparison
+
+from isonoise.comparison.metrics import chi_square_quantile, perfect_uniformity
+from isonoise.comparison.presets import POSTER, PRESETS
+from isonoise.comparison.summary import summarise
+from isonoise.strategies.registry import DEFAULT_STRATEGY
+
+pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
+pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
+
+from isonoise.comparison.poster import DESIGNS, draw, poster_figures
+from isonoise.comparison.report import write_report
+from isonoise.comparison.results import Results
+
+PRESET = PRESETS[POSTER]
+SEEDS = range(1, 9)
+
+
+def make(directory, **more):
+    """Runs of the whole preset; samples in proportion to the variance but for `uniform`."""
+    shares = {spec: np.ones_like if spec == "uniform" else lambda v: v for spec in PRESET.strategies}
+    made = make_comparison(directory, PRESET.scenes, shares, **{"seeds": SEEDS, "shape": (40, 50)} | more)
+    plan = json.loads((made / "plan.json").read_text())
+    (made / "plan.json").write_text(json.dumps(plan | {"preset": POSTER}))
+    return made
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    directory = make(tmp_path_factory.mktemp("poster") / "out")
+    write_report(directory)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def figures(made):
+    return poster_figures(Results(made), summarise(made))
+
+
+def runs_of(made, scene, spec):
+    results = Results(made)
+    slug = next(s["slug"] for s in results.strategies if s["spec"] == spec)
+    return list(results.runs(scene)[slug].values())
+
+
+def test_the_preset_has_all_that_the_figures_need():
+    needed = {(design.scene, spec) for design in DESIGNS for spec in design.panels}
+    assert needed <= {(scene, spec) for scene in PRESET.scenes for spec in PRESET.strategies}
+    assert {spec for _, spec in needed} == set(PRESET.strategies)  # and nothing for nobody
+
+
+def test_maps_are_those_of_the_runs(made, figures):
+    spots, penumbra, _ = figures
+    for k, spec in enumerate(spots.design.panels):
+        runs = runs_of(made, "bright-spots", spec)
+        rms, samples = (row.grid.maps[k].values for row in spots.rows)
+        np.testing.assert_allclose(rms**2, np.mean([run.errors[-1].astype(float) ** 2 for run in runs], axis=0))
+        np.testing.assert_array_equal(samples, runs[0].count)
+    for k, spec in enumerate(penumbra.design.panels):
+        single = penumbra.rows[0].grid.maps[k].values
+        np.testing.assert_array_equal(single, abs(runs_of(made, "penumbra", spec)[0].errors[-1].astype(float)))
+
+
+def test_numbers_are_those_of_the_tables(made, figures):
+    text = (made / "tables.md").read_text()
+    for figure in figures:
+        section = text[text.index(f"### {figure.design.scene}\n") :].split("### ")[1]
+        lines = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in section.splitlines() if "|" in line]
+        of_title = {cells[0].removesuffix("` †"): dict(zip(lines[0], cells, strict=True)) for cells in lines[2:]}
+        row = next(row for row in figure.rows if row.caption.startswith("RMS"))
+        for spec, under in zip(figure.design.panels, row.figures, strict=False):
+            assert under == [f"{head} {of_title[spec][head]}" for head in figure.design.heads]
+
+
+def test_the_errors_of_a_figure_share_a_scale(figures):
+    scales = [
+        [(row.grid.low, row.grid.high, row.grid.colours) for row in figure.rows if "error" in row.caption]
+        for figure in figures
+    ]
+    assert [len(set(of_figure)) for of_figure in scales] == [1, 1, 1]
+    assert len(scales[1]) == 2
+
+
+def test_a_single_run_has_its_own_numbers(made, figures):
+    single = figures[1].rows[0]
+    assert single.caption == "error, seed 1"
+    last = runs_of(made, "penumbra", "uniform")[0].rows[-1]
+    p99, worst = (float(re.search(r"([\d.]+) %", line)[1]) for line in single.figures[0])
+    assert (p99, worst) == (
+        pytest.approx(100 * last["true_p99"], rel=0.005),
+        pytest.approx(100 * last["true_max"], 0.005),
+    )
+
+
+def test_what_perfect_uniformity_reads_is_drawn(made, figures):
+    """Quantiles of 2,000 drawn pixels: p50 within 5 standard errors (1.5 %), p99/p50 within 4 (3 % each)."""
+    row = figures[2].rows[0]
+    ideal = row.grid.maps[-1].values
+    rows = {row["strategy"]: row for row in summarise(made)["scenes"][2]["rows"]}
+    assert len(row.grid.maps) == len(figures[2].design.panels) + 1
+    assert np.median(ideal) == pytest.approx(rows[DEFAULT_STRATEGY]["rms"]["p50"], rel=0.075)
+    assert np.quantile(ideal, 0.99) / np.median(ideal) == pytest.approx(perfect_uniformity(8), rel=0.12)
+    assert np.mean(ideal**2) == pytest.approx(np.median(ideal) ** 2 * 8 / chi_square_quantile(0.5, 8), rel=0.1)
+    assert row.figures[-1][-1] == "p99/p50 1.65"
+
+
+def test_figures_are_written_and_shown(made):
+    from PIL import Image
+
+    page = (made / "report.html").read_text()
+    assert "Left out" not in page
+    for k, design in enumerate(DESIGNS, start=1):
+        with Image.open(made / "plots" / f"poster-{k}.png") as picture:
+            assert picture.width > 800
+        assert f"<h3>{design.title}</h3>" in page
+    section = page[page.index('id="poster-figures"') : page.index('id="bright-spots"')]
+    images = re.findall(r'<img src="data:image/png;base64,([^"]+)" alt="([^"]+)">', section)
+    assert len(images) == 2 * 4 + 2 * 5 + 6
+    assert all(base64.b64decode(data)[:4] == b"\x89PNG" for data, _ in images)
+
+
+def test_without_the_preset_there_are_none(tmp_path):
+    made = make_comparison(tmp_path / "out", ["cornell"], {"uniform": np.ones_like}, seeds=[1, 2])
+    write_report(made)
+    assert not list((made / "plots").glob("poster*"))
+    assert "poster" not in (made / "report.html").read_text()
+
+
+def test_what_is_missing_is_said(tmp_path):
+    made = make(tmp_path / "out", seeds=[1, 2], shape=(12, 16))
+    (made / "plots").mkdir()
+    (made / "plots" / "poster-1.png").touch()  # of runs that are gone
+    shutil.rmtree(made / "runs" / "bright-spots" / "relative-median-kappa-inf")
+    shutil.rmtree(made / "runs" / "bright-spots" / "relative-mean")
+    shutil.rmtree(made / "runs" / "penumbra")
+    (made / "runs" / "cornell" / "tsallis" / "1.npz").unlink()
+    (made / "runs" / "cornell" / "uniform" / "2.npz").unlink()
+    found = poster_figures(Results(made), summarise(made))
+    assert [figure.missing for figure in found] == [
+        "no run of bright-spots is finished with relative-mean, relative-median:kappa=inf",
+        "no run of penumbra is finished",
+        "no seed of cornell is finished with every strategy",
+    ]
+    write_report(made)
+    assert not list((made / "plots").glob("poster*"))
+    page = (made / "report.html").read_text()
+    for figure in found:
+        assert f"Left out: {figure.missing}." in page
+
+
+def test_a_single_seed_is_enough(tmp_path):
+    made = make(tmp_path / "out", seeds=[3], shape=(12, 16))
+    for figure in poster_figures(Results(made), summarise(made)):
+        assert [row.caption for row in figure.rows if "RMS" in row.caption] == ["RMS error, 1 seed"]
+        draw(figure)
