@@ -139,14 +139,14 @@ def test_what_is_missing_is_said(tmp_path):
     made = make(tmp_path / "out", seeds=[1, 2], shape=(12, 16))
     (made / "plots").mkdir()
     (made / "plots" / "poster-1.png").touch()  # of runs that are gone
-    shutil.rmtree(made / "runs" / "bright-spots" / "relative-median-kappa-inf")
+    shutil.rmtree(made / "runs" / "bright-spots" / "relative-median-kappa-inf-batch-1")
     shutil.rmtree(made / "runs" / "bright-spots" / "relative-mean")
     shutil.rmtree(made / "runs" / "penumbra")
     (made / "runs" / "cornell" / "tsallis" / "1.npz").unlink()
     (made / "runs" / "cornell" / "uniform" / "2.npz").unlink()
     found = poster_figures(Results(made), summarise(made))
     assert [figure.missing for figure in found] == [
-        "no run of bright-spots is finished with relative-mean, relative-median:kappa=inf",
+        "no run of bright-spots is finished with relative-mean, relative-median:kappa=inf,batch=1",
         "no run of penumbra is finished",
         "no seed of cornell is finished with every strategy",
     ]

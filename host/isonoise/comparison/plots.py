@@ -29,6 +29,9 @@ COLOURS = ("#3b82c4", "#e08a1e", "#3fa34d", "#b05cc6", "#1fa6a6", "#c2557a", "#8
 DASHES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 BANDS = 6  # up to so many curves, each shows its band; of more, the two that matter
 
+LABEL = 30
+"""Characters of a name that fit beside the curves; longer ones are written smaller."""
+
 RC = {"font.size": 9, "font.family": "sans-serif", "svg.fonttype": "none", "axes.linewidth": 0.6}
 
 
@@ -264,7 +267,7 @@ def _label_ends(axes, ends: Sequence[tuple]) -> None:
             title,
             transform=axes.transAxes,
             va="center",
-            fontsize=8,
+            fontsize=min(8.0, 8.0 * LABEL / len(title)),
             color=INK,
             weight="bold" if bold else "normal",
         )

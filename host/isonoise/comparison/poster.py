@@ -68,8 +68,8 @@ DESIGNS = (
         panels={
             "relative-mean": "e_a, relative to the mean",
             "relative-median": "e_m, relative to the median",
-            "relative-median:kappa=inf": "e_m as the poster writes it",
-            "relative-median:kappa=inf,literal=true": "e_m read literally: the variance",
+            "relative-median:kappa=inf,batch=1": "e_m as the poster writes it",
+            "relative-median:kappa=inf,batch=1,literal=true": "e_m read literally: the variance",
         },
         rows=("rms", "samples"),
         heads=THREE,

@@ -26,8 +26,8 @@ PRESETS = {
             "uniform",
             "relative-mean",
             "relative-median",
-            "relative-median:kappa=inf",  # as the poster writes it
-            "relative-median:kappa=inf,literal=true",  # as it can be read: the variance over M_x
+            "relative-median:kappa=inf,batch=1",  # as the poster writes it
+            "relative-median:kappa=inf,batch=1,literal=true",  # as it can be read: the variance over M_x
             "relative-mean:ratio=inf",  # without alternation
             "relative-median:ratio=inf",
             "tsallis",
