@@ -1,4 +1,4 @@
-"""What the READMEs of `host/` and `kernels/` say, where it can be checked: layers, plugins, options, bytes."""
+"""What the READMEs say, where it can be checked: layers, plugins, strategies, kernels, links, bytes."""
 
 import ast
 import re
@@ -12,10 +12,12 @@ from isonoise.integrator.wavefront import KERNELS
 from isonoise.renderer import Renderer
 from isonoise.scene.vocabulary import PLUGINS
 from isonoise.statistics import NOTHING_MORE, Needs
+from isonoise.strategies.registry import _BUILT_IN, DEFAULT_STRATEGY
 from isonoise.strategies.uniform import Uniform
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 PACKAGE = CHECKOUT / "host" / "isonoise"
+README = (CHECKOUT / "README.md").read_text()
 HOST = (CHECKOUT / "host" / "README.md").read_text()
 KERNEL_TEXT = (CHECKOUT / "kernels" / "README.md").read_text()
 
@@ -29,6 +31,12 @@ LAYERS = {  # what each may import beside itself; the table in host/README.md
     "integrator": {"device", "scene", "statistics"},
     "film": {"errors", "statistics", "strategies"},
     "renderer": {"errors", "statistics", "device", "scene", "strategies", "integrator"},
+    "progress": set(),
+    "arguments": set(),
+    "comparison": {
+        *("errors", "statistics", "student", "device", "scene", "strategies", "integrator", "film"),
+        *("renderer", "rendering", "progress"),
+    },
     "rendering": {"errors", "statistics", "device", "scene", "strategies", "integrator", "film", "renderer"},
 }
 
@@ -55,6 +63,12 @@ def test_every_plugin_is_named():
     for plugin in PLUGINS:
         if plugin.kind != "scene":
             assert f"`{plugin.name}`" in scenes, plugin.name
+
+
+def test_every_strategy_is_named():
+    section = README[README.index("## Strategies") : README.index("## Comparing")]
+    assert sorted(re.findall(r"^\| `([a-z-]+)` \|", section, re.MULTILINE)) == sorted(_BUILT_IN)
+    assert re.findall(r"^\| `([a-z-]+)` \|.*; the default \|$", section, re.MULTILINE) == [DEFAULT_STRATEGY]
 
 
 def test_every_kernel_and_header_is_named():
