@@ -94,7 +94,7 @@ class RelativeMedian(Adaptive):
     The proposal of Pajot, Barthe, Paulin, "Robust adaptive sampling for Monte-Carlo-based rendering", SIGGRAPH Asia
     2011 Posters, 49:1. It writes V(x_1..x_n) / M_x and does not say what V is; here it is the standard error.
 
-    - `kappa`: how much smaller than the mean M_x may count, 1 to inf; inf is the poster's own form.
+    - `kappa`: how much smaller than the mean M_x may count, 1 to inf; inf with `batch` 1 is the poster's own form.
     - `chunk`: entries of a chunk, odd, 3 to 31.
     - `batch`: consecutive samples whose mean is an entry, 1 to 1024.
     - `literal`: reads V as the variance: se^2 / max(M_x, mean / kappa, floor) is followed.

@@ -22,11 +22,12 @@ class Dammertz(Retiring):
 
         e_b = sqrt(A_b / A_i) / A_b * sum of e_p over its pixels,
 
-    A_b its area and A_i that of the image. The image is the first block. After every `step` samples per pixel a block
-    with e_b < e_t stops; else one with e_b < e_s = 256 e_t splits across its longer side, where both parts have the
-    same error as nearly as can be, and goes on; others go on as they are. e_t = 0.0002 is the value that the paper
-    proposes. Both thresholds, the place of the split and a least size are as in two renderers that implement the paper,
-    github.com/TzuChieh/Photon-v2 (`DammertzDispatcher`) and github.com/appleseedhq/appleseed (`adaptivetilerenderer`).
+    A_b its area and A_i that of the image. The image is the first block. After every `step` samples per pixel a
+    block with e_b < e_t stops; else one with e_b < e_s = 256 e_t splits across its longer side, where both parts
+    have the same error as nearly as can be, and goes on; others go on as they are. e_t = 0.0002 is the paper's
+    value, as Photon-v2 quotes it. Both thresholds, the place of the split and a least size are as in two renderers
+    that implement the paper, github.com/TzuChieh/Photon-v2 (`DammertzDispatcher`) and
+    github.com/appleseedhq/appleseed (`adaptivetilerenderer`).
 
     e_p goes with the square root of the light, so results depend on the scene's brightness, as published.
 

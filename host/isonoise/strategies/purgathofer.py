@@ -15,11 +15,12 @@ from isonoise.strategies.retiring import Retiring
 class Purgathofer(Retiring):
     """Retires pixels whose mean is known to the tolerance at the significance.
 
-    From: Purgathofer, "A statistical method for adaptive stochastic sampling", Computers & Graphics 11 (2), 1987. A
-    pixel is done when t se <= d, t the quantile 1 - alpha / 2 of Student's distribution with n - 1 degrees of freedom
-    and d the tolerance: an absolute one, for values from 0 to 1. Where all samples are equal that says nothing; then
-    they have to be ln(alpha) / ln(1 - d) or more, since a share of d of the pixel that looked different would be
-    missed with probability (1 - d)^n.
+    From: Purgathofer, "A statistical method for adaptive stochastic sampling", Computers & Graphics 11 (2), 1987,
+    as later surveys give it (the paper itself was not at hand; the two defaults are ours). A pixel is done when t
+    se <= d, t the quantile 1 - alpha / 2 of Student's distribution with n - 1 degrees of freedom and d the
+    tolerance: an absolute one, for values from 0 to 1. Where all samples are equal that says nothing; then they
+    have to be ln(alpha) / ln(1 - d) or more, since a share of d of the pixel that looked different would be missed
+    with probability (1 - d)^n.
 
     Differences: tests come after every `step` samples and not after each; luminance in the scene's units is tested,
     which nothing bounds by 1, so results depend on the scene's brightness. When all pixels are done the tolerance is
