@@ -24,14 +24,13 @@ INLINE bool in_plane(const Surface* s, float3 origin)
 #if FEATURE_NEXT_EVENT
 // Leaves a shadow ray for one light; returns without one if nothing could arrive.
 INLINE void next_event(const Geometry* g, __global const Light* lights, __global const Alias* light_alias,
-                       uint light_count, const Surface* s, __global const Bsdf* bsdf, float3 normal, float cos_i, float4 u,
-                       float3 weight, uint i, __global float4* shadow_origin, __global float4* shadow_direction,
-                       __global float4* shadow_radiance)
+                       uint light_count, const Surface* s, const Shading* at, float4 u, float3 weight, uint i,
+                       __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance)
 {
     const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, u);
     if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
     float bsdf_pdf;
-    const float3 scattered = diffuse_eval(bsdf, cos_i, dot3(normal, light.direction), &bsdf_pdf);
+    const float3 scattered = bsdf_eval(at, light.direction, &bsdf_pdf);
     const float mis = light.is_delta ? 1.0f : mis_weight(light.pdf, bsdf_pdf);
     const float3 radiance = weight * scattered * light.radiance * (mis / light.pdf);
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
@@ -104,23 +103,25 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
 
     if (depth + 1u >= max_depth) return;
-    __global const Bsdf* bsdf = bsdfs + s.bsdf;
-    float3 normal = s.normal;
-    float cos_i = -dot3(normal, direction.xyz);
+    Shading at;
+    at.bsdf = bsdfs + s.bsdf;
+    at.normal = s.normal;
+    at.wi = -direction.xyz;
+    at.cos_i = dot3(at.normal, at.wi);
 #if FEATURE_TWOSIDED
-    if ((bsdf->flags & BSDF_TWOSIDED) && cos_i < 0.0f) {
-        normal = -normal;
-        cos_i = -cos_i;
+    if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) {
+        at.normal = -at.normal;
+        at.cos_i = -at.cos_i;
     }
 #endif
 #if FEATURE_NEXT_EVENT
-    if (bsdf_is_smooth(bsdf) && cos_i > 0.0f)
-        next_event(&geometry, lights, light_alias, light_count, &s, bsdf, normal, cos_i,
-                   random_block(seed, pixel, state.z, BLOCK_LIGHT(depth)), weight, i, shadow_origin,
-                   shadow_direction, shadow_radiance);
+    if (bsdf_is_smooth(&at))
+        next_event(&geometry, lights, light_alias, light_count, &s, &at,
+                   random_block(seed, pixel, state.z, BLOCK_LIGHT(depth)), weight, i, shadow_origin, shadow_direction,
+                   shadow_radiance);
 #endif
     const float4 u = random_block(seed, pixel, state.z, BLOCK_BSDF(depth));
-    const BsdfSample next = bsdf_sample(bsdf, normal, -direction.xyz, cos_i, u.xyz);
+    const BsdfSample next = bsdf_sample(&at, u.xyz);
     weight *= next.weight;
     const float total = weight.x + weight.y + weight.z;
     if (total == 0.0f) return;

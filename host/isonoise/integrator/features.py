@@ -31,7 +31,14 @@ FEATURES = {
     "CYLINDERS": Feature("cylinders", "cylinder test in intersect and shadow"),
     "DIFFUSE": Feature("diffuse reflection", "code in shade"),
     "DIELECTRIC": Feature("smooth glass", "code in shade"),
+    "THIN_DIELECTRIC": Feature("thin smooth glass", "code in shade"),
     "CONDUCTOR": Feature("smooth metal", "code in shade"),
+    "ROUGH_CONDUCTOR": Feature("rough metal", "code in shade"),
+    "ROUGH_DIELECTRIC": Feature("rough glass", "code in shade"),
+    "PLASTIC": Feature("smooth plastic", "code in shade"),
+    "ROUGH_PLASTIC": Feature("rough plastic", "code in shade"),
+    "PRINCIPLED": Feature("the principled material", "code in shade"),
+    "NULL": Feature("surfaces that let all through", "code in shade"),
     "TWOSIDED": Feature("two-sided materials", "code in shade"),
     "AREA_LIGHTS": Feature("surfaces that shine", "light table, emission and its weight in shade"),
     "TRIANGLE_LIGHTS": Feature("triangles that shine", "sampling code in shade"),
@@ -52,6 +59,17 @@ FEATURES = {
 }
 
 
+_SMOOTH = {
+    structs.BSDF_DIFFUSE,
+    structs.BSDF_ROUGH_CONDUCTOR,
+    structs.BSDF_ROUGH_DIELECTRIC,
+    structs.BSDF_PLASTIC,
+    structs.BSDF_ROUGH_PLASTIC,
+    structs.BSDF_PRINCIPLED,
+}
+"""Materials of which next-event estimation can find something."""
+
+
 def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, bool]:
     """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
     analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
@@ -66,7 +84,14 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "CYLINDERS": structs.ANALYTIC_CYLINDER in analytic,
         "DIFFUSE": structs.BSDF_DIFFUSE in bsdf,
         "DIELECTRIC": structs.BSDF_DIELECTRIC in bsdf,
+        "THIN_DIELECTRIC": structs.BSDF_THIN_DIELECTRIC in bsdf,
         "CONDUCTOR": structs.BSDF_CONDUCTOR in bsdf,
+        "ROUGH_CONDUCTOR": structs.BSDF_ROUGH_CONDUCTOR in bsdf,
+        "ROUGH_DIELECTRIC": structs.BSDF_ROUGH_DIELECTRIC in bsdf,
+        "PLASTIC": structs.BSDF_PLASTIC in bsdf,
+        "ROUGH_PLASTIC": structs.BSDF_ROUGH_PLASTIC in bsdf,
+        "PRINCIPLED": structs.BSDF_PRINCIPLED in bsdf,
+        "NULL": structs.BSDF_NULL in bsdf,
         "TWOSIDED": bool((scene.bsdfs["flags"] & structs.BSDF_TWOSIDED).any()),
         "AREA_LIGHTS": bool(light & surface_lights),
         "TRIANGLE_LIGHTS": structs.LIGHT_TRIANGLE in light,
@@ -76,7 +101,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "POINT_LIGHTS": structs.LIGHT_POINT in light,
         "DIRECTIONAL_LIGHTS": structs.LIGHT_DIRECTIONAL in light,
         "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
-        "NEXT_EVENT": bool(light) and structs.BSDF_DIFFUSE in bsdf and (endless or scene.max_depth > 1),
+        "NEXT_EVENT": bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1),
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,
         "FILTER_TABLE": scene.filter != "box",

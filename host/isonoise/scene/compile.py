@@ -7,10 +7,9 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.scene import lights as lighting
 from isonoise.scene import structs, vocabulary
+from isonoise.scene.bsdfs import Bsdfs
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.materials import MIRROR, conductors
-from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.surfaces import Surface, make_surface
 
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none
@@ -109,12 +108,12 @@ class _Geometry:
             [len(m.faces) for m in meshes],
         )
         self.emissive: list[tuple[int, dict, Surface]] = []
-        self.bsdfs, analytics, first_face = _Bsdfs(), [], 0
+        bsdfs, analytics, first_face = Bsdfs(_no_texture), [], 0
         for index, (shape, surface) in enumerate(zip(shapes, surfaces, strict=True)):
             flags = structs.SHAPE_VERTEX_NORMALS if len(surface.normals) else 0
             flags |= structs.SHAPE_FLIP_NORMALS if surface.flip else 0
             primitive = first_face if surface.analytic is None else len(analytics)
-            self.shapes[index] = (self.bsdfs.index(shape.get("bsdf", _DIFFUSE)), structs.NONE, primitive, flags)
+            self.shapes[index] = (bsdfs.index(shape.get("bsdf", _DIFFUSE)), structs.NONE, primitive, flags)
             if "emitter" in shape:
                 self.emissive.append((index, shape["emitter"], surface))
             if surface.analytic is None:
@@ -123,48 +122,15 @@ class _Geometry:
                 surface.analytic["shape"] = index
                 analytics.append(surface.analytic)
         self.analytics = np.concatenate(analytics) if analytics else np.zeros(0, structs.ANALYTIC)
-        self.bsdfs = np.concatenate(self.bsdfs.records) if self.bsdfs.records else np.zeros(0, structs.BSDF)
+        self.bsdfs = bsdfs.records
+
+
+def _no_texture(texture: dict, kind: str) -> int:
+    raise SceneError(f"texture '{texture['type']}' is not supported yet")
 
 
 def _stack(arrays: list[np.ndarray], dtype) -> np.ndarray:
     return np.concatenate(arrays).astype(dtype, copy=False) if arrays else np.zeros((0, 3), dtype)
-
-
-class _Bsdfs:
-    """Material records, equal ones once."""
-
-    def __init__(self):
-        self.records: list[np.ndarray] = []
-        self.known: dict[bytes, int] = {}
-
-    def index(self, bsdf: dict) -> int:
-        record = _bsdf(bsdf)
-        if record.tobytes() not in self.known:
-            self.known[record.tobytes()] = len(self.records)
-            self.records.append(record)
-        return self.known[record.tobytes()]
-
-
-def _bsdf(bsdf: dict) -> np.ndarray:
-    record = np.zeros(1, structs.BSDF)
-    if bsdf["type"] == "twosided":
-        record["flags"] = structs.BSDF_TWOSIDED
-        bsdf = bsdf["bsdf"]
-    if bsdf["type"] == "diffuse":
-        record["kind"] = structs.BSDF_DIFFUSE
-        record["reflectance"] = colour_to_rgb(bsdf["reflectance"], "reflectance")
-        return record
-    record["reflectance"] = colour_to_rgb(bsdf["specular_reflectance"], "reflectance")
-    if bsdf["type"] == "dielectric":
-        record["kind"] = structs.BSDF_DIELECTRIC
-        record["transmittance"] = colour_to_rgb(bsdf["specular_transmittance"], "reflectance")
-        record["eta"] = bsdf["int_ior"] / bsdf["ext_ior"]
-        return record
-    record["kind"] = structs.BSDF_CONDUCTOR
-    eta, k = conductors()[bsdf.get("material", MIRROR)]
-    record["eta"] = colour_to_rgb(bsdf["eta"], "unbounded") if "eta" in bsdf else eta
-    record["k"] = colour_to_rgb(bsdf["k"], "unbounded") if "k" in bsdf else k
-    return record
 
 
 def _lights(geometry: _Geometry, emitters: list[dict], bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, float]:

@@ -9,6 +9,9 @@ from isonoise.scene.source import Place, nearest
 _EXCLUSIVE = {
     "perspective": (("fov", "focal_length"),),
     "conductor": (("material", "eta"), ("material", "k")),
+    "roughconductor": (("material", "eta"), ("material", "k"), ("alpha", "alpha_u"), ("alpha", "alpha_v")),
+    "roughdielectric": (("alpha", "alpha_u"), ("alpha", "alpha_v")),
+    "principled": (("eta", "specular"),),
     "point": (("position", "to_world"),),
     "directional": (("direction", "to_world"),),
 }
@@ -58,6 +61,27 @@ def _dielectric(bsdf: dict, place: Place):
         place.fail("int_ior / ext_ior leaves the range of 32-bit floats")
 
 
+def _pair_of_alphas(bsdf: dict, place: Place):
+    if ("alpha_u" in bsdf) != ("alpha_v" in bsdf):
+        place.fail("give both 'alpha_u' and 'alpha_v', or 'alpha' for both")
+
+
+def _rough_conductor(bsdf: dict, place: Place):
+    _conductor(bsdf, place)
+    _pair_of_alphas(bsdf, place)
+
+
+def _rough_dielectric(bsdf: dict, place: Place):
+    _dielectric(bsdf, place)
+    _pair_of_alphas(bsdf, place)
+
+
+def _twosided(bsdf: dict, place: Place):
+    for side in ("bsdf", "bsdf_1"):
+        if bsdf.get(side, {}).get("type") in _TRANSMITTING:
+            place.fail(f"twosided cannot hold a bsdf '{bsdf[side]['type']}': only materials that let no light through")
+
+
 def _cylinder(shape: dict, place: Place):
     if shape["p0"] == shape["p1"]:
         place.fail("p0 and p1 have to differ")
@@ -84,12 +108,19 @@ def _scene(scene: dict, place: Place):
         place.fail('the scene has no sensor; add a <sensor type="perspective">')
 
 
+_TRANSMITTING = ("dielectric", "thindielectric", "roughdielectric", "null", "mask")
 _SMALLEST = float(np.finfo(np.float32).tiny)
 _CHECKS = {
     "perspective": _perspective,
     "hdrfilm": _hdrfilm,
     "conductor": _conductor,
+    "roughconductor": _rough_conductor,
     "dielectric": _dielectric,
+    "thindielectric": _dielectric,
+    "plastic": _dielectric,
+    "roughplastic": _dielectric,
+    "roughdielectric": _rough_dielectric,
+    "twosided": _twosided,
     "cylinder": _cylinder,
     "directional": _directional,
     "mesh": _mesh,

@@ -20,6 +20,7 @@ class Parameter:
     choices: tuple[str, ...] = ()  # strings: admitted values
     status: str = SUPPORTED  # IGNORED: read over, cannot change the image; UNSUPPORTED: Mitsuba has it, isonoise not
     required: bool = False
+    texture: bool = False  # a texture may take the place of the value
 
     def admits(self, value: float) -> bool:
         """Whether a number lies in the interval."""

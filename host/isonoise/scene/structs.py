@@ -15,10 +15,28 @@ arithmetic
 on the other lanes, which takes the whole register, would stall on them."""
 
 ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
-BSDF_DIFFUSE, BSDF_DIELECTRIC, BSDF_CONDUCTOR = range(3)
+(
+    BSDF_DIFFUSE,
+    BSDF_DIELECTRIC,
+    BSDF_THIN_DIELECTRIC,
+    BSDF_CONDUCTOR,
+    BSDF_ROUGH_CONDUCTOR,
+    BSDF_ROUGH_DIELECTRIC,
+    BSDF_PLASTIC,
+    BSDF_ROUGH_PLASTIC,
+    BSDF_PRINCIPLED,
+    BSDF_NULL,
+    BSDF_SIDES,
+    BSDF_MASK,
+    BSDF_BLEND,
+    BSDF_BUMP,
+    BSDF_NORMAL_MAP,
+) = range(15)
 (LIGHT_TRIANGLE, LIGHT_SPHERE, LIGHT_DISK, LIGHT_CYLINDER, LIGHT_POINT, LIGHT_DIRECTIONAL, LIGHT_CONSTANT) = range(7)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS = 1, 2
-BSDF_TWOSIDED = 1
+BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
+BSDF_SLOTS = 12
+"""Parameters of a material; what each is, by kind, is told in `scene.bsdfs`."""
 
 CAMERA = np.dtype(
     [
@@ -72,11 +90,10 @@ ANALYTIC = np.dtype(
 BSDF = np.dtype(
     [
         ("kind", "u4"),
-        ("flags", "u4"),  # BSDF_TWOSIDED
-        ("reflectance", "f4", 3),  # diffuse: reflectance; dielectric, conductor: specular_reflectance
-        ("transmittance", "f4", 3),  # dielectric: specular_transmittance
-        ("eta", "f4", 3),  # dielectric: int_ior / ext_ior in all three; conductor: real part
-        ("k", "f4", 3),  # conductor: imaginary part
+        ("flags", "u4"),  # BSDF_TWOSIDED | BSDF_GGX | BSDF_NONLINEAR | BSDF_SAMPLE_ALL
+        ("nested", "u4", 2),  # materials that this one wraps: SIDES front, back; BLEND at weight 0, 1; else the first
+        ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three
+        ("textures", "u4", BSDF_SLOTS),  # that take the place of the values; NONE
     ]
 )
 

@@ -103,6 +103,11 @@ class _Normaliser:
         parameter = plugin.parameter(name)
         if parameter is not None and parameter.status == IGNORED:
             return
+        if parameter is not None and parameter.texture and kind == "texture":
+            if name in result:
+                place.fail(f"'{name}' is given twice")
+            result[name] = self.object(element, kind)
+            return
         if child is None:
             if kind in ("texture", "medium", "phase", "volume") or not kinds:
                 self.plugin(element, (kind,))
@@ -124,12 +129,11 @@ class _Normaliser:
             while key in result:
                 key = f"{child.kind}_{len(result)}"
             result[key] = nested
-        elif plugin.name == "twosided" and held and held[0] is not nested and held[0] != nested:
-            place.fail("different materials on the two sides are not supported; give one nested bsdf")
         elif len(held) >= child.most:
-            place.fail(f"{plugin.name} may hold only one {child.kind}")
+            number = "one" if child.most == 1 else str(child.most)
+            place.fail(f"{plugin.name} may hold only {number} {child.kind}{'s' if child.most > 1 else ''}")
         else:
-            result[child.kind] = nested
+            result[child.kind if not held else f"{child.kind}_{len(held)}"] = nested
 
     @staticmethod
     def is_kind(nested: dict, kind: str) -> bool:
@@ -163,8 +167,12 @@ class _Normaliser:
             if parameter.default is not None:
                 result[parameter.name] = check_value(parameter, parameter.default, place)
         for child in plugin.children:
-            if sum(1 for v in result.values() if isinstance(v, dict) and self.is_kind(v, child.kind)) < child.least:
-                place.fail(f"{plugin.kind} '{plugin.name}' needs a nested {child.kind}")
+            held = sum(1 for v in result.values() if isinstance(v, dict) and self.is_kind(v, child.kind))
+            if held < child.least:
+                number = "a" if child.least == 1 else str(child.least)
+                place.fail(
+                    f"{plugin.kind} '{plugin.name}' needs {number} nested {child.kind}{'s' if child.least > 1 else ''}"
+                )
         check_constraints(plugin.kind, result, place)
         if plugin.name in ("moment", "aov"):
             inner = result["integrator"]

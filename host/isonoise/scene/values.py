@@ -73,6 +73,7 @@ _CHECKS = {
     "transform": _transform,
     "positions": _positions,
     "indices": _indices,
+    "texture": lambda value: None,
 }
 _MEANING = {
     "float": "a finite number within 3.4e38",
@@ -84,6 +85,7 @@ _MEANING = {
     "transform": "a transform of finite numbers within 3.4e38",
     "positions": "an array of n x 3 finite numbers",
     "indices": "an array of n x 3 whole numbers",
+    "texture": "a nested texture",
 }
 
 

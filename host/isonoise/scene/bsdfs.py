@@ -1,0 +1,160 @@
+"""Materials of the description -> records for the device: a flat table in which wrapped materials are indices.
+
+| kind | slots |
+|---|---|
+| diffuse | 0 reflectance |
+| dielectric, thindielectric | 0 specular_reflectance, 1 specular_transmittance, 2 int_ior / ext_ior |
+| roughdielectric | the same, 4 alpha_u, 5 alpha_v |
+| conductor | 0 specular_reflectance, 2 eta, 3 k |
+| roughconductor | the same, 4 alpha_u, 5 alpha_v |
+| plastic | 0 specular_reflectance, 1 diffuse_reflectance, 2 int_ior / ext_ior, 3 (internal diffuse reflectance, |
+| | probability of the specular lobe, -) |
+| roughplastic | the same, 4 alpha; 6 to 11: the transmittance of the boundary over the cosine, at 18 places |
+| principled | 0 base_color, 1 roughness, 2 anisotropic, 3 metallic, 4 spec_trans, 5 eta, 6 spec_tint, 7 sheen, |
+| | 8 sheen_tint, 9 flatness, 10 clearcoat, 11 clearcoat_gloss |
+| mask, blendbsdf, bumpmap, normalmap | 0 opacity; weight; height times scale (1 its scale); normal |
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from isonoise.scene import structs
+from isonoise.scene.materials import MIRROR, conductors
+from isonoise.scene.spectra import colour_to_rgb
+
+KINDS = {
+    "diffuse": structs.BSDF_DIFFUSE,
+    "dielectric": structs.BSDF_DIELECTRIC,
+    "thindielectric": structs.BSDF_THIN_DIELECTRIC,
+    "conductor": structs.BSDF_CONDUCTOR,
+    "roughconductor": structs.BSDF_ROUGH_CONDUCTOR,
+    "roughdielectric": structs.BSDF_ROUGH_DIELECTRIC,
+    "plastic": structs.BSDF_PLASTIC,
+    "roughplastic": structs.BSDF_ROUGH_PLASTIC,
+    "principled": structs.BSDF_PRINCIPLED,
+    "null": structs.BSDF_NULL,
+    "mask": structs.BSDF_MASK,
+    "blendbsdf": structs.BSDF_BLEND,
+    "bumpmap": structs.BSDF_BUMP,
+    "normalmap": structs.BSDF_NORMAL_MAP,
+}
+_ROUGHNESS = 0.1  # Mitsuba 3's alpha where none is given
+
+
+class Bsdfs:
+    """Collects material records, equal ones once. `texture` gives the index of a texture of the description."""
+
+    def __init__(self, texture: Callable[[dict, str], int]):
+        self._texture = texture
+        self._records: list[np.ndarray] = []
+        self._known: dict[bytes, int] = {}
+
+    @property
+    def records(self) -> np.ndarray:
+        """(b,) structs.BSDF."""
+        return np.concatenate(self._records) if self._records else np.zeros(0, structs.BSDF)
+
+    def index(self, bsdf: dict) -> int:
+        """The index of a material of the description; what it wraps is entered before it."""
+        record = np.zeros(1, structs.BSDF)
+        record["nested"] = structs.NONE
+        record["textures"] = structs.NONE
+        if bsdf["type"] == "twosided":
+            return self._sides(bsdf, record)
+        self._fill(record, bsdf)
+        return self._enter(record)
+
+    def _enter(self, record: np.ndarray) -> int:
+        key = record.tobytes()
+        if key not in self._known:
+            self._known[key] = len(self._records)
+            self._records.append(record)
+        return self._known[key]
+
+    def _sides(self, bsdf: dict, record: np.ndarray) -> int:
+        front, back = bsdf["bsdf"], bsdf.get("bsdf_1", bsdf["bsdf"])
+        nested = [self.index(front), self.index(back)]
+        same = self._records[nested[0]].copy()
+        if nested[0] == nested[1] and same["kind"][0] < structs.BSDF_NULL:  # no wrapper: it turns to the viewer itself
+            same["flags"] |= structs.BSDF_TWOSIDED
+            return self._enter(same)
+        record["kind"], record["nested"] = structs.BSDF_SIDES, nested
+        return self._enter(record)
+
+    def _fill(self, record: np.ndarray, bsdf: dict) -> None:
+        type_ = bsdf["type"]
+        record["kind"] = KINDS[type_]
+        values = record["values"].reshape(structs.BSDF_SLOTS, 3)
+
+        def slot(number: int, value, kind: str = "reflectance") -> None:
+            if isinstance(value, dict) and value["type"] not in ("rgb", "spectrum"):
+                record["textures"][0, number] = self._texture(value, kind)
+            else:
+                values[number] = colour_to_rgb(value, kind)
+
+        if bsdf.get("distribution") == "ggx":
+            record["flags"] |= structs.BSDF_GGX
+        if bsdf.get("sample_visible") is False:
+            record["flags"] |= structs.BSDF_SAMPLE_ALL
+        if bsdf.get("nonlinear"):
+            record["flags"] |= structs.BSDF_NONLINEAR
+        if "int_ior" in bsdf:
+            slot(2, bsdf["int_ior"] / bsdf["ext_ior"], "number")
+        for name in _COLOURS.get(type_, {}):
+            slot(_COLOURS[type_][name], bsdf[name])
+        if type_ in ("roughconductor", "roughdielectric"):
+            alpha = bsdf.get("alpha", _ROUGHNESS)
+            slot(4, bsdf.get("alpha_u", alpha), "number")
+            slot(5, bsdf.get("alpha_v", alpha), "number")
+        if type_ in ("conductor", "roughconductor"):
+            eta, k = conductors()[bsdf.get("material", MIRROR)]
+            slot(2, bsdf["eta"], "unbounded") if "eta" in bsdf else values.__setitem__(2, eta)
+            slot(3, bsdf["k"], "unbounded") if "k" in bsdf else values.__setitem__(3, k)
+        if type_ == "principled":
+            slot(5, _principled_eta(bsdf), "number")
+            for number, name in enumerate(_PRINCIPLED, start=1):
+                if name != "eta":
+                    slot(number, bsdf[name], "number")
+        if type_ in ("mask", "blendbsdf"):
+            slot(0, bsdf["opacity" if type_ == "mask" else "weight"], "number")
+        if type_ == "bumpmap":
+            slot(0, bsdf["texture"], "number")
+            slot(1, bsdf["scale"], "number")
+        if type_ == "normalmap":
+            slot(0, bsdf["normalmap"], "raw")
+        nested = [self.index(bsdf[key]) for key in ("bsdf", "bsdf_1") if key in bsdf]
+        record["nested"][0, : len(nested)] = nested
+
+
+_COLOURS = {
+    "diffuse": {"reflectance": 0},
+    "dielectric": {"specular_reflectance": 0, "specular_transmittance": 1},
+    "thindielectric": {"specular_reflectance": 0, "specular_transmittance": 1},
+    "roughdielectric": {"specular_reflectance": 0, "specular_transmittance": 1},
+    "conductor": {"specular_reflectance": 0},
+    "roughconductor": {"specular_reflectance": 0},
+    "plastic": {"specular_reflectance": 0, "diffuse_reflectance": 1},
+    "roughplastic": {"specular_reflectance": 0, "diffuse_reflectance": 1},
+    "principled": {"base_color": 0},
+}
+_PRINCIPLED = (
+    "roughness",
+    "anisotropic",
+    "metallic",
+    "spec_trans",
+    "eta",
+    "spec_tint",
+    "sheen",
+    "sheen_tint",
+    "flatness",
+    "clearcoat",
+    "clearcoat_gloss",
+)
+
+
+def _principled_eta(bsdf: dict) -> float:
+    """The index that `eta` gives, or `specular` s: 2 / (1 - sqrt(0.08 s)) - 1 (Mitsuba 3, principled.cpp); s = 0.5."""
+    if "eta" in bsdf:
+        return bsdf["eta"]
+    return 2.0 / (1.0 - (0.08 * bsdf.get("specular", 0.5)) ** 0.5) - 1.0

@@ -1,0 +1,65 @@
+"""The supported subset of Mitsuba 3's scene vocabulary, as tables; names, units and defaults are its own (3.9)."""
+
+from isonoise.scene.registry import Child, Plugin
+from isonoise.scene.vocabulary.bsdfs import BSDFS
+from isonoise.scene.vocabulary.common import ignored
+from isonoise.scene.vocabulary.emitters import EMITTERS
+from isonoise.scene.vocabulary.sensors import FILMS, INTEGRATORS, SAMPLERS, SENSORS
+from isonoise.scene.vocabulary.shapes import SHAPES
+from isonoise.scene.vocabulary.textures import TEXTURES
+
+_SCENE = Plugin(
+    "scene",
+    "scene",
+    ignored("boolean", "embree_use_robust_intersections"),
+    (
+        Child("integrator"),
+        Child("sensor", most=1 << 16),
+        Child("shape", most=1 << 32),
+        Child("emitter", most=1 << 32, types=("point", "directional", "constant")),
+        Child("bsdf", most=1 << 32),
+        Child("texture", most=1 << 32),
+    ),
+)
+
+PLUGINS: tuple[Plugin, ...] = (
+    *SENSORS,
+    *FILMS,
+    *SAMPLERS,
+    *INTEGRATORS,
+    *BSDFS,
+    *TEXTURES,
+    *SHAPES,
+    *EMITTERS,
+    _SCENE,
+)
+
+ELSEWHERE: dict[str, tuple[str, ...]] = {
+    kind: tuple(names.split())
+    for kind, names in {
+        "sensor": "batch distant irradiancemeter radiancemeter",
+        "film": "specfilm",
+        "rfilter": "catmullrom lanczos mitchell",
+        "integrator": "depth direct_projective prb prb_basic prb_projective prbvolpath ptracer stokes volpathmis",
+        "bsdf": "circular hair measured measured_polarized polarizer pplastic principledthin retarder",
+        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid serialized "
+        "shapegroup",
+        "emitter": "directionalarea envmap projector spot sunsky timed_sunsky",
+        "texture": "blackbody d65 irregular rawconstant regular srgb uniform volume",
+        "medium": "heterogeneous homogeneous",
+        "phase": "blendphase hg isotropic rayleigh sggx tabphase",
+        "volume": "constvolume gridvolume",
+    }.items()
+}
+"""Plugins that Mitsuba 3 has and isonoise does not: named in the error, so that nobody looks for a typing mistake."""
+
+
+def plugins_of(kind: str) -> dict[str, Plugin]:
+    """The supported plugins of a kind by name."""
+    return {p.name: p for p in PLUGINS if p.kind == kind}
+
+
+def kinds_of(name: str) -> tuple[str, ...]:
+    """All kinds in which Mitsuba 3 has a plugin with this name."""
+    here = tuple(p.kind for p in PLUGINS if p.name == name)
+    return here + tuple(kind for kind, names in ELSEWHERE.items() if name in names)

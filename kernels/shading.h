@@ -1,0 +1,46 @@
+// Where a path scatters: the material there, its frame and its parameters. Directions point away from the surface and are unit.
+#pragma once
+#include "vectors.h"
+
+#define HAS_FRAMES (FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
+
+typedef struct {
+    __global const Bsdf* bsdf;  // one that wraps no other
+    float3 normal;              // shading normal
+    float3 wi;                  // where the path came from, in world space
+    float cos_i;                // of wi to the normal; not negative for materials of two sides
+#if HAS_FRAMES
+    float3 s, t;  // with the normal, a right-handed frame; s goes along dp/du
+#endif
+} Shading;
+
+// A parameter of the material that is a colour, and one that is a number.
+INLINE float3 rgb_parameter(const Shading* at, uint slot)
+{
+    return LOAD3(slot, at->bsdf->values);
+}
+
+INLINE float number_parameter(const Shading* at, uint slot)
+{
+    return at->bsdf->values[3u * slot];
+}
+
+#if HAS_FRAMES
+INLINE float3 to_local(const Shading* at, float3 world)
+{
+    return (float3)(dot3(world, at->s), dot3(world, at->t), dot3(world, at->normal));
+}
+
+INLINE float3 to_world(const Shading* at, float3 local)
+{
+    return local.x * at->s + local.y * at->t + local.z * at->normal;
+}
+#endif
+
+// Mirrored and refracted directions are made unit again: over a path of many such steps their rounding would add up.
+typedef struct {
+    float3 direction;  // unit, in world space
+    float3 weight;     // bsdf * |cos| / pdf; 0 if the path ends
+    float pdf;         // solid angle; negative if the lobe is a delta function
+    float eta;         // index of the side that `direction` is on over that of the incident side
+} BsdfSample;

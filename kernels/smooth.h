@@ -1,0 +1,107 @@
+// Diffuse reflection and smooth boundaries.
+#pragma once
+#include "shading.h"
+
+#if FEATURE_DIFFUSE
+// bsdf * cos and the pdf of sampling `wo`.
+INLINE float3 diffuse_eval(const Shading* at, float3 wo, float* pdf)
+{
+    const float cos_o = dot3(at->normal, wo);
+    const bool lit = at->cos_i > 0.0f && cos_o > 0.0f;
+    *pdf = lit ? cos_o * M_1_PI_F : 0.0f;
+    return *pdf * rgb_parameter(at, 0);
+}
+
+INLINE BsdfSample diffuse_sample(const Shading* at, float2 u)
+{
+    const float2 disk = square_to_disk(u);
+    const float cos_o = SQRT(GREATER(1.0f - dot2(disk, disk), 0.0f));
+    float3 s, t;
+    basis(at->normal, &s, &t);
+    BsdfSample sample;
+    sample.direction = disk.x * s + disk.y * t + cos_o * at->normal;
+    sample.weight = at->cos_i > 0.0f && cos_o > 0.0f ? rgb_parameter(at, 0) : (float3)(0.0f);
+    sample.pdf = cos_o * M_1_PI_F;
+    sample.eta = 1.0f;
+    return sample;
+}
+#endif
+
+#define HAS_BOUNDARIES                                                                                            \
+    (FEATURE_DIELECTRIC || FEATURE_THIN_DIELECTRIC || FEATURE_ROUGH_DIELECTRIC || FEATURE_PLASTIC ||                   \
+     FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
+
+#if HAS_BOUNDARIES
+// Unpolarised reflectance of a smooth boundary; cos_t gets the cosine of the refracted direction, 0 if all is reflected.
+// Born and Wolf, Principles of Optics, 7th ed., 1.5.2. `eta` is index of the far side over that of the near side.
+INLINE float fresnel_dielectric(float cos_i, float eta, float* cos_t)
+{
+    const float sin2_t = (1.0f - cos_i * cos_i) / (eta * eta);
+    *cos_t = 0.0f;
+    if (eta == 1.0f) {
+        *cos_t = cos_i;
+        return 0.0f;
+    }
+    if (sin2_t >= 1.0f) return 1.0f;
+    *cos_t = SQRT(1.0f - sin2_t);
+    const float parallel = (eta * cos_i - *cos_t) / (eta * cos_i + *cos_t);
+    const float perpendicular = (cos_i - eta * *cos_t) / (cos_i + eta * *cos_t);
+    return 0.5f * (parallel * parallel + perpendicular * perpendicular);
+}
+#endif
+
+#if FEATURE_DIELECTRIC
+INLINE BsdfSample dielectric_sample(const Shading* at, float u)
+{
+    const bool inside = at->cos_i < 0.0f;
+    const float index = number_parameter(at, 2), eta = inside ? 1.0f / index : index, cos_i = abs1(at->cos_i);
+    const float3 facing = inside ? -at->normal : at->normal;
+    float cos_t;
+    const float reflectance = fresnel_dielectric(cos_i, eta, &cos_t);
+    BsdfSample sample;
+    sample.pdf = -1.0f;
+    if (u <= reflectance) {
+        sample.direction = unit(2.0f * cos_i * facing - at->wi);
+        sample.weight = rgb_parameter(at, 0);
+        sample.eta = 1.0f;
+    } else {
+        sample.direction = unit((cos_i / eta - cos_t) * facing - at->wi / eta);
+        // radiance is squeezed into a smaller solid angle: Veach's thesis, 5.2
+        sample.weight = rgb_parameter(at, 1) / (eta * eta);
+        sample.eta = eta;
+    }
+    return sample;
+}
+#endif
+
+#if FEATURE_CONDUCTOR || FEATURE_ROUGH_CONDUCTOR
+// Unpolarised reflectance of a metal, from eta + ik per colour. Born and Wolf, 14.2, in the form of
+// S. Lagarde, "Memo on Fresnel equations", 2013.
+INLINE float3 fresnel_conductor(float cos_i, float3 eta, float3 k)
+{
+    const float cos2 = cos_i * cos_i, sin2 = 1.0f - cos2;
+    const float3 eta2 = eta * eta, k2 = k * k;
+    const float3 t0 = eta2 - k2 - sin2;
+    const float3 a2_plus_b2 = sqrt(t0 * t0 + 4.0f * eta2 * k2);
+    const float3 a = sqrt(fmax(0.5f * (a2_plus_b2 + t0), 0.0f));
+    const float3 t1 = a2_plus_b2 + cos2, t2 = 2.0f * cos_i * a;
+    const float3 perpendicular = (t1 - t2) / (t1 + t2);
+    const float3 t3 = cos2 * a2_plus_b2 + sin2 * sin2, t4 = t2 * sin2;
+    const float3 parallel = perpendicular * (t3 - t4) / (t3 + t4);
+    return 0.5f * (parallel + perpendicular);
+}
+#endif
+
+#if FEATURE_CONDUCTOR
+INLINE BsdfSample conductor_sample(const Shading* at)
+{
+    BsdfSample sample;
+    sample.direction = unit(2.0f * at->cos_i * at->normal - at->wi);
+    sample.weight = (float3)(0.0f);
+    if (at->cos_i > 0.0f)
+        sample.weight = rgb_parameter(at, 0) * fresnel_conductor(at->cos_i, rgb_parameter(at, 2), rgb_parameter(at, 3));
+    sample.pdf = -1.0f;
+    sample.eta = 1.0f;
+    return sample;
+}
+#endif
