@@ -2,6 +2,7 @@
 // Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and whether the path is alive.
 #include "bsdf.h"
 #include "light.h"
+#include "material.h"
 #include "random.h"
 
 // Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
@@ -108,6 +109,20 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     at.normal = s.normal;
     at.wi = -direction.xyz;
     at.cos_i = dot3(at.normal, at.wi);
+#if HAS_WRAPPERS
+    const bool passes = unwrap(&at, bsdfs, random_block(seed, pixel, state.z, BLOCK_MATERIAL(depth)).x);
+#elif FEATURE_NULL
+    const bool passes = at.bsdf->kind == BSDF_NULL;
+#endif
+#if HAS_SEE_THROUGH
+    if (passes) {  // next-event estimation did not see what is behind: it takes part in no weight
+        ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
+        ray_direction[i].w = -1.0f;
+        path[i] = (uint4)(state.x, primitive, state.z, depth + 1u);
+        alive[i] = 1;
+        return;
+    }
+#endif
 #if FEATURE_TWOSIDED
     if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) {
         at.normal = -at.normal;
