@@ -120,6 +120,19 @@ INLINE float sample_surface(const Geometry* g, __global const Light* light, floa
 }
 #endif
 
+#if FEATURE_SPOT_LIGHTS
+// Share of the spot's intensity that leaves along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is
+// taken from the chord, which is exact for narrow spots too.
+INLINE float spot_falloff(__global const Light* light, float3 direction)
+{
+    const float3 off = direction - LOAD3(0, light->axis);
+    const float half_chord = 0.5f * SQRT(dot3(off, off));
+    const float angle = 2.0f * asin(LESSER(half_chord, 1.0f));
+    const float share = (light->cutoff - angle) * light->inverse_transition;
+    return LESSER(GREATER(share, 0.0f), 1.0f);
+}
+#endif
+
 // One light, and one point on it, for the surface point `reference`. `u`: pick, position x, position y, pick (low bits).
 INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
                                 float3 reference, float4 u)
@@ -137,6 +150,16 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
         const float3 arm = sample.position - reference;
         sample.direction = unit(arm);
         sample.radiance /= dot3(arm, arm);
+        sample.is_delta = true;
+        return sample;
+    }
+#endif
+#if FEATURE_SPOT_LIGHTS
+    if (light->kind == LIGHT_SPOT) {
+        sample.position = LOAD3(0, light->position);
+        const float3 arm = sample.position - reference;
+        sample.direction = unit(arm);
+        sample.radiance *= spot_falloff(light, -sample.direction) / dot3(arm, arm);
         sample.is_delta = true;
         return sample;
     }

@@ -92,6 +92,11 @@ def _directional(emitter: dict, place: Place):
         place.fail("the direction is zero")
 
 
+def _spot(emitter: dict, place: Place):
+    if emitter.get("beam_width", 0.0) > emitter["cutoff_angle"]:
+        place.fail("beam_width has to be at most cutoff_angle")
+
+
 def _mesh(shape: dict, place: Place):
     count, faces = len(shape["vertices"]), shape["faces"]
     if len(shape.get("normals", shape["vertices"])) != count:
@@ -123,6 +128,7 @@ _CHECKS = {
     "twosided": _twosided,
     "cylinder": _cylinder,
     "directional": _directional,
+    "spot": _spot,
     "mesh": _mesh,
     "scene": _scene,
 }

@@ -13,7 +13,7 @@ _KINDS = {
     structs.ANALYTIC_DISK: structs.LIGHT_DISK,
     structs.ANALYTIC_CYLINDER: structs.LIGHT_CYLINDER,
 }
-_VALUES = {"area": "radiance", "constant": "radiance", "point": "intensity", "directional": "irradiance"}
+_VALUES = {"area": "radiance", "constant": "radiance", "point": "intensity", "spot": "intensity", "directional": "irradiance"}
 
 
 def emitted(emitter: dict) -> np.ndarray:
@@ -48,6 +48,14 @@ def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
     if emitter["type"] == "point":
         light["kind"] = structs.LIGHT_POINT
         light["position"] = emitter.get("position", to_world[:3, 3])
+    elif emitter["type"] == "spot":
+        light["kind"] = structs.LIGHT_SPOT
+        light["position"] = to_world[:3, 3]
+        light["axis"] = to_world[:3, 2] / np.linalg.norm(to_world[:3, 2])
+        cutoff = np.radians(emitter["cutoff_angle"])
+        light["cutoff"] = cutoff
+        beam = np.radians(emitter.get("beam_width", 0.75 * emitter["cutoff_angle"]))  # Mitsuba 3's default
+        light["inverse_transition"] = 1.0 / max(cutoff - beam, 1e-6)  # a hard edge is one of a millionth of a radian
     elif emitter["type"] == "directional":
         light["kind"] = structs.LIGHT_DIRECTIONAL
         direction = np.asarray(emitter.get("direction", to_world[:3, 2]), float)
@@ -60,12 +68,16 @@ def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
 def pick_probabilities(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     """Probabilities (l,) float64 in proportion to power, summing to 1.
 
-    Power is pi A L for a surface, 4 pi I for a point; directional and constant light count what enters the sphere
+    Power is pi A L for a surface, 4 pi I for a point, that of the cone for a spot; directional and constant light count what enters the sphere
     around the scene: pi r^2 E and 4 pi^2 r^2 L (as pbrt's and Mitsuba's power light samplers do). All zero is uniform.
     """
     radius = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
     factor = np.pi * lights["area"].astype(np.float64)
     factor[lights["kind"] == structs.LIGHT_POINT] = 4.0 * np.pi
+    spot = lights["kind"] == structs.LIGHT_SPOT
+    cutoff = lights["cutoff"][spot].astype(np.float64)
+    beam = cutoff - 1.0 / lights["inverse_transition"][spot]
+    factor[spot] = 2.0 * np.pi * (1.0 - 0.5 * (np.cos(beam) + np.cos(cutoff)))
     factor[lights["kind"] == structs.LIGHT_DIRECTIONAL] = np.pi * radius**2
     factor[lights["kind"] == structs.LIGHT_CONSTANT] = 4.0 * np.pi**2 * radius**2
     power = factor * (lights["radiance"].astype(np.float64) @ LUMINANCE)

@@ -32,7 +32,16 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
     BSDF_BUMP,
     BSDF_NORMAL_MAP,
 ) = range(15)
-(LIGHT_TRIANGLE, LIGHT_SPHERE, LIGHT_DISK, LIGHT_CYLINDER, LIGHT_POINT, LIGHT_DIRECTIONAL, LIGHT_CONSTANT) = range(7)
+(
+    LIGHT_TRIANGLE,
+    LIGHT_SPHERE,
+    LIGHT_DISK,
+    LIGHT_CYLINDER,
+    LIGHT_POINT,
+    LIGHT_SPOT,
+    LIGHT_DIRECTIONAL,
+    LIGHT_CONSTANT,
+) = range(8)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS = 1, 2
 BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
 BSDF_SLOTS = 12
@@ -103,8 +112,11 @@ LIGHT = np.dtype(
         ("primitive", "u4"),  # triangle or analytic index, NONE for lights without surface
         ("pick_probability", "f4"),  # probability that next-event estimation picks this light
         ("area", "f4"),  # world area of the primitive, 0 for lights without surface
-        ("radiance", "f4", 3),  # radiance; point: radiant intensity; directional: irradiance. All times radiance_scale
-        ("position", "f4", 3),  # point: position; directional: direction of travel (unit)
+        ("radiance", "f4", 3),  # radiance; point, spot: radiant intensity; directional: irradiance. Times radiance_scale
+        ("position", "f4", 3),  # point, spot: position; directional: direction of travel (unit)
+        ("axis", "f4", 3),  # spot: unit direction of the brightest light
+        ("cutoff", "f4"),  # spot: angle from which on it is dark
+        ("inverse_transition", "f4"),  # spot: 1 / (cutoff - angle up to which it is brightest)
     ]
 )
 

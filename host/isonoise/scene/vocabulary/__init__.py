@@ -16,7 +16,7 @@ _SCENE = Plugin(
         Child("integrator"),
         Child("sensor", most=1 << 16),
         Child("shape", most=1 << 32),
-        Child("emitter", most=1 << 32, types=("point", "directional", "constant")),
+        Child("emitter", most=1 << 32, types=("point", "spot", "directional", "constant")),
         Child("bsdf", most=1 << 32),
         Child("texture", most=1 << 32),
     ),
@@ -44,7 +44,7 @@ ELSEWHERE: dict[str, tuple[str, ...]] = {
         "bsdf": "circular hair measured measured_polarized polarizer pplastic principledthin retarder",
         "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid serialized "
         "shapegroup",
-        "emitter": "directionalarea envmap projector spot sunsky timed_sunsky",
+        "emitter": "directionalarea envmap projector sunsky timed_sunsky",
         "texture": "blackbody d65 irregular rawconstant regular srgb uniform volume",
         "medium": "heterogeneous homogeneous",
         "phase": "blendphase hg isotropic rayleigh sggx tabphase",
