@@ -1,4 +1,4 @@
-"""Mitsuba 3 XML -> Elements: includes merged, parameters substituted, values parsed, every error with its line."""
+"""Mitsuba XML -> Elements: includes merged, parameters substituted, values parsed, every error with its line."""
 
 import re
 from pathlib import Path
@@ -9,6 +9,7 @@ from isonoise.errors import SceneError
 from isonoise.scene.source import Element, Reference, nearest
 from isonoise.scene.vocabulary import kinds_of
 from isonoise.scene.xml_tags import Tag, parse_tags
+from isonoise.scene.xml_upgrade import is_old, upgrade_element, upgrade_tags
 from isonoise.scene.xml_values import OPERATIONS, check_attributes, operation, value_of
 
 _INCLUDES = 1000  # files read in all: two includes in each of 30 levels would be a thousand million
@@ -59,11 +60,10 @@ class _Reader:
             raise SceneError(f"{path}: too many includes")
         self.open.append(path.resolve())
         tag = parse_tags(path)
-        if "version" not in tag.attributes:
-            tag.place.fail('the root element lacks its version, such as <scene version="3.0.0">')
-        if tag.attributes["version"].split(".")[0] not in ("2", "3"):
-            tag.place.fail(f"version {tag.attributes['version'][:20]} is not read; isonoise reads versions 2 and 3")
-        root = _File(self, [path.parent, *folders]).object(tag, root=True)
+        old = is_old(tag)
+        if old:
+            upgrade_tags(tag)
+        root = _File(self, [path.parent, *folders], old).object(tag, root=True)
         self.open.pop()
         return root
 
@@ -71,8 +71,8 @@ class _Reader:
 class _File:
     """Turns the tags of one file into Elements; knows where its relative file names begin."""
 
-    def __init__(self, reader: _Reader, folders: list[Path]):
-        self.reader, self.folders = reader, folders
+    def __init__(self, reader: _Reader, folders: list[Path], old: bool):
+        self.reader, self.folders, self.old = reader, folders, old
 
     def object(self, tag: Tag, root: bool = False) -> Element:
         self.substitute(tag)
@@ -87,6 +87,8 @@ class _File:
         element = Element(tag.place, kind, type_, tag.attributes.get("id", ""))
         for child in tag.children:
             self.entry(element, child, root)
+        if self.old:
+            upgrade_element(element)
         return element
 
     def entry(self, parent: Element, tag: Tag, at_root: bool):
