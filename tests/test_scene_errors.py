@@ -11,14 +11,25 @@ from isonoise.scene import compile_scene, load
 SPHERE = '<shape type="sphere">{}</shape>'
 FLOAT = '<float name="radius" value="{}"/>'
 
+THIN_LENS = (
+    '<sensor type="thinlens"><float name="aperture_radius" value="{}"/><float name="focus_distance" value="{}"/></sensor>'
+)
+
 INSIDE = [
     # names
     ('<bsdf type="difuse"/>', "unknown bsdf 'difuse'; did you mean 'diffuse'"),
     ('<bsdf type="roughconductor"/>', "'roughconductor' is not supported .*nearest: 'conductor'"),
     ('<bsdf type="thindielectric"/>', "'thindielectric' is not supported .*nearest: 'dielectric'"),
-    ('<shape type="serialized"/>', "shape 'serialized' is not supported"),
+    ('<shape type="serialized"/>', "shape 'serialized' needs a 'filename'"),
     ('<emitter type="envmap"/>', "emitter 'envmap' is not supported"),
-    ('<sensor type="thinlens"/>', "sensor 'thinlens' is not supported .*nearest: 'perspective'"),
+    ('<sensor type="distant"/>', "sensor 'distant' is not supported .*nearest: 'orthographic'"),
+    ('<sensor type="thinlens"/>', "sensor 'thinlens' needs a 'aperture_radius'"),
+    (THIN_LENS.format("-1", "1"), r"'aperture_radius' has to lie in \[0, inf\), got -1.0"),
+    (THIN_LENS.format("1", "0"), r"'focus_distance' has to lie in \(0, inf\), got 0.0"),
+    (THIN_LENS.format("1", "1e-30"), "aperture_radius is more than 1e.18 times focus_distance"),
+    ('<sensor type="orthographic"><float name="fov" value="40"/></sensor>', "no parameter 'fov'"),
+    ('<sensor type="orthographic"><transform name="to_world"><scale x="0"/></transform></sensor>', "cannot be inverted"),
+    ('<sensor type="orthographic"><float name="near_clip" value="1e5"/></sensor>', "near_clip has to be smaller"),
     ('<integrator type="volpath"/>', "integrator 'volpath' is not supported .*nearest: 'path'"),
     ('<sensor type="perspective"><film type="specfilm"/></sensor>', "film 'specfilm' is not supported"),
     ('<medium type="homogeneous"/>', "medium 'homogeneous' is not supported"),

@@ -1,23 +1,34 @@
 """Triangles of the mesh shapes in object space: from files and of the built-in flat ones."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.scene.source import Place
 
 _NONE = np.zeros((0, 3))
+_NO_UVS = np.zeros((0, 2), np.float32)
+_UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 _RECTANGLE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
 _RECTANGLE_FACES = np.array([[0, 1, 2], [2, 3, 0]])
-_CUBE = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float)
-_CUBE_FACES = np.array(
+# Four corners a side, so that each has texture coordinates of its own; order, corners and coordinates are Mitsuba 3's.
+_CUBE = np.array(
     [
-        *([0, 2, 3], [3, 1, 0], [4, 5, 7], [7, 6, 4], [0, 1, 5], [5, 4, 0]),
-        *([2, 6, 7], [7, 3, 2], [0, 4, 6], [6, 2, 0], [1, 3, 7], [7, 5, 1]),
-    ]
+        *([1, -1, -1], [1, -1, 1], [-1, -1, 1], [-1, -1, -1]),
+        *([1, 1, -1], [-1, 1, -1], [-1, 1, 1], [1, 1, 1]),
+        *([1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]),
+        *([1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]),
+        *([-1, -1, 1], [-1, 1, 1], [-1, 1, -1], [-1, -1, -1]),
+        *([1, 1, -1], [1, -1, -1], [-1, -1, -1], [-1, 1, -1]),
+    ],
+    float,
 )
+_CUBE_FACES = (4 * np.arange(6)[:, None, None] + [[0, 1, 2], [3, 0, 2]]).reshape(-1, 3)
+_CUBE_UVS = np.tile(_UNIT_SQUARE[[3, 2, 1, 0]], (6, 1))
 
 
 @dataclass
@@ -25,31 +36,67 @@ class Mesh:
     """Triangles as read: float64 positions, and normals where the file has them (0 for vertices without)."""
 
     vertices: np.ndarray  # (v, 3)
-    faces: np.ndarray  # (t, 3) indices into both
+    faces: np.ndarray  # (t, 3) indices into all that vertices have
     normals: np.ndarray  # (v, 3), or (0, 3) if there are none
+    uvs: np.ndarray = field(default_factory=lambda: _NO_UVS)
+    """(v, 2) float32 finite texture coordinates, 0 for vertices without; (0, 2) if there are none."""
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)
+    """Further values by Mitsuba 3's names, float32, unchecked: 'vertex_...' are (v, c), 'face_...' (t, c)."""
 
 
 def read_shape(shape: dict) -> Mesh:
     """The triangles of a shape of the description that is made of them. Raises SceneError where its file is bad."""
     if shape["type"] == "rectangle":
-        return Mesh(_RECTANGLE, _RECTANGLE_FACES, _NONE)
+        return Mesh(_RECTANGLE, _RECTANGLE_FACES, _NONE, _UNIT_SQUARE)
     if shape["type"] == "cube":
-        return Mesh(_CUBE, _CUBE_FACES, _NONE)
+        return Mesh(_CUBE, _CUBE_FACES, _NONE, _CUBE_UVS)
     if shape["type"] == "mesh":
         return Mesh(shape["vertices"], shape["faces"], shape.get("normals", _NONE))
+    path = Path(shape["filename"])
     if shape["type"] == "obj":
         from isonoise.scene.obj import read_obj
 
-        return read_obj(Path(shape["filename"])).mesh
+        return read_obj(path, shape["flip_tex_coords"]).mesh
+    if shape["type"] == "serialized":
+        from isonoise.scene.serialized import read_serialized
+
+        return read_serialized(path, shape["shape_index"])
     from isonoise.scene.ply import read_ply
 
-    return read_ply(Path(shape["filename"]))
+    return read_ply(path, shape["flip_tex_coords"])
+
+
+def checked(mesh: Mesh, place: Place) -> Mesh:
+    """The mesh of a file. Raises SceneError where a number is not finite or a face names a vertex that is not there."""
+    if not (np.isfinite(mesh.vertices).all() and np.isfinite(mesh.normals).all()):
+        place.fail("a vertex or normal is not a finite number")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        place.fail(f"a face names a vertex that does not exist (there are {len(mesh.vertices)})")
+    return mesh
+
+
+def texture_coordinates(values: np.ndarray, flip: bool) -> np.ndarray:
+    """(n, 2) float32 of numbers (n, 2); `flip` turns v into 1 - v.
+
+    What is not finite becomes 0: exporters write NaN for triangles without area, whose picture nobody sees.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        uvs = np.stack([values[:, 0], 1.0 - values[:, 1] if flip else values[:, 1]], axis=1).astype(np.float32)
+    return np.where(np.isfinite(uvs), uvs, np.float32(0))
+
+
+def regular_file(path: Path) -> BinaryIO:
+    """The file, open for reading. Raises OSError, or SceneError where it is a pipe or device, which may have no end."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise SceneError(f"{path}: is not a regular file")
+    return path.open("rb")
 
 
 def read_bytes(path: Path) -> bytes:
     """A whole file."""
     try:
-        return path.read_bytes()
+        with regular_file(path) as file:
+            return file.read()
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
 

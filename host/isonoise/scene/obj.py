@@ -3,13 +3,14 @@
 Read are v, vt, vn, f, usemtl and mtllib; polygons become fans of triangles; what draws no surface is passed over.
 """
 
+import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from isonoise.scene.meshes import Mesh, parse_numbers, read_bytes
+from isonoise.scene.meshes import Mesh, parse_numbers, read_bytes, texture_coordinates
 from isonoise.scene.source import Place
 
 _NEWLINE, _SLASH = 10, ord("/")
@@ -25,8 +26,11 @@ class ObjFile:
     libraries: list[str] = field(default_factory=list)  # mtllib names
 
 
-def read_obj(path: Path) -> ObjFile:
-    """Read a file. Raises SceneError where it is not an OBJ with faces, or its indices or numbers are bad."""
+def read_obj(path: Path, flip_tex_coords: bool = True) -> ObjFile:
+    """Read a file; `flip_tex_coords`: its v runs downwards, as in Mitsuba 3's default.
+
+    Raises SceneError where it is not an OBJ with faces, or its indices or numbers are bad.
+    """
     place = Place(str(path))
     text = read_bytes(path)
     if b"\0" in text:
@@ -35,8 +39,10 @@ def read_obj(path: Path) -> ObjFile:
     text = re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
     text = re.sub(rb"\n[ \t]+", b"\n", b"\n" + text) + b"\n"
     lines = _Lines(text)
-    vertices = lines.vectors(b"v ", place)
-    normals = lines.vectors(b"vn", place)
+    vertices = lines.vectors(b"v ", 3, place)
+    normals = lines.vectors(b"vn", 3, place)
+    _check_finite(vertices, place)
+    _check_finite(normals, place)
     corners, sizes, face_lines = lines.faces(place)
     if not len(sizes):
         place.fail("there are no faces in it")
@@ -45,7 +51,10 @@ def read_obj(path: Path) -> ObjFile:
     owner = np.repeat(np.arange(len(sizes)), sizes)
     for column, name in enumerate(("vertex", "texture coordinate", "normal")):
         corners[:, column] = _absolute(corners[:, column], before[column][owner], defined[column], name, place)
-    mesh = _indexed(vertices, normals, corners, _fans(sizes))
+    uvs = np.zeros((0, 2), np.float32)
+    if np.any(corners[:, 1] >= 0):
+        uvs = texture_coordinates(lines.vectors(b"vt", 2, place), flip_tex_coords)
+    mesh = _indexed(vertices, normals, uvs, corners, _fans(sizes))
     of_face, names, libraries = lines.materials(face_lines)
     return ObjFile(mesh, np.repeat(of_face, sizes - 2), names, libraries)
 
@@ -75,21 +84,19 @@ class _Lines:
         steps[self.ends[chosen] + 1] -= 1
         return self.bytes[np.cumsum(steps[:-1], dtype=np.int8).view(bool)].tobytes()
 
-    def vectors(self, key: bytes, place: Place) -> np.ndarray:
-        """(n, 3) numbers of the lines of this key; what follows the third (weights, colours) is dropped."""
+    def vectors(self, key: bytes, size: int, place: Place) -> np.ndarray:
+        """(n, size) first numbers of the lines of this key; what follows (weights, colours) is dropped."""
         chosen = self.of(key)
         if not len(chosen):
-            return np.zeros((0, 3))
+            return np.zeros((0, size))
         text = self.text(chosen, 2)
         values = parse_numbers(text)
         _, sizes = _words(np.frombuffer(text, np.uint8))
-        if sizes.min() < 3 or len(values) != sizes.sum():
-            place.fail(f"a line that begins with '{key.decode().strip()}' does not hold three numbers")
+        if sizes.min() < size or len(values) != sizes.sum():
+            number = {2: "two", 3: "three"}[size]
+            place.fail(f"a line that begins with '{key.decode().strip()}' does not hold {number} numbers")
         first = np.cumsum(sizes) - sizes
-        result = values[first[:, None] + np.arange(3)]
-        if not np.isfinite(result).all():
-            place.fail("a vertex or normal is not a finite number")
-        return result
+        return values[first[:, None] + np.arange(size)]
 
     def faces(self, place: Place) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Corners (c, 3) of (vertex, texture, normal), 0 where left out; number of corners and line of each face."""
@@ -157,18 +164,32 @@ def _absolute(index: np.ndarray, before: np.ndarray, count: int, name: str, plac
     return result
 
 
-def _indexed(vertices: np.ndarray, normals: np.ndarray, corners: np.ndarray, fans: np.ndarray) -> Mesh:
+def _check_finite(vectors: np.ndarray, place: Place):
+    if not np.isfinite(vectors).all():
+        place.fail("a vertex or normal is not a finite number")
+
+
+def _indexed(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, corners: np.ndarray, fans: np.ndarray) -> Mesh:
     """One vertex for each combination of indices, as in Mitsuba 3: texture seams part the smooth normals."""
     if np.all(corners[:, 1:] < 0):
         return Mesh(vertices, corners[:, 0][fans], np.zeros((0, 3)))
     sizes = corners.max(axis=0) + 2
-    key = (corners[:, 0] * sizes[1] + corners[:, 1] + 1) * sizes[2] + corners[:, 2] + 1
+    pair = (corners[:, 1] + 1) * sizes[2] + corners[:, 2] + 1
+    if math.prod(sizes.tolist()) >= 2**63:
+        pair = np.unique(pair, return_inverse=True)[1].reshape(-1)
+    key = corners[:, 0] * (pair.max() + 1) + pair
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
     used = corners[first]
-    merged = np.zeros((0, 3))
-    if np.any(used[:, 2] >= 0):
-        merged = np.where((used[:, 2] >= 0)[:, None], normals[used[:, 2]], 0.0)
-    return Mesh(vertices[used[:, 0]], inverse.reshape(-1)[fans], merged)
+    parts = [_or_zero(normals, used[:, 2]), _or_zero(uvs, used[:, 1])]
+    return Mesh(vertices[used[:, 0]], inverse.reshape(-1)[fans], *parts)
+
+
+def _or_zero(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """values[index], 0 where the index is -1; empty if it is -1 everywhere."""
+    given = index >= 0
+    if not given.any():
+        return values[:0]
+    return np.where(given[:, None], values[index], values.dtype.type(0))
 
 
 def _fans(sizes: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Stanford PLY (ASCII and binary), read with numpy. Vertices, normals and faces; polygons become fans of triangles.
+"""Stanford PLY (ASCII and binary), read with numpy; polygons become fans of triangles.
 
 A header's counts are held against the size of the file before anything is allocated.
 """
@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.scene.meshes import Mesh, parse_numbers, read_bytes
+from isonoise.scene.meshes import Mesh, checked, parse_numbers, read_bytes, texture_coordinates
+from isonoise.scene.ply_attributes import attribute_values, attributes_of
 from isonoise.scene.source import Place
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
 _TYPES |= {"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
+_TYPES |= {"half": "f2", "float16": "f2", "long": "i8", "ulong": "u8"}  # Mitsuba 3's own
+_UVS = (("u", "v"), ("texture_u", "texture_v"), ("s", "t"))
 _HEADER = 1 << 16  # bytes in which a header has to end
 _LIST = 1 << 16  # longest list of one face
 
@@ -32,8 +35,11 @@ class _Element:
     properties: list[_Property]
 
 
-def read_ply(path: Path) -> Mesh:
-    """Read a file. Raises SceneError where it is not a PLY mesh, is cut off, or its indices or numbers are bad."""
+def read_ply(path: Path, flip_tex_coords: bool = False) -> Mesh:
+    """Read a file; `flip_tex_coords`: its v runs downwards.
+
+    Raises SceneError where it is not a PLY mesh, is cut off, or its indices or numbers are bad.
+    """
     place = Place(str(path))
     data = read_bytes(path)
     order, elements, start = _header(data, place)
@@ -41,30 +47,39 @@ def read_ply(path: Path) -> Mesh:
     vertices = faces = None
     for element in elements:
         if element.name == "vertex":
-            vertices = body.table(element)
+            vertices = _vertices(element, body.table(element), flip_tex_coords, place)
         elif element.name == "face":
             faces = body.triangles(element)
         else:
             body.triangles(element)
         if vertices is not None and faces is not None:
             break
-    if vertices is None or faces is None or not len(faces):
+    if vertices is None or faces is None or not len(faces[0]):
         place.fail("a mesh needs vertices and faces")
-    return _mesh(vertices, faces, place)
+    vertices.faces = faces[0]
+    vertices.attributes |= faces[1]
+    return checked(vertices, place)
 
 
-def _mesh(vertices: dict[str, np.ndarray], faces: np.ndarray, place: Place) -> Mesh:
-    if any(axis not in vertices for axis in "xyz"):
+def _vertices(element: _Element, columns: dict[str, np.ndarray], flip: bool, place: Place) -> Mesh:
+    """A mesh that lacks its faces."""
+    if any(axis not in columns for axis in "xyz"):
         place.fail("its vertices lack x, y or z")
-    positions = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    normals = np.zeros((0, 3))
-    if all(f"n{axis}" in vertices for axis in "xyz"):
-        normals = np.stack([vertices[f"n{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
-    if not (np.isfinite(positions).all() and np.isfinite(normals).all()):
-        place.fail("a vertex or normal is not a finite number")
-    if faces.min() < 0 or faces.max() >= len(positions):
-        place.fail(f"a face names a vertex that does not exist (there are {len(positions)})")
-    return Mesh(positions, faces, normals)
+    mesh = Mesh(_stacked(columns, "xyz", np.float64), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
+    if all(f"n{axis}" in columns for axis in "xyz"):
+        mesh.normals = _stacked(columns, ("nx", "ny", "nz"), np.float64)
+    uv = next((pair for pair in _UVS if all(name in columns for name in pair)), None)
+    if uv:
+        mesh.uvs = texture_coordinates(_stacked(columns, uv, np.float64), flip)
+    names = [item.name for item in element.properties]
+    for name, positions in attributes_of(names, "vertex").items():
+        parts = [columns[names[i]] for i in positions]
+        mesh.attributes[name] = attribute_values(parts, [element.properties[i].type for i in positions])
+    return mesh
+
+
+def _stacked(columns: dict[str, np.ndarray], names, dtype) -> np.ndarray:
+    return np.stack([columns[name] for name in names], axis=1).astype(dtype)
 
 
 def _header(data: bytes, place: Place) -> tuple[str, list[_Element], int]:
@@ -134,16 +149,16 @@ class _Body:
         self.position += records.nbytes
         return {item.name: records[f"{n} {item.name}"] for n, item in enumerate(element.properties)}
 
-    def triangles(self, element: _Element) -> np.ndarray:
-        """(t, 3) vertex indices of an element of polygons; passes over an element of any other kind.
+    def triangles(self, element: _Element) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """((t, 3) vertex indices, attributes) of an element of polygons; passes over an element of any other kind.
 
         Records whose lists are equally long follow each other in runs; each run is one array.
         """
-        parts, done, window, layouts = [np.zeros((0, 3), np.int64)], 0, max(element.count, 1), {}
-        name = next(
-            (f"{n} {p.name}" for n, p in enumerate(element.properties) if p.name in ("vertex_indices", "vertex_index")),
-            "",
-        )
+        faces, done, window, layouts = [np.zeros((0, 3), np.int64)], 0, max(element.count, 1), {}
+        fields = [f"{n} {item.name}" for n, item in enumerate(element.properties)]
+        indices = next((f for f in fields if f.endswith((" vertex_indices", " vertex_index"))), "")
+        attributes = attributes_of(["" if p.count else p.name for p in element.properties], element.name)
+        parts: dict[str, list[np.ndarray]] = {name: [] for name in attributes} if indices else {}
         while done < element.count and element.properties:
             lengths = self.lengths(element)
             if lengths not in layouts:
@@ -157,9 +172,14 @@ class _Body:
             window = 2 * good + 64
             self.position += good * layouts[lengths].itemsize
             done += good
-            if name:
-                parts.append(_fans(records[name][:good].astype(np.int64), self.place))
-        return np.concatenate(parts)
+            if indices:
+                polygons = records[indices][:good]
+                faces.append(_fans(polygons.astype(np.int64), self.place))
+            for name, of_run in parts.items():
+                columns = [records[fields[i]][:good] for i in attributes[name]]
+                values = attribute_values(columns, [element.properties[i].type for i in attributes[name]])
+                of_run.append(np.repeat(values, polygons.shape[1] - 2, axis=0))
+        return np.concatenate(faces), {name: np.concatenate(of_run) for name, of_run in parts.items() if of_run}
 
     def view(self, element: _Element, layout: np.dtype, count: int) -> np.ndarray:
         if count * layout.itemsize > len(self.data) - self.position:

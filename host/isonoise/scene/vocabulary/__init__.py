@@ -42,8 +42,7 @@ ELSEWHERE: dict[str, tuple[str, ...]] = {
         "rfilter": "catmullrom lanczos mitchell",
         "integrator": "depth direct_projective prb prb_basic prb_projective prbvolpath ptracer stokes volpathmis",
         "bsdf": "circular hair measured measured_polarized polarizer pplastic principledthin retarder",
-        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid serialized "
-        "shapegroup",
+        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid shapegroup",
         "emitter": "directionalarea envmap projector sunsky timed_sunsky",
         "texture": "blackbody d65 irregular rawconstant regular srgb uniform volume",
         "medium": "heterogeneous homogeneous",

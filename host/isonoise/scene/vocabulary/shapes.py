@@ -31,6 +31,7 @@ SHAPES = (
     ),
     Plugin("shape", "obj", (*_MESH, P("flip_tex_coords", "boolean", True)), _CHILDREN),
     Plugin("shape", "ply", (*_MESH, P("flip_tex_coords", "boolean", False)), _CHILDREN),
+    Plugin("shape", "serialized", (*_MESH, P("shape_index", "integer", 0, "[0, 2147483647]")), _CHILDREN),
     Plugin(  # isonoise's own: what meshes without a scene become
         "shape",
         "mesh",
