@@ -37,13 +37,28 @@ __kernel void generate(uint count_new, uint first_slot, uint first_sample, uint2
     const float2 film = (corner + 0.5f + offset) / (float2)((float)camera->film_size[0], (float)camera->film_size[1]);
     const float2 centered = 1.0f - 2.0f * (film + (float2)(camera->principal_point[0], camera->principal_point[1]));
     const float2 on_plane = centered * (float2)(camera->tan_half_fov[0], camera->tan_half_fov[1]);
-    const float3 ahead = unit((float3)(on_plane, 1.0f));
-
     float m[12];
     for (int k = 0; k < 12; ++k) m[k] = camera->to_world[k];
-    const float3 direction = unit(transform_direction(m, ahead));
-    const float3 origin = (float3)(m[3], m[7], m[11]) + camera->near_clip / ahead.z * direction;
-    ray_origin[slot] = (float4)(origin, (camera->far_clip - camera->near_clip) / ahead.z);
+    float3 ahead = (float3)(on_plane, 1.0f), center = (float3)(m[3], m[7], m[11]);
+#if FEATURE_THIN_LENS
+    if (camera->kind == CAMERA_THIN_LENS) {  // towards the point in focus, from a point of the lens
+        const float2 lens = camera->aperture_radius * square_to_disk(u.zw);
+        ahead.xy -= lens / camera->focus_distance;
+        center += transform_direction(m, (float3)(lens, 0.0f));
+    }
+#endif
+    ahead = unit(ahead);
+    float3 direction = unit(transform_direction(m, ahead));
+    float3 origin = center + camera->near_clip / ahead.z * direction;
+    float reach = (camera->far_clip - camera->near_clip) / ahead.z;
+#if FEATURE_ORTHOGRAPHIC
+    if (camera->kind == CAMERA_ORTHOGRAPHIC) {
+        direction = unit((float3)(m[2], m[6], m[10]));
+        origin = transform_point(m, (float3)(on_plane, camera->near_clip));
+        reach = camera->far_clip - camera->near_clip;
+    }
+#endif
+    ray_origin[slot] = (float4)(origin, reach);
     ray_direction[slot] = (float4)(direction, -1.0f);
     throughput[slot] = (float4)(1.0f);
     path[slot] = (uint4)(sample, NONE, index, 0u);

@@ -12,8 +12,10 @@ SPHERE = '<shape type="sphere">{}</shape>'
 FLOAT = '<float name="radius" value="{}"/>'
 
 THIN_LENS = (
-    '<sensor type="thinlens"><float name="aperture_radius" value="{}"/><float name="focus_distance" value="{}"/></sensor>'
+    '<sensor type="thinlens"><float name="aperture_radius" value="{}"/>'
+    '<float name="focus_distance" value="{}"/></sensor>'
 )
+ORTHOGRAPHIC = '<sensor type="orthographic">{}</sensor>'
 
 INSIDE = [
     # names
@@ -22,14 +24,14 @@ INSIDE = [
     ('<bsdf type="thindielectric"/>', "'thindielectric' is not supported .*nearest: 'dielectric'"),
     ('<shape type="serialized"/>', "shape 'serialized' needs a 'filename'"),
     ('<emitter type="envmap"/>', "emitter 'envmap' is not supported"),
-    ('<sensor type="distant"/>', "sensor 'distant' is not supported .*nearest: 'orthographic'"),
+    ('<sensor type="distant"/>', "sensor 'distant' is not supported .*supported: orthographic, perspective, thinlens"),
     ('<sensor type="thinlens"/>', "sensor 'thinlens' needs a 'aperture_radius'"),
     (THIN_LENS.format("-1", "1"), r"'aperture_radius' has to lie in \[0, inf\), got -1.0"),
     (THIN_LENS.format("1", "0"), r"'focus_distance' has to lie in \(0, inf\), got 0.0"),
     (THIN_LENS.format("1", "1e-30"), "aperture_radius is more than 1e.18 times focus_distance"),
-    ('<sensor type="orthographic"><float name="fov" value="40"/></sensor>', "no parameter 'fov'"),
-    ('<sensor type="orthographic"><transform name="to_world"><scale x="0"/></transform></sensor>', "cannot be inverted"),
-    ('<sensor type="orthographic"><float name="near_clip" value="1e5"/></sensor>', "near_clip has to be smaller"),
+    (ORTHOGRAPHIC.format('<float name="fov" value="40"/>'), "no parameter 'fov'"),
+    (ORTHOGRAPHIC.format('<transform name="to_world"><scale x="0"/></transform>'), "cannot be inverted"),
+    (ORTHOGRAPHIC.format('<float name="near_clip" value="1e5"/>'), "near_clip has to be smaller"),
     ('<integrator type="volpath"/>', "integrator 'volpath' is not supported .*nearest: 'path'"),
     ('<sensor type="perspective"><film type="specfilm"/></sensor>', "film 'specfilm' is not supported"),
     ('<medium type="homogeneous"/>', "medium 'homogeneous' is not supported"),

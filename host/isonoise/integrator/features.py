@@ -57,6 +57,8 @@ FEATURES = {
     "NEXT_EVENT": Feature("next-event estimation", "shadow stage, 48 bytes a path"),
     "RUSSIAN_ROULETTE": Feature("russian roulette", "code in shade"),
     "HIDE_EMITTERS": Feature("lights hidden from the camera", "code in shade"),
+    "THIN_LENS": Feature("a lens with depth of field", "code in generate"),
+    "ORTHOGRAPHIC": Feature("a camera of parallel rays", "code in generate"),
     "FILTER_TABLE": Feature("pixel filter other than a box", "table of 16 KiB"),
     "MEDIAN": Feature("chunk medians M_x", "4 bytes a pixel and entry of a chunk, 4 more, sorting in reduce"),
     "BATCHES": Feature("chunks of means of several samples", "8 bytes a pixel, a division an entry in reduce"),
@@ -116,6 +118,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "NEXT_EVENT": bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1),
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,
+        "THIN_LENS": bool(scene.camera["kind"][0] == structs.CAMERA_THIN_LENS),
+        "ORTHOGRAPHIC": bool(scene.camera["kind"][0] == structs.CAMERA_ORTHOGRAPHIC),
         "FILTER_TABLE": scene.filter != "box",
         **statistics_features(needs),
     }

@@ -10,6 +10,11 @@ from isonoise.scene import structs
 _GAUSSIAN_RADIUS = 4.0  # in standard deviations, where Mitsuba 3 cuts its gaussian
 _FOCAL_LENGTH = "50mm"
 _GAUSSIAN = {"type": "gaussian", "stddev": 0.5}
+_KINDS = {
+    "perspective": structs.CAMERA_PINHOLE,
+    "thinlens": structs.CAMERA_THIN_LENS,
+    "orthographic": structs.CAMERA_ORTHOGRAPHIC,
+}
 _FILM = {"width": 768, "height": 576}
 
 
@@ -22,9 +27,14 @@ def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarr
     rfilter = film.get("rfilter", _GAUSSIAN)
     camera = np.zeros(1, structs.CAMERA)
     camera["to_world"] = sensor.get("to_world", np.eye(4))[:3].ravel()
-    tan_x = _tan_half_fov_x(sensor, width / height)
-    camera["tan_half_fov"] = (tan_x, tan_x * height / width)
-    camera["principal_point"] = (sensor["principal_point_offset_x"], sensor["principal_point_offset_y"])
+    camera["kind"] = _KINDS[sensor["type"]]
+    half_width = 1.0 if sensor["type"] == "orthographic" else _tan_half_fov_x(sensor, width / height)
+    camera["tan_half_fov"] = (half_width, half_width * height / width)
+    if sensor["type"] == "perspective":
+        camera["principal_point"] = (sensor["principal_point_offset_x"], sensor["principal_point_offset_y"])
+    if sensor["type"] == "thinlens":
+        camera["aperture_radius"] = sensor["aperture_radius"]
+        camera["focus_distance"] = sensor.get("focus_distance", sensor["far_clip"])  # Mitsuba 3's default
     camera["near_clip"], camera["far_clip"] = sensor["near_clip"], sensor["far_clip"]
     camera["film_size"], camera["crop_offset"], camera["crop_size"] = (width, height), offset, crop
     stddev = rfilter.get("stddev", 0.0)

@@ -5,9 +5,11 @@ import numpy as np
 from isonoise.scene.camera import fits_film, focal_length, is_rigid
 from isonoise.scene.materials import conductors
 from isonoise.scene.source import Place, nearest
+from isonoise.scene.vocabulary.sensors import SENSORS
 
 _EXCLUSIVE = {
     "perspective": (("fov", "focal_length"),),
+    "thinlens": (("fov", "focal_length"),),
     "conductor": (("material", "eta"), ("material", "k")),
     "roughconductor": (("material", "eta"), ("material", "k"), ("alpha", "alpha_u"), ("alpha", "alpha_v")),
     "roughdielectric": (("alpha", "alpha_u"), ("alpha", "alpha_v")),
@@ -36,13 +38,29 @@ def _check_invertible(to_world: np.ndarray, place: Place):
         place.fail("to_world cannot be inverted, or its last row is not 0 0 0 1")
 
 
-def _perspective(sensor: dict, place: Place):
+def _sensor(sensor: dict, place: Place):
     if sensor["near_clip"] >= sensor["far_clip"]:
         place.fail("near_clip has to be smaller than far_clip")
+
+
+def _orthographic(sensor: dict, place: Place):
+    _sensor(sensor, place)
+    if "to_world" in sensor:
+        _check_invertible(sensor["to_world"], place)
+
+
+def _perspective(sensor: dict, place: Place):
+    _sensor(sensor, place)
     if "focal_length" in sensor and focal_length(sensor["focal_length"]) is None:
         place.fail(f"a focal length is a number of millimetres such as '50mm', got '{sensor['focal_length'][:40]}'")
     if "to_world" in sensor and not is_rigid(sensor["to_world"]):
         place.fail("to_world scales or shears; a camera may only be moved, turned and mirrored")
+
+
+def _thin_lens(sensor: dict, place: Place):
+    _perspective(sensor, place)
+    if sensor["aperture_radius"] > _WIDEST * sensor.get("focus_distance", sensor["far_clip"]):
+        place.fail(f"aperture_radius is more than {_WIDEST:g} times focus_distance: 32-bit floats overflow")
 
 
 def _hdrfilm(film: dict, place: Place):
@@ -109,14 +127,18 @@ def _scene(scene: dict, place: Place):
     constant = [v for v in scene.values() if isinstance(v, dict) and v["type"] == "constant"]
     if len(constant) > 1:
         place.fail("a scene has only one constant emitter")
-    if not any(isinstance(v, dict) and v["type"] == "perspective" for v in scene.values()):
+    sensors = {plugin.name for plugin in SENSORS}
+    if not any(isinstance(v, dict) and v["type"] in sensors for v in scene.values()):
         place.fail('the scene has no sensor; add a <sensor type="perspective">')
 
 
 _TRANSMITTING = ("dielectric", "thindielectric", "roughdielectric", "null", "mask")
+_WIDEST = 1e18  # the square of a tangent, 1e36, fits in 32-bit floats
 _SMALLEST = float(np.finfo(np.float32).tiny)
 _CHECKS = {
     "perspective": _perspective,
+    "thinlens": _thin_lens,
+    "orthographic": _orthographic,
     "hdrfilm": _hdrfilm,
     "conductor": _conductor,
     "roughconductor": _rough_conductor,

@@ -42,6 +42,7 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
     LIGHT_DIRECTIONAL,
     LIGHT_CONSTANT,
 ) = range(8)
+CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS = 1, 2
 BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
 BSDF_SLOTS = 12
@@ -50,7 +51,8 @@ BSDF_SLOTS = 12
 CAMERA = np.dtype(
     [
         ("to_world", "f4", 12),  # rows of the 3x4 camera-to-world matrix; +z looks ahead, +x points left
-        ("tan_half_fov", "f4", 2),  # tangent of half the field of view of the full film, along x and y
+        # tangent of half the field of view of the full film, along x and y; orthographic: half its size
+        ("tan_half_fov", "f4", 2),
         ("principal_point", "f4", 2),  # offset of the principal point, in fractions of the film
         ("near_clip", "f4"),  # distances along the optical axis
         ("far_clip", "f4"),
@@ -59,6 +61,9 @@ CAMERA = np.dtype(
         ("crop_size", "u4", 2),  # the image in pixels (width, height)
         ("filter_radius", "f4"),  # tent: radius; gaussian: truncation radius; box: half width (pixels)
         ("filter_stddev", "f4"),  # gaussian only
+        ("kind", "u4"),  # CAMERA_PINHOLE, CAMERA_THIN_LENS or CAMERA_ORTHOGRAPHIC
+        ("aperture_radius", "f4"),  # thin lens only
+        ("focus_distance", "f4"),  # of the plane in focus, along the optical axis; thin lens only
     ]
 )
 
@@ -112,7 +117,8 @@ LIGHT = np.dtype(
         ("primitive", "u4"),  # triangle or analytic index, NONE for lights without surface
         ("pick_probability", "f4"),  # probability that next-event estimation picks this light
         ("area", "f4"),  # world area of the primitive, 0 for lights without surface
-        ("radiance", "f4", 3),  # radiance; point, spot: radiant intensity; directional: irradiance. Times radiance_scale
+        # radiance; point, spot: radiant intensity; directional: irradiance. All times radiance_scale
+        ("radiance", "f4", 3),
         ("position", "f4", 3),  # point, spot: position; directional: direction of travel (unit)
         ("axis", "f4", 3),  # spot: unit direction of the brightest light
         ("cutoff", "f4"),  # spot: angle from which on it is dark
@@ -126,5 +132,5 @@ ALIAS = np.dtype([("threshold", "f4"), ("alias", "u4")])
 CONSTANTS = {
     name: value
     for name, value in list(globals().items())
-    if isinstance(value, int) and name.split("_")[0] in ("NONE", "LANE", "ANALYTIC", "BSDF", "LIGHT", "SHAPE")
+    if isinstance(value, int) and name.split("_")[0] in ("NONE", "LANE", "CAMERA", "ANALYTIC", "BSDF", "LIGHT", "SHAPE")
 }

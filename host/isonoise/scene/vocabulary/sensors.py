@@ -7,6 +7,7 @@ P = Parameter
 _CLIP = (P("near_clip", "float", 1e-2, "(0, inf)"), P("far_clip", "float", 1e4, "(0, inf)"))
 _CHILDREN = (Child("film"), Child("sampler"), Child("medium"))
 _SHUTTER = ignored("float", "shutter_open", "shutter_close")
+_FOCUS = ignored("float", "focus_distance")
 _SRF = P("srf", "any", status=UNSUPPORTED)
 _PINHOLE = (
     P("fov", "float", interval="(0, 180)"),
@@ -36,7 +37,7 @@ SENSORS = (
             *_PINHOLE,
             P("principal_point_offset_x", "float", 0.0),
             P("principal_point_offset_y", "float", 0.0),
-            *ignored("float", "focus_distance"),
+            *_FOCUS,
         ),
         _CHILDREN,
     ),
@@ -45,12 +46,12 @@ SENSORS = (
         "thinlens",
         (
             *_PINHOLE,
-            P("aperture_radius", "float", required=True, interval="(0, inf)"),
+            P("aperture_radius", "float", required=True, interval="[0, inf)"),
             P("focus_distance", "float", interval="(0, inf)"),
         ),
         _CHILDREN,
     ),
-    Plugin("sensor", "orthographic", (*_CLIP, *PLACED, *_SHUTTER, _SRF), _CHILDREN),
+    Plugin("sensor", "orthographic", (*_CLIP, *PLACED, *_SHUTTER, *_FOCUS, _SRF), _CHILDREN),
 )
 
 FILMS = (

@@ -1,0 +1,43 @@
+"""Tiny renders by Mitsuba 3's scalar_rgb, within the process: it needs no LLVM, which OpenCL drivers bring too."""
+
+import numpy as np
+import pytest
+import references
+
+import isonoise
+
+
+def import_mitsuba():
+    """The module, quiet, or a skipped test."""
+    mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    return mitsuba
+
+
+def as_mitsuba(mitsuba, scene: dict) -> dict:
+    """A dict for isonoise as one for `mitsuba.load_dict`."""
+    result = {}
+    for name, value in scene.items():
+        if isinstance(value, dict):
+            value = as_mitsuba(mitsuba, value)
+        elif name == "to_world":
+            value = mitsuba.ScalarTransform4f(np.asarray(value, float))
+        result[name] = value
+    return result
+
+
+def assert_same_picture(scene: dict, folder, spp: int = 64, batches: int = 16, share: float = 0.9975) -> None:
+    """Pixels, and image means, of isonoise and Mitsuba agree (tests/references.py says what that means)."""
+    mitsuba = import_mitsuba()
+    loaded = mitsuba.load_dict(as_mitsuba(mitsuba, scene))
+    theirs = np.stack([np.array(mitsuba.render(loaded, spp=spp, seed=seed))[..., :3] for seed in range(batches)])
+    ours = np.stack(
+        [
+            isonoise.render(scene, spp=spp, strategy=f"uniform:wave_spp={spp}", seed=seed).statistics.rgb
+            for seed in range(batches)
+        ]
+    )
+    image, reference = references.from_batches(ours), references.from_batches(theirs)
+    references.assert_agree(image, reference, folder, share)
+    references.assert_means_agree(image, reference)

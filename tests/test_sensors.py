@@ -1,0 +1,172 @@
+"""Camera rays of every sensor: the stage `generate` against Mitsuba's sensors for the same numbers, and pictures."""
+
+import numpy as np
+import pytest
+from scalar_mitsuba import as_mitsuba, assert_same_picture, import_mitsuba
+from test_random import philox_4x32
+
+from isonoise.device.opencl import Device
+from isonoise.device.program import stage_source
+from isonoise.integrator.features import features
+from isonoise.integrator.wavefront import STRUCTS
+from isonoise.rendering import render
+from isonoise.scene import compile_scene, load, structs
+
+SEED = (7, 9)
+SAMPLES = 8  # per pixel
+VIEW = np.array([[0.8, 0, 0.6, 1], [0, 1, 0, 2], [-0.6, 0, 0.8, 3], [0, 0, 0, 1]])
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+FILMS = [
+    {"width": 9, "height": 5},
+    {"width": 4, "height": 7},
+    {"width": 16, "height": 12, "crop_offset_x": 3, "crop_offset_y": 4, "crop_width": 6, "crop_height": 5},
+]
+LENS = {"type": "thinlens", "fov": 40.0, "aperture_radius": 0.3, "focus_distance": 3.0}
+SENSORS = {
+    "pinhole": {"type": "perspective", "fov": 40.0, "principal_point_offset_x": 0.1, "to_world": VIEW},
+    "lens": {**LENS, "to_world": VIEW},
+    "wide lens": {**LENS, "aperture_radius": 50.0, "focus_distance": 0.02, "fov_axis": "larger", "to_world": VIEW},
+    "lens with defaults": {"type": "thinlens", "aperture_radius": 0.05},
+    "lens, mirrored": {**LENS, "near_clip": 0.5, "far_clip": 7.0, "to_world": VIEW @ MIRROR},
+    "parallel": {"type": "orthographic", "to_world": VIEW},
+    "parallel, scaled": {"type": "orthographic", "near_clip": 0.5, "to_world": VIEW @ np.diag([3.0, 2.0, 5.0, 1.0])},
+    "parallel, mirrored": {"type": "orthographic", "to_world": VIEW @ MIRROR, "far_clip": 20.0},
+}
+
+
+def scene_with(sensor: dict, film: dict) -> dict:
+    return {"type": "scene", "sensor": {**sensor, "film": {"type": "hdrfilm", **film, "rfilter": {"type": "box"}}}}
+
+
+def generated(description: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Origins with lengths, and directions, both (pixels, SAMPLES, 4), as the stage leaves them."""
+    scene = compile_scene(load(description))
+    device = Device()
+    kernel = device.build(*stage_source("generate.cl", STRUCTS, structs.CONSTANTS, features(scene)))["generate"]
+    pixels = scene.width * scene.height
+    n = pixels * SAMPLES
+    sample_pixel = np.repeat(np.arange(pixels, dtype=np.uint32), SAMPLES)
+    out = {name: device.buffer(size * n, name) for name, size in zip("odtps", (16, 16, 16, 16, 12), strict=True)}
+    zeros = device.buffer(4 * pixels, "counts")
+    arguments = (
+        *(np.uint32(n), np.uint32(0), np.uint32(0), np.array(SEED, np.uint32), device.buffer(scene.camera, "camera")),
+        *(None, np.uint32(0), device.buffer(sample_pixel, "list")),
+        *(device.buffer(np.arange(0, n, SAMPLES, dtype=np.uint32), "offsets"), zeros, zeros, *out.values()),
+    )
+    device.launch(kernel, n, arguments)
+    return tuple(device.read(out[name], np.float32, 4 * n).reshape(pixels, SAMPLES, 4) for name in "od")
+
+
+@pytest.mark.parametrize("film", FILMS)
+@pytest.mark.parametrize("name", SENSORS)
+def test_rays_are_mitsubas_for_the_same_numbers(name, film):
+    """Both map the square to the disk alike (Shirley and Chiu), so that lens samples can be compared one by one.
+
+    Directions to a few roundings of float32; origins to as many of the lengths that add up to them.
+    """
+    mitsuba = import_mitsuba()
+    description = scene_with(SENSORS[name], film)
+    theirs = mitsuba.load_dict(as_mitsuba(mitsuba, description["sensor"]))
+    origins, directions = generated(description)
+    width, height = film.get("crop_width", film["width"]), film.get("crop_height", film["height"])
+    for pixel, index in np.ndindex(len(origins), SAMPLES):
+        u = np.array([word >> 8 for word in philox_4x32((pixel, index, 0, 0), SEED)]) / 2**24
+        at = ((pixel % width + u[0]) / width, (pixel // width + u[1]) / height)
+        ray, _ = theirs.sample_ray(0.0, 0.0, at, u[2:])
+        np.testing.assert_allclose(directions[pixel, index, :3], np.array(ray.d), atol=2e-6)
+        lengths = (
+            np.abs(np.array(ray.o)).max() + np.linalg.norm(VIEW[:3, 3]) + SENSORS[name].get("aperture_radius", 0.0)
+        )
+        np.testing.assert_allclose(origins[pixel, index, :3], np.array(ray.o), atol=1e-6 * lengths)
+        assert origins[pixel, index, 3] == pytest.approx(ray.maxt, rel=1e-4)
+
+
+def test_a_lens_is_filled_evenly():
+    """Mean 0, variance radius^2 / 4 along each axis, and all within the radius: 5 standard deviations, false alarms
+    6e-7 for each of four comparisons. Near 0 the origin is on the lens."""
+    origins, _ = generated(scene_with({**LENS, "near_clip": 1e-6}, {"width": 40, "height": 30}))
+    at = origins[..., :2].reshape(-1, 2).astype(float) / LENS["aperture_radius"]
+    assert (at**2).sum(axis=1).max() < 1 + 1e-5
+    noise = 5 / np.sqrt(len(at))
+    assert np.abs(at.mean(axis=0)) == pytest.approx(0, abs=0.5 * noise)
+    assert at.var(axis=0) == pytest.approx(0.25, abs=0.25 * noise)  # the fourth moment is 1/8
+
+
+def test_rays_through_a_lens_meet_in_the_plane_in_focus():
+    origins, directions = generated(scene_with(LENS, {"width": 1, "height": 1}))
+    pinhole, ahead = generated(scene_with({**LENS, "aperture_radius": 0.0}, {"width": 1, "height": 1}))
+    reach = (LENS["focus_distance"] - origins[..., 2:3]) / directions[..., 2:3]
+    expected = (LENS["focus_distance"] - pinhole[..., 2:3]) / ahead[..., 2:3]
+    met = origins[..., :3] + reach * directions[..., :3]
+    np.testing.assert_allclose(met, pinhole[..., :3] + expected * ahead[..., :3], atol=1e-5)
+
+
+def test_no_aperture_is_a_pinhole():
+    film = {"width": 9, "height": 5}
+    lens = generated(scene_with({**LENS, "aperture_radius": 0.0, "to_world": VIEW}, film))
+    pinhole = generated(scene_with({"type": "perspective", "fov": 40.0, "to_world": VIEW}, film))
+    for one, other in zip(lens, pinhole, strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.parametrize("radius", [1e-6, 1.0, 1e3])
+@pytest.mark.parametrize("focus", [1e-4, 1.0, 1e6])
+def test_rays_stay_finite(radius, focus):
+    sensor = {**LENS, "aperture_radius": radius, "focus_distance": focus, "to_world": VIEW}
+    origins, directions = generated(scene_with(sensor, {"width": 16, "height": 16}))
+    assert np.isfinite(origins).all()
+    assert np.linalg.norm(directions[..., :3], axis=-1) == pytest.approx(1, abs=1e-6)
+    statistics = render({**room(sensor), "integrator": {"type": "path", "max_depth": 3}}, spp=4).statistics
+    assert not statistics.rejected.any()
+    assert np.isfinite(statistics.rgb).all()
+
+
+def room(sensor: dict) -> dict:
+    """Balls at several depths before a wall, under a lamp; -z is ahead."""
+
+    def placed(x, y, z, size=1.0):
+        matrix = np.diag([size, size, size, 1.0])
+        matrix[:3, 3] = x, y, z
+        return matrix
+
+    lamp = placed(0, 2.5, -2, 0.8) @ np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    lamp[:3, 2] *= -1  # shines down
+    balls = {
+        f"ball{i}": {
+            "type": "sphere",
+            "radius": 0.4,
+            "to_world": placed(x, -0.3, z),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}},
+        }
+        for i, (x, z, colour) in enumerate(
+            [(-0.8, -2, [0.8, 0.2, 0.1]), (0, -3, [0.2, 0.8, 0.1]), (0.9, -4, [0.5] * 3)]
+        )
+    }
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 4, "rr_depth": 5},
+        "sensor": {**sensor, "film": {"type": "hdrfilm", "width": 24, "height": 18, "rfilter": {"type": "box"}}},
+        "wall": {"type": "rectangle", "to_world": placed(0, 0, -5, 4.0)},
+        "lamp": {
+            "type": "rectangle",
+            "to_world": lamp,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [5.0, 4.0, 3.0]}},
+        },
+        **balls,
+    }
+
+
+LOOKING_BACK = np.diag([-1.0, 1.0, -1.0, 1.0])  # along -z, x to the right
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {**LENS, "fov": 50.0, "aperture_radius": 0.15, "to_world": LOOKING_BACK},
+        {"type": "orthographic", "to_world": LOOKING_BACK @ np.diag([1.8, 1.8, 1.0, 1.0])},
+    ],
+    ids=["lens", "parallel"],
+)
+def test_pictures_are_mitsubas(sensor, tmp_path):
+    """False alarms: below 1 % for the pixels, at most 0.8 % for the means."""
+    assert_same_picture(room(sensor), tmp_path, spp=32)
