@@ -1,5 +1,6 @@
 """OBJ, PLY, STL and GLB: what is read, in which order, with which normals; and what is refused."""
 
+import os
 import struct
 import time
 import tracemalloc
@@ -225,6 +226,17 @@ def test_broken_meshes_are_refused_in_bounded_memory(name, content, message, wri
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20e6  # what importing takes is in it; a header's promise of 1e9 vertices would be 12e9
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("kind", ["obj", "ply", "serialized"])
+def test_pipes_are_refused(kind, tmp_path):
+    """Else reading one would wait for ever."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    scene = {"type": "scene", "sensor": {"type": "perspective"}, "it": {"type": kind, "filename": str(path)}}
+    with pytest.raises(SceneError, match="pipe: is not a regular file"):
+        compile_scene(load(scene))
 
 
 @pytest.mark.parametrize("suffix", ["stl", "glb"])
