@@ -1,0 +1,139 @@
+// Environment map: the radiance from a direction, and directions sampled nearly in proportion to it. What the map and its table
+// are: host/isonoise/scene/environment.py.
+#pragma once
+#include "vectors.h"
+
+#if FEATURE_ENVIRONMENT_MAP
+typedef struct {
+    __global const Environment* record;
+    __global const float* texels;         // RGB, row by row
+    __global const EnvironmentRow* rows;  // of texels
+    __global const uint* columns;         // row of cells by row of cells
+} EnvironmentMap;
+
+#define LEAST_SINE 1e-20f  // at a pole the density is infinite and what it weighs nothing: both stay numbers
+
+// Four texels, the weights of their rows, and a place between them.
+typedef struct {
+    float3 texel00, texel10, texel01, texel11;  // texel `column row`
+    float sine0, sine1;
+    float s, t;  // in [0, 1], along columns and rows
+} EnvironmentCell;
+
+INLINE EnvironmentCell environment_cell(const EnvironmentMap* map, uint column, uint row)
+{
+    const uint width = map->record->size[0], next = column + 1u == width ? 0u : column + 1u;
+    __global const float* upper = map->texels + 3u * row * width;
+    __global const float* lower = upper + 3u * width;
+    EnvironmentCell cell;
+    cell.texel00 = LOAD3(column, upper);
+    cell.texel10 = LOAD3(next, upper);
+    cell.texel01 = LOAD3(column, lower);
+    cell.texel11 = LOAD3(next, lower);
+    cell.sine0 = map->rows[row].sine;
+    cell.sine1 = map->rows[row + 1u].sine;
+    return cell;
+}
+
+// The radiance at the cell's place; *weight gets the interpolated luminance * sine there.
+INLINE float3 cell_radiance(const EnvironmentMap* map, const EnvironmentCell* c, float* weight)
+{
+    const float3 upper = (1.0f - c->s) * c->texel00 + c->s * c->texel10;
+    const float3 lower = (1.0f - c->s) * c->texel01 + c->s * c->texel11;
+    *weight = (1.0f - c->t) * c->sine0 * luminance(upper) + c->t * c->sine1 * luminance(lower);
+    return ((1.0f - c->t) * upper + c->t * lower) * map->record->scale;
+}
+
+// Radiance from a unit direction, and the density with which `environment_sample` finds it.
+INLINE float3 environment_radiance(const EnvironmentMap* map, float3 direction, float* pdf)
+{
+    __global const Environment* record = map->record;
+    const float3 turned = direction.x * LOAD3(0, record->to_world) + direction.y * LOAD3(1, record->to_world) +
+                         direction.z * LOAD3(2, record->to_world);
+    const float sine = SQRT(turned.x * turned.x + turned.z * turned.z);
+    const int width = (int)record->size[0], cells = (int)record->size[1] - 1;
+    const float x = atan2(turned.x, -turned.z) * (0.5f * M_1_PI_F) * (float)width - 0.5f;
+    const float y = atan2(sine, turned.y) * M_1_PI_F * (float)cells;  // near the poles acos would be coarse
+    const int whole = (int)x, left = (float)whole > x ? whole - 1 : whole;
+    const int column = left < 0 ? left + width : left, row = LESSER((int)y, cells - 1);
+    EnvironmentCell cell = environment_cell(map, (uint)column, (uint)row);
+    cell.s = x - (float)left;
+    cell.t = LESSER(y - (float)row, 1.0f);
+    float weight;
+    const float3 radiance = cell_radiance(map, &cell, &weight);
+    *pdf = record->density * weight / GREATER(sine, LEAST_SINE);
+    return radiance;
+}
+
+INLINE float environment_pdf(const EnvironmentMap* map, float3 direction)
+{
+    float pdf;
+    environment_radiance(map, direction, &pdf);
+    return pdf;
+}
+
+// The last of `count` ascending bounds, `stride` words apart, that is not above `key`; the first is 0.
+INLINE uint last_bound(__global const uint* bounds, uint stride, uint count, uint key)
+{
+    uint found = 0;
+    while (count > 1u) {
+        const uint half_way = count >> 1;
+        found += bounds[stride * (found + half_way)] <= key ? half_way : 0u;
+        count -= half_way;
+    }
+    return found;
+}
+
+// Place of `key` between two bounds.
+INLINE float between(uint low, uint high, uint key)
+{
+    return (float)(key - low) / (float)(high - low);
+}
+
+// Inverts the distribution of a density that goes from a at 0 to b at 1 in a straight line; written so that nothing cancels.
+INLINE float sample_linear(float u, float a, float b)
+{
+    const float total = a + b;
+    if (!(total > 0.0f)) return u;
+    a /= total;
+    b /= total;
+    const float x = u / GREATER(a + SQRT((1.0f - u) * a * a + u * b * b), 1e-30f);
+    return LESSER(x, 1.0f);
+}
+
+// A direction, the radiance from there, and the density in solid angle with which it was found; 0 if all is dark.
+INLINE float3 environment_sample(const EnvironmentMap* map, float2 u, float3* direction, float* pdf)
+{
+    __global const Environment* record = map->record;
+    const uint width = record->size[0], cells = record->size[1] - 1u;
+    // a row of cells, a cell of it; the rest of each number serves within
+    const uint row_key = (uint)(u.y * 0x1p24f) << 8, column_key = (uint)(u.x * 0x1p24f) << 8;
+    __global const uint* row_bounds = (__global const uint*)map->rows;
+    const uint row = last_bound(row_bounds, 2u, cells, row_key);
+    __global const uint* bounds = map->columns + row * width;
+    const uint column = last_bound(bounds, 1u, width, column_key);
+    const uint row_end = row + 1u == cells ? 0xFFFFFFFFu : row_bounds[2u * row + 2u];
+    const uint column_end = column + 1u == width ? 0xFFFFFFFFu : bounds[column + 1u];
+    EnvironmentCell cell = environment_cell(map, column, row);
+    const float w00 = cell.sine0 * luminance(cell.texel00), w10 = cell.sine0 * luminance(cell.texel10);
+    const float w01 = cell.sine1 * luminance(cell.texel01), w11 = cell.sine1 * luminance(cell.texel11);
+    cell.t = sample_linear(between(row_bounds[2u * row], row_end, row_key), w00 + w10, w01 + w11);
+    cell.s = sample_linear(between(bounds[column], column_end, column_key), (1.0f - cell.t) * w00 + cell.t * w01,
+                           (1.0f - cell.t) * w10 + cell.t * w11);
+    float weight;
+    const float3 radiance = cell_radiance(map, &cell, &weight);
+
+    // angles are counted from the nearer pole, where a small one is more precise
+    const bool southern = 2u * row >= cells;
+    const float steps = southern ? (float)(cells - row) - cell.t : (float)row + cell.t;
+    const float2 polar = circle(0.5f * steps / (float)cells);
+    const float turns = ((float)column + 0.5f + cell.s) / (float)width;
+    const float2 around = circle(turns < 1.0f ? turns : turns - 1.0f);
+    const float3 turned =
+        (float3)(polar.y * around.y, southern ? -polar.x : polar.x, -polar.y * around.x);
+    *direction = (float3)(dot3(LOAD3(0, record->to_world), turned), dot3(LOAD3(1, record->to_world), turned),
+                          dot3(LOAD3(2, record->to_world), turned));
+    *pdf = record->density * weight / GREATER(polar.y, LEAST_SINE);
+    return radiance;
+}
+#endif
