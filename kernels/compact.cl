@@ -30,7 +30,11 @@ __kernel void scan_blocks(__global uint* block_alive, uint blocks, __global uint
 __kernel void move_paths(__global const uchar* alive, uint paths, uint block_size, __global const uint* block_alive,
                          __global const float4* ray_origin, __global const float4* ray_direction,
                          __global const float4* throughput, __global const uint4* path, __global float4* next_ray_origin,
-                         __global float4* next_ray_direction, __global float4* next_throughput, __global uint4* next_path)
+                         __global float4* next_ray_direction, __global float4* next_throughput, __global uint4* next_path
+#if FEATURE_INSTANCES
+                         , __global const uint* instance, __global uint* next_instance
+#endif
+                         )
 {
     const uint block = get_global_id(0);
     const uint begin = block * block_size;
@@ -43,6 +47,9 @@ __kernel void move_paths(__global const uchar* alive, uint paths, uint block_siz
         next_ray_direction[to] = ray_direction[i];
         next_throughput[to] = throughput[i];
         next_path[to] = path[i];
+#if FEATURE_INSTANCES
+        next_instance[to] = instance[i];
+#endif
         ++to;
     }
 }

@@ -21,7 +21,11 @@ __kernel void generate(uint count_new, uint first_slot, uint first_sample, uint2
                        __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
                        __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
                        __global const uint* rejected, __global float4* ray_origin, __global float4* ray_direction,
-                       __global float4* throughput, __global uint4* path, __global float* samples)
+                       __global float4* throughput, __global uint4* path, __global float* samples
+#if FEATURE_INSTANCES
+                       , __global uint* instance
+#endif
+                       )
 {
     const uint i = get_global_id(0);
     if (i >= count_new) return;
@@ -62,5 +66,8 @@ __kernel void generate(uint count_new, uint first_slot, uint first_sample, uint2
     ray_direction[slot] = (float4)(direction, -1.0f);
     throughput[slot] = (float4)(1.0f);
     path[slot] = (uint4)(sample, NONE, index, 0u);
+#if FEATURE_INSTANCES
+    instance[slot] = NONE;
+#endif
     store3((float3)(0.0f), sample, samples);
 }

@@ -1,18 +1,28 @@
 // Stage: the closest surface along the ray of every path.
 // Reads ray_origin, ray_direction, path (the primitive that the ray starts on); writes hit = (t, u, v, primitive bits).
+// With instances: reads in which one the ray starts, writes in which one it ends; NONE is the world.
 #include "bvh.h"
-#include "analytic.h"
+#include "instance.h"
 
 __kernel void intersect(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
                         __global const Analytic* analytics, __global const float4* ray_origin,
-                        __global const float4* ray_direction, __global const uint4* path, __global float4* hit)
+                        __global const float4* ray_direction, __global const uint4* path, __global float4* hit
+#if FEATURE_INSTANCES
+                        , __global const Instance* instances, uint first_instance, __global uint* instance
+#endif
+                        )
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
     const float4 origin = ray_origin[i];
-    const Ray ray = make_ray(origin.xyz, ray_direction[i].xyz);
+    const float3 direction = ray_direction[i].xyz;
+    Ray ray = make_ray(origin.xyz, direction);
 
-    const uint2 skip = (uint2)(path[i].y, NONE);
+    uint2 skip = (uint2)(path[i].y, NONE);
+#if FEATURE_INSTANCES
+    const uint start = instance[i];
+    uint inside = NONE, hit_instance = NONE, bottom = 0;  // bottom: the part of the stack that is of the world
+#endif
 
     float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
     uint primitive = NONE;
@@ -40,6 +50,18 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
             }
         } else {
             const uint leaf = (uint)(~reference);
+#if FEATURE_INSTANCES
+            if (leaf >= first_instance) {
+                inside = leaf - first_instance;
+                bottom = height;
+                skip.x = skip_inside(path[i].y, start, inside);
+                float3 o = origin.xyz, d = direction;
+                ray_to_object(instances + inside, &o, &d);
+                ray = make_ray(o, d);
+                reference = (int)instances[inside].root;
+                continue;
+            }
+#endif
 #if FEATURE_TRIANGLES
             if (leaf < block_count) {
                 __global const float8* block = blocks + BLOCK_STRIDE * leaf;
@@ -51,6 +73,9 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
                         hit_u = u.lane[lane];
                         hit_v = v.lane[lane];
                         primitive = ((__global const uint*)(block + 9))[lane];
+#if FEATURE_INSTANCES
+                        hit_instance = inside;
+#endif
                     }
                 }
             }
@@ -61,13 +86,25 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
                 if (t < t_max) {
                     t_max = t;
                     primitive = ANALYTIC_BIT | (leaf - block_count);
+#if FEATURE_INSTANCES
+                    hit_instance = inside;
+#endif
                 }
             }
 #endif
         }
         do {
+#if FEATURE_INSTANCES
+            if (inside != NONE && height == bottom) {
+                inside = NONE;
+                ray = make_ray(origin.xyz, direction);
+            }
+#endif
             if (height == 0) {
                 hit[i] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
+#if FEATURE_INSTANCES
+                instance[i] = hit_instance;
+#endif
                 return;
             }
             --height;

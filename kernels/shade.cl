@@ -53,7 +53,11 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
                     uint environment_light, __global const float4* hit, __global float4* ray_origin,
                     __global float4* ray_direction, __global float4* throughput, __global uint4* path,
                     __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance,
-                    __global float* samples, __global uchar* alive)
+                    __global float* samples, __global uchar* alive
+#if FEATURE_INSTANCES
+                    , __global const Instance* instances, __global const uint* instance
+#endif
+                    )
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
@@ -78,7 +82,11 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
         return;
     }
+#if FEATURE_INSTANCES
+    const Surface s = instanced_surface_at(&geometry, instances, instance[i], primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
+#else
     const Surface s = surface_at(&geometry, primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
+#endif
     if (dot3(s.geometric_normal, s.geometric_normal) == 0.0f) return;
 #if FEATURE_TRIANGLES
     if (!(primitive & ANALYTIC_BIT) && in_plane(&s, origin.xyz)) return;

@@ -2,13 +2,17 @@
 // Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
 // shadow_radiance, hit (the primitive it starts on); adds to samples.
 #include "bvh.h"
-#include "analytic.h"
+#include "instance.h"
 
 __kernel void shadow(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
                      __global const Analytic* analytics, __global const float4* shadow_origin,
                      __global const float4* shadow_direction,
                      __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
-                     __global float* samples)
+                     __global float* samples
+#if FEATURE_INSTANCES
+                     , __global const Instance* instances, uint first_instance, __global const uint* instance
+#endif
+                     )
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
@@ -16,8 +20,12 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
     const float t_max = direction.w;
     if (t_max == 0.0f) return;
     const float4 origin = shadow_origin[i];
-    const uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
-    const Ray ray = make_ray(origin.xyz, direction.xyz);
+    uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
+    Ray ray = make_ray(origin.xyz, direction.xyz);
+#if FEATURE_INSTANCES
+    const uint start = instance[i];
+    uint inside = NONE, bottom = 0;  // the part of the stack that is of the world
+#endif
 
     int stack[STACK_SIZE];
     uint height = 0;
@@ -31,6 +39,18 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
                 stack[height++] = children[lowest_bit(met)];
         } else {
             const uint leaf = (uint)(~reference);
+#if FEATURE_INSTANCES
+            if (leaf >= first_instance) {
+                inside = leaf - first_instance;
+                bottom = height;
+                skip.x = skip_inside(as_uint(hit[i].w), start, inside);
+                float3 o = origin.xyz, d = direction.xyz;
+                ray_to_object(instances + inside, &o, &d);
+                ray = make_ray(o, d);
+                reference = (int)instances[inside].root;
+                continue;
+            }
+#endif
 #if FEATURE_TRIANGLES
             float8 t, u, v;
             if (leaf < block_count && triangles_met(blocks + BLOCK_STRIDE * leaf, &ray, skip, t_max, &t, &u, &v)) return;
@@ -41,6 +61,12 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
                 return;
 #endif
         }
+#if FEATURE_INSTANCES
+        if (inside != NONE && height == bottom) {
+            inside = NONE;
+            ray = make_ray(origin.xyz, direction.xyz);
+        }
+#endif
         if (height == 0) break;
         reference = stack[--height];
     }

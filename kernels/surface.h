@@ -1,6 +1,6 @@
 // From a hit to the surface there: position with its error bound, normals, shape.
 #pragma once
-#include "analytic.h"
+#include "instance.h"
 #include "vectors.h"
 
 #define GAMMA(n) ((n) * 0x1p-24f / (1.0f - (n) * 0x1p-24f))  // Higham's bound on n rounded operations
@@ -70,6 +70,18 @@ INLINE void sphere_surface(__global const Analytic* sphere, float3 outward, Surf
 }
 #endif
 
+#if FEATURE_DISKS || FEATURE_CYLINDERS || FEATURE_INSTANCES
+// How far a point may be off that was taken from object space to world space and that the intersection stage takes back.
+INLINE float3 round_trip_error(const float* to_world, const float* to_object, float3 on_object, float3 in_world)
+{
+    float m[12], inverse[12];
+    for (int i = 0; i < 12; ++i) m[i] = abs1(to_world[i]);
+    for (int i = 0; i < 12; ++i) inverse[i] = abs1(to_object[i]);
+    return GAMMA(6) * transform_point(m, abs3(on_object)) +
+           GAMMA(5) * transform_direction(m, transform_point(inverse, abs3(in_world)));
+}
+#endif
+
 #if FEATURE_DISKS || FEATURE_CYLINDERS
 // A point of object space that lies on the surface exactly, and its normal there, taken to world space.
 INLINE void transformed_surface(__global const Analytic* shape, float3 on_shape, float3 shape_normal, Surface* s)
@@ -79,12 +91,7 @@ INLINE void transformed_surface(__global const Analytic* shape, float3 on_shape,
     load_matrix(shape->to_object, inverse);
     s->position = transform_point(m, on_shape);
     s->normal = unit(transform_normal(inverse, shape_normal));
-    float magnitude[12];
-    for (int i = 0; i < 12; ++i) magnitude[i] = abs1(m[i]);
-    s->error = GAMMA(6) * transform_point(magnitude, abs3(on_shape));
-    // the intersection stage takes the point back to object space, which rounds again
-    for (int i = 0; i < 12; ++i) inverse[i] = abs1(inverse[i]);
-    s->error += GAMMA(5) * transform_direction(magnitude, transform_point(inverse, abs3(s->position)));
+    s->error = round_trip_error(m, inverse, on_shape, s->position);
 }
 #endif
 
@@ -131,3 +138,24 @@ INLINE Surface surface_at(const Geometry* g, uint primitive, float3 origin, floa
     return none;
 #endif
 }
+
+#if FEATURE_INSTANCES
+// The surface where a ray met `primitive` in an instance, NONE for one that stands in the world.
+INLINE Surface instanced_surface_at(const Geometry* g, __global const Instance* instances, uint instance, uint primitive,
+                                    float3 origin, float3 direction, float t, float u, float v)
+{
+    if (instance != NONE) ray_to_object(instances + instance, &origin, &direction);
+    Surface s = surface_at(g, primitive, origin, direction, t, u, v);
+    if (instance == NONE) return s;
+    float m[12], inverse[12], magnitude[12];
+    load_matrix(instances[instance].to_world, m);
+    load_matrix(instances[instance].to_object, inverse);
+    for (int i = 0; i < 12; ++i) magnitude[i] = abs1(m[i]);
+    const float3 on_object = s.position;
+    s.position = transform_point(m, on_object);
+    s.error = transform_direction(magnitude, s.error) + round_trip_error(m, inverse, on_object, s.position);
+    s.geometric_normal = unit(transform_normal(inverse, s.geometric_normal));
+    s.normal = unit(transform_normal(inverse, s.normal));
+    return s;
+}
+#endif

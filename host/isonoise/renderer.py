@@ -10,10 +10,9 @@ import numpy as np
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene.bounds import analytic_bounds
-from isonoise.scene.bvh import build_bvh
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.scene.load import load
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
@@ -75,7 +74,7 @@ class Renderer:
 
         self.scene: CompiledScene = compile_scene(load(scene, parameters), size=size, max_depth=max_depth)
         lap("load")
-        bvh = build_bvh(self.scene.vertices[self.scene.faces], *analytic_bounds(self.scene.analytics))
+        bvh = build_hierarchy(self.scene)
         lap("build")
         on_device = Device(device, profile)
         self.device_name = on_device.name

@@ -29,6 +29,10 @@ FEATURES = {
     "SPHERES": Feature("spheres", "sphere test in intersect and shadow"),
     "DISKS": Feature("disks", "disk test in intersect and shadow"),
     "CYLINDERS": Feature("cylinders", "cylinder test in intersect and shadow"),
+    "INSTANCES": Feature(
+        "groups of shapes that stand in several places",
+        "100 bytes an instance, 8 bytes a path; transforms of rays in intersect and shadow, of surfaces in shade",
+    ),
     "DIFFUSE": Feature("diffuse reflection", "code in shade"),
     "DIELECTRIC": Feature("smooth glass", "code in shade"),
     "THIN_DIELECTRIC": Feature("thin smooth glass", "code in shade"),
@@ -90,6 +94,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "SPHERES": structs.ANALYTIC_SPHERE in analytic,
         "DISKS": structs.ANALYTIC_DISK in analytic,
         "CYLINDERS": structs.ANALYTIC_CYLINDER in analytic,
+        "INSTANCES": len(scene.instances) > 0,
         "DIFFUSE": structs.BSDF_DIFFUSE in bsdf,
         "DIELECTRIC": structs.BSDF_DIELECTRIC in bsdf,
         "THIN_DIELECTRIC": structs.BSDF_THIN_DIELECTRIC in bsdf,

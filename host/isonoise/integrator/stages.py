@@ -28,7 +28,10 @@ class Stages:
         self._kernels: dict[str, object] = {}
         for file in dict.fromkeys(file for file, _ in table.values()):
             self._kernels.update(device.build(*stage_source(file, structs, constants, features)))
-        self._names = {kernel: _present(arguments, features) for kernel, (_, arguments) in table.items()}
+        self._names = {
+            kernel: tuple(present(dict.fromkeys(arguments.split()), features))
+            for kernel, (_, arguments) in table.items()
+        }
 
     def __iter__(self):
         return iter(self._kernels)
@@ -39,7 +42,7 @@ class Stages:
         self.device.launch(self._kernels[kernel], items, arguments)
 
 
-def _present(arguments: str, features: Mapping[str, bool]) -> tuple[str, ...]:
-    """Names of the arguments whose feature, if they have one, is on."""
-    pairs = [argument.rpartition(":") for argument in arguments.split()]
-    return tuple(name for feature, _, name in pairs if not feature or features[feature])
+def present(named: Mapping[str, object], features: Mapping[str, bool]) -> dict[str, object]:
+    """What goes by `name`, or by `NAME:name` with the feature NAME on; the names without their features."""
+    parted = [(key.rpartition(":"), value) for key, value in named.items()]
+    return {name: value for (feature, _, name), value in parted if not feature or features[feature]}

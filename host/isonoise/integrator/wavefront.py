@@ -14,7 +14,7 @@ from isonoise.device.opencl import Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
-from isonoise.integrator.stages import Stages
+from isonoise.integrator.stages import Stages, present
 from isonoise.scene import structs
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
@@ -25,6 +25,7 @@ STRUCTS = {
     "Camera": structs.CAMERA,
     "Shape": structs.SHAPE,
     "Analytic": structs.ANALYTIC,
+    "Instance": structs.INSTANCE,
     "Bsdf": structs.BSDF,
     "Light": structs.LIGHT,
     "Alias": structs.ALIAS,
@@ -36,28 +37,30 @@ KERNELS = {
     "generate": (
         "generate.cl",
         "count_new first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count "
-        "rejected ray_origin ray_direction throughput path samples",
+        "rejected ray_origin ray_direction throughput path samples INSTANCES:instance",
     ),
     "intersect": (
         "intersect.cl",
-        "paths nodes blocks block_count analytics ray_origin ray_direction path hit",
+        "paths nodes blocks block_count analytics ray_origin ray_direction path hit "
+        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "shade": (
         "shade.cl",
         "paths sample_pixel seed max_depth rr_depth triangles faces vertex_normals analytics shapes bsdfs "
         "lights light_alias light_count environment_light hit ray_origin ray_direction throughput path shadow_origin "
-        "shadow_direction shadow_radiance samples alive",
+        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance",
     ),
     "shadow": (
         "shadow.cl",
-        "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples",
+        "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples "
+        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "count_alive": ("compact.cl", "alive paths block_size block_alive"),
     "scan_blocks": ("compact.cl", "block_alive blocks_in_use total_alive"),
     "move_paths": (
         "compact.cl",
         "alive paths block_size block_alive ray_origin ray_direction throughput path "
-        "next_ray_origin next_ray_direction next_throughput next_path",
+        "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance",
     ),
     "reduce": (
         "reduce.cl",
@@ -71,8 +74,8 @@ KERNELS = {
 }
 
 
-PATH_STATE = ("ray_origin", "ray_direction", "throughput", "path")
-"""Buffers that hold a path between bounces; each has a second one, `next_...`, to move to."""
+PATH_STATE = {"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16, "INSTANCES:instance": 4}
+"""Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
 
 
 class Wavefront:
@@ -97,6 +100,7 @@ class Wavefront:
         self._stages = Stages(device, table, self.features, structs.CONSTANTS | build_constants(needs), STRUCTS)
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
+        self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
 
     def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
@@ -128,6 +132,8 @@ class Wavefront:
             "vertex_normals": table(scene.vertex_normals if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
+            "instances": table(scene.instances, "the instances"),
+            "first_instance": np.uint32(len(bvh.blocks) + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),
@@ -140,7 +146,11 @@ class Wavefront:
             "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
             "block_size": np.uint32(self.block_size),
             "total_alive": device.buffer(4, "the compaction"),
-            **{name: per_path("the paths") for state in PATH_STATE for name in (state, f"next_{state}")},
+            **{
+                name: per_path("the paths", size)
+                for state, size in self._path_state.items()
+                for name in (state, f"next_{state}")
+            },
             "hit": per_path("the hits"),
             "shadow_origin": per_path("the shadow rays") if shadowed else None,
             "shadow_direction": per_path("the shadow rays") if shadowed else None,
@@ -219,6 +229,6 @@ class Wavefront:
         self._stages.launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
         self._stages.launch("move_paths", blocks, **bound)
         of = self._arguments
-        for name in PATH_STATE:
+        for name in self._path_state:
             of[name], of[f"next_{name}"] = of[f"next_{name}"], of[name]
         return int(self.device.read(of["total_alive"], np.uint32, 1)[0])

@@ -4,7 +4,8 @@ Layout on the device (all float8, see kernels/bvh.h):
 - node: lower x, y, z and upper x, y, z of 8 children, then 8 child references (int32 bits);
 - block: x, y, z of the first, second and third corners of 8 triangles, then 8 triangle indices (uint32 bits).
 
-A reference >= 0 is a node; ~reference of a negative one is a leaf: a block, or past the blocks an analytic primitive.
+A reference >= 0 is a node; ~reference of a negative one is a leaf: a block, or past the blocks an analytic primitive or
+anything else that is a box (`hierarchy`).
 Unused slots of a node are boxes that no ray meets; unused lanes of a block are triangles of zero area.
 """
 
@@ -29,8 +30,13 @@ class Bvh:
     depth: int  # levels of nodes
 
 
-def build_bvh(corners: np.ndarray, analytic_lower: np.ndarray, analytic_upper: np.ndarray) -> Bvh:
-    """Builds over triangles, corners (T, 3, 3) float32, and the boxes of the analytic primitives, (A, 3) float32."""
+def build_bvh(
+    corners: np.ndarray, analytic_lower: np.ndarray, analytic_upper: np.ndarray, stack_size: int = STACK_SIZE
+) -> Bvh:
+    """Builds over triangles, corners (T, 3, 3) float32, and the boxes of the analytic primitives, (A, 3) float32.
+
+    A tree that needs more than `stack_size` entries is built again by halving.
+    """
     triangles, analytics = len(corners), len(analytic_lower)
     if triangles + analytics == 0:
         return Bvh(_empty_nodes(1), np.zeros((0, 10, 8), np.float32), 1, 1)
@@ -40,7 +46,7 @@ def build_bvh(corners: np.ndarray, analytic_lower: np.ndarray, analytic_upper: n
     weight = np.ones(triangles + analytics, np.int32)
     weight[triangles:] = WIDTH + 1  # an analytic primitive never shares a leaf
     bvh = _collapse(build_binary_tree(lower, upper), weight, by_corner, triangles)
-    if bvh.stack > STACK_SIZE:
+    if bvh.stack > stack_size:
         bvh = _collapse(_halve(lower, upper), weight, by_corner, triangles)
     return bvh
 

@@ -7,9 +7,11 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.scene import lights as lighting
 from isonoise.scene import structs, vocabulary
+from isonoise.scene.bounds import instance_extents
 from isonoise.scene.bsdfs import Bsdfs
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.instances import instance_records, separate
 from isonoise.scene.surfaces import Surface, make_surface
 
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none
@@ -31,10 +33,12 @@ def compile_scene(
     camera, filter_name = compile_camera(sensor, size)
     integrator = next(iter(_of_kind(description, "integrator").values()), _PATH)
     depth = _DIRECT_DEPTH if integrator["type"] == "direct" else integrator["max_depth"]
-    shapes = _of_kind(description, "shape")
-    surfaces = [make_surface(shape, f"shape '{name}'") for name, shape in shapes.items()]
-    bounds = _bounds(list(shapes), surfaces)
-    geometry = _Geometry(list(shapes.values()), surfaces)
+    world, groups, placed = separate(_of_kind(description, "shape"))
+    spaces = [{where: make_surface(shape, where) for where, shape in shapes.items()} for shapes in (world, *groups)]
+    instances = instance_records(placed)
+    bounds = _bounds(spaces, instances, list(placed))
+    shapes = [shape for space in (world, *groups) for shape in space.values()]
+    geometry = _Geometry(shapes, [surface for space in spaces for surface in space.values()])
     lights, alias, environment, scale = _lights(geometry, list(_of_kind(description, "emitter").values()), bounds)
     arrays = {
         "camera": camera,
@@ -44,6 +48,8 @@ def compile_scene(
         "triangle_shape": geometry.triangle_shape,
         "analytics": geometry.analytics,
         "shapes": geometry.shapes,
+        "instances": instances,
+        "group_begins": _group_begins(spaces),
         "bsdfs": geometry.bsdfs,
         "lights": lights,
         "light_alias": alias,
@@ -75,17 +81,37 @@ def _hash(arrays: dict[str, np.ndarray], facts: dict) -> str:
     return digest.hexdigest()
 
 
-def _bounds(names: list[str], surfaces: list[Surface]) -> np.ndarray:
-    """(2, 3) float64 corners of the box around all surfaces, zeros if there are none."""
-    if not surfaces:
+def _bounds(spaces: list[dict[str, Surface]], instances: np.ndarray, names: list[str]) -> np.ndarray:
+    """(2, 3) float64 corners of the box around all that stands in the world, zeros if that is nothing.
+
+    `spaces` are the surfaces of the world and of every group, `names` those of the instances.
+    """
+    boxes = [_box({where: surface.bounds for where, surface in space.items()}) for space in spaces]
+    if len(instances):
+        extents = np.stack(instance_extents(instances, np.stack(boxes)[instances["root"]]), axis=1)
+        in_world = _box(dict(zip(names, extents, strict=True)))
+        boxes[0] = _box({"world": boxes[0], "instances": in_world}) if spaces[0] else in_world
+    return boxes[0]
+
+
+def _box(boxes: dict[str, np.ndarray]) -> np.ndarray:
+    """The box (2, 3) around boxes, which go by the names of what they hold; zeros around nothing."""
+    if not boxes:
         return np.zeros((2, 3))
-    boxes = np.stack([surface.bounds for surface in surfaces])
-    farthest = int(np.argmax(np.abs(boxes).max(axis=(1, 2))))
-    if not np.abs(boxes[farthest]).max() <= _FARTHEST:
-        raise SceneError(
-            f"shape '{names[farthest]}' reaches beyond {_FARTHEST:g}: its distances overflow 32-bit floats"
-        )
-    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+    corners = np.stack(list(boxes.values()))
+    farthest = int(np.argmax(np.abs(corners).max(axis=(1, 2))))
+    if not np.abs(corners[farthest]).max() <= _FARTHEST:
+        raise SceneError(f"{list(boxes)[farthest]} reaches beyond {_FARTHEST:g}: its distances overflow 32-bit floats")
+    return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+
+
+def _group_begins(spaces: list[dict[str, Surface]]) -> np.ndarray:
+    """(groups + 1, 2) uint32: triangles and analytic primitives before each group (the world comes first), and all."""
+    counts = [
+        [sum(len(s.faces) for s in space.values()), sum(s.analytic is not None for s in space.values())]
+        for space in spaces
+    ]
+    return np.cumsum(counts, axis=0, dtype=np.uint32)
 
 
 class _Geometry:

@@ -9,6 +9,7 @@ import numpy as np
 class CompiledScene:
     """A scene as flat arrays, in world space, with emitters scaled by `radiance_scale`.
 
+    Primitives of groups, which instances place in the world, are in the group's space; they come after all others.
     Arrays are C-contiguous; dtypes of records are in `structs`. Absent things are empty arrays, not None.
     """
 
@@ -24,6 +25,8 @@ class CompiledScene:
     triangle_shape: np.ndarray  # (T,) uint32: index into shapes
     analytics: np.ndarray  # (A,) structs.ANALYTIC
     shapes: np.ndarray  # (S,) structs.SHAPE
+    instances: np.ndarray  # (I,) structs.INSTANCE
+    group_begins: np.ndarray  # (G + 1, 2) uint32: first triangle, analytic primitive of each group; their numbers
     bsdfs: np.ndarray  # (B,) structs.BSDF
     lights: np.ndarray  # (L,) structs.LIGHT; pick probabilities sum to 1
     light_alias: np.ndarray  # (L,) structs.ALIAS

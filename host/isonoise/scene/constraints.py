@@ -123,6 +123,11 @@ def _mesh(shape: dict, place: Place):
         place.fail(f"there are no faces, or one names a vertex that does not exist (there are {count})")
 
 
+def _shapegroup(group: dict, place: Place):
+    if any(isinstance(shape, dict) and "emitter" in shape for shape in group.values()):
+        place.fail("a shape of a shapegroup cannot shine, in Mitsuba 3 neither; place it outside of the group")
+
+
 def _scene(scene: dict, place: Place):
     constant = [v for v in scene.values() if isinstance(v, dict) and v["type"] == "constant"]
     if len(constant) > 1:
@@ -152,5 +157,6 @@ _CHECKS = {
     "directional": _directional,
     "spot": _spot,
     "mesh": _mesh,
+    "shapegroup": _shapegroup,
     "scene": _scene,
 }

@@ -3,6 +3,8 @@
 Every check of names, types and ranges is here, so that XML files and Python dicts go through the same ones.
 """
 
+from collections import Counter
+
 from isonoise.scene import vocabulary
 from isonoise.scene.constraints import check_constraints
 from isonoise.scene.registry import IGNORED, SUPPORTED, UNSUPPORTED, Child, Plugin
@@ -51,12 +53,13 @@ class _Normaliser:
         self.active.add(id(element))
         plugin = self.plugin(element, kinds)
         result = {"type": plugin.name}
+        held: Counter[str] = Counter()  # nested objects by kind
         for name, value, place in element.entries:
             if isinstance(value, (Element, Reference)):
-                self.child(plugin, result, name, value, place)
+                self.child(plugin, result, held, name, value, place)
             else:
                 self.parameter(plugin, result, name, value, place)
-        self.complete(plugin, result, element.place)
+        self.complete(plugin, result, held, element.place)
         self.active.discard(id(element))
         self.done[id(element)] = result
         return result
@@ -89,7 +92,7 @@ class _Normaliser:
         names = [p.name for p in vocabulary.PLUGINS if p.kind in kinds]
         element.place.fail(f"unknown type '{element.type}'; did you mean '{nearest(element.type, names)}'?")
 
-    def child(self, plugin: Plugin, result: dict, name: str, value, place: Place):
+    def child(self, plugin: Plugin, result: dict, held: Counter[str], name: str, value, place: Place):
         """Enter a nested object, or the one that a reference names, into its parent."""
         element = value
         if isinstance(value, Reference):
@@ -118,26 +121,22 @@ class _Normaliser:
             place.fail(
                 f"{plugin.name} cannot hold {a(kind)} '{nested['type']}' (it may hold: {', '.join(child.types)})"
             )
-        self.enter(plugin, child, result, name or element.id, nested, place)
+        self.enter(plugin, child, result, held[kind], name or element.id, nested, place)
+        held[kind] += 1
 
-    def enter(self, plugin: Plugin, child: Child, result: dict, name: str, nested: dict, place: Place):
-        held = [v for v in result.values() if isinstance(v, dict) and self.is_kind(v, child.kind)]
+    def enter(self, plugin: Plugin, child: Child, result: dict, held: int, name: str, nested: dict, place: Place):
         if plugin.kind == "scene":
             key = name or child.kind
-            if len(held) >= child.most:
+            if held >= child.most:
                 place.fail(f"a scene has only one {child.kind}")
             while key in result:
                 key = f"{child.kind}_{len(result)}"
             result[key] = nested
-        elif len(held) >= child.most:
+        elif held >= child.most:
             number = "one" if child.most == 1 else str(child.most)
             place.fail(f"{plugin.name} may hold only {number} {child.kind}{'s' if child.most > 1 else ''}")
         else:
-            result[child.kind if not held else f"{child.kind}_{len(held)}"] = nested
-
-    @staticmethod
-    def is_kind(nested: dict, kind: str) -> bool:
-        return nested.get("type") in vocabulary.plugins_of(kind)
+            result[child.kind if not held else f"{child.kind}_{held}"] = nested
 
     def parameter(self, plugin: Plugin, result: dict, name: str, value, place: Place):
         parameter = plugin.parameter(name)
@@ -157,7 +156,7 @@ class _Normaliser:
             place.fail(f"'{name}' is given twice")
         result[name] = check_value(parameter, value, place)
 
-    def complete(self, plugin: Plugin, result: dict, place: Place):
+    def complete(self, plugin: Plugin, result: dict, held: Counter[str], place: Place):
         """Fill in defaults; complain about what is required and about combinations that exclude each other."""
         for parameter in plugin.parameters:
             if parameter.name in result or parameter.status != SUPPORTED:
@@ -167,11 +166,11 @@ class _Normaliser:
             if parameter.default is not None:
                 result[parameter.name] = check_value(parameter, parameter.default, place)
         for child in plugin.children:
-            held = sum(1 for v in result.values() if isinstance(v, dict) and self.is_kind(v, child.kind))
-            if held < child.least:
+            if held[child.kind] < child.least:
                 number = "a" if child.least == 1 else str(child.least)
+                nested = child.types[0] if len(child.types) == 1 else child.kind
                 place.fail(
-                    f"{plugin.kind} '{plugin.name}' needs {number} nested {child.kind}{'s' if child.least > 1 else ''}"
+                    f"{plugin.kind} '{plugin.name}' needs {number} nested {nested}{'s' if child.least > 1 else ''}"
                 )
         check_constraints(plugin.kind, result, place)
         if plugin.name in ("moment", "aov"):

@@ -1,5 +1,9 @@
 """The supported subset of Mitsuba 3's scene vocabulary, as tables; names, units and defaults are its own (3.9)."""
 
+from collections.abc import Mapping
+from functools import cache
+from types import MappingProxyType
+
 from isonoise.scene.registry import Child, Plugin
 from isonoise.scene.vocabulary.bsdfs import BSDFS
 from isonoise.scene.vocabulary.common import ignored
@@ -42,7 +46,7 @@ ELSEWHERE: dict[str, tuple[str, ...]] = {
         "rfilter": "catmullrom lanczos mitchell",
         "integrator": "depth direct_projective prb prb_basic prb_projective prbvolpath ptracer stokes volpathmis",
         "bsdf": "circular hair measured measured_polarized polarizer pplastic principledthin retarder",
-        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh instance linearcurve merge sdfgrid shapegroup",
+        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh linearcurve merge sdfgrid",
         "emitter": "directionalarea envmap projector sunsky timed_sunsky",
         "texture": "blackbody d65 irregular rawconstant regular srgb uniform volume",
         "medium": "heterogeneous homogeneous",
@@ -53,9 +57,10 @@ ELSEWHERE: dict[str, tuple[str, ...]] = {
 """Plugins that Mitsuba 3 has and isonoise does not: named in the error, so that nobody looks for a typing mistake."""
 
 
-def plugins_of(kind: str) -> dict[str, Plugin]:
+@cache
+def plugins_of(kind: str) -> Mapping[str, Plugin]:
     """The supported plugins of a kind by name."""
-    return {p.name: p for p in PLUGINS if p.kind == kind}
+    return MappingProxyType({p.name: p for p in PLUGINS if p.kind == kind})
 
 
 def kinds_of(name: str) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ _SHAPE = (*PLACED, P("flip_normals", "boolean", False), *ignored("float", "silho
 _CHILDREN = (Child("bsdf"), Child("emitter", types=("area",)), Child("medium", most=2))
 _MESH = (P("filename", "file", required=True), *_SHAPE, P("face_normals", "boolean", False))
 
-SHAPES = (
+_PLAIN = (
     Plugin("shape", "rectangle", _SHAPE, _CHILDREN),
     Plugin("shape", "cube", _SHAPE, _CHILDREN),
     Plugin(
@@ -44,4 +44,15 @@ SHAPES = (
         ),
         _CHILDREN,
     ),
+)
+
+SHAPES = (
+    *_PLAIN,
+    Plugin(
+        "shape",
+        "shapegroup",
+        ignored("transform", "to_world"),  # Mitsuba 3 reads it and does nothing with it
+        (Child("shape", most=1 << 32, least=1, types=tuple(plugin.name for plugin in _PLAIN)),),
+    ),
+    Plugin("shape", "instance", PLACED, (Child("shape", least=1, types=("shapegroup",)),)),
 )
