@@ -32,6 +32,9 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
     if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
     float bsdf_pdf;
     const float3 scattered = bsdf_eval(at, light.direction, &bsdf_pdf);
+#if HAS_BUMPS
+    if (through_the_bump(at, s, light.direction)) return;
+#endif
     const float mis = light.is_delta ? 1.0f : mis_weight(light.pdf, bsdf_pdf);
     const float3 radiance = weight * scattered * light.radiance * (mis / light.pdf);
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
@@ -48,6 +51,13 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
 
 __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
                     __global const float4* triangles, __global const uint* faces, __global const float* vertex_normals,
+#if FEATURE_UVS
+                    __global const float* uvs,
+#endif
+#if FEATURE_TEXTURES
+                    __global const Texture* textures, __global const uchar4* texel_bytes,
+                    __global const float4* texel_floats, __global const float* srgb, __global const float* attributes,
+#endif
                     __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
                     __global const Light* lights, __global const Alias* light_alias, uint light_count,
                     uint environment_light, __global const float4* hit, __global float4* ray_origin,
@@ -65,7 +75,18 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #if FEATURE_NEXT_EVENT
     shadow_direction[i] = (float4)(0.0f);
 #endif
-    const Geometry geometry = {triangles, faces, vertex_normals, analytics, shapes};
+    Geometry geometry;
+    geometry.triangles = triangles;
+    geometry.faces = faces;
+    geometry.vertex_normals = vertex_normals;
+    geometry.analytics = analytics;
+    geometry.shapes = shapes;
+#if FEATURE_UVS
+    geometry.uvs = uvs;
+#endif
+#if FEATURE_TEXTURES
+    const Textures all_textures = {textures, texel_bytes, texel_floats, srgb, attributes, faces};
+#endif
     const float4 h = hit[i], origin = ray_origin[i], direction = ray_direction[i], carried = throughput[i];
     const uint4 state = path[i];
     const uint primitive = as_uint(h.w), pixel = sample_pixel[state.x], depth = state.w;
@@ -117,8 +138,17 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     at.normal = s.normal;
     at.wi = -direction.xyz;
     at.cos_i = dot3(at.normal, at.wi);
+#if HAS_FRAMES
+    set_frame(&at, &s);
+#endif
+#if FEATURE_TEXTURES
+    at.textures = &all_textures;
+    at.point.uv = s.uv;
+    at.point.triangle = s.triangle;
+    at.point.barycentric = s.barycentric;
+#endif
 #if HAS_WRAPPERS
-    const bool passes = unwrap(&at, bsdfs, random_block(seed, pixel, state.z, BLOCK_MATERIAL(depth)).x);
+    const bool passes = unwrap(&at, bsdfs, &s, random_block(seed, pixel, state.z, BLOCK_MATERIAL(depth)).x);
 #elif FEATURE_NULL
     const bool passes = at.bsdf->kind == BSDF_NULL;
 #endif
@@ -132,10 +162,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     }
 #endif
 #if FEATURE_TWOSIDED
-    if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) {
-        at.normal = -at.normal;
-        at.cos_i = -at.cos_i;
-    }
+    if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) turn_to_viewer(&at);
 #endif
 #if FEATURE_NEXT_EVENT
     if (bsdf_is_smooth(&at))
@@ -146,6 +173,9 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     const float4 u = random_block(seed, pixel, state.z, BLOCK_BSDF(depth));
     const BsdfSample next = bsdf_sample(&at, u.xyz);
     weight *= next.weight;
+#if HAS_BUMPS
+    if (through_the_bump(&at, &s, next.direction)) return;
+#endif
     const float total = weight.x + weight.y + weight.z;
     if (total == 0.0f) return;
     if (!(total < INFINITY)) {  // the statistics count such a sample apart; it must not end as a black one

@@ -1,8 +1,10 @@
 // Where a path scatters: the material there, its frame and its parameters. Directions point away from the surface and are unit.
 #pragma once
+#include "texture.h"
 #include "vectors.h"
 
-#define HAS_FRAMES (FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
+#define HAS_BUMPS (FEATURE_BUMP || FEATURE_NORMAL_MAP)
+#define HAS_FRAMES (HAS_BUMPS || FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
 
 typedef struct {
     __global const Bsdf* bsdf;  // one that wraps no other
@@ -10,18 +12,33 @@ typedef struct {
     float3 wi;                  // where the path came from, in world space
     float cos_i;                // of wi to the normal; not negative for materials of two sides
 #if HAS_FRAMES
-    float3 s, t;  // with the normal, a right-handed frame; s goes along dp/du
+    float3 s, t;  // with the normal, an orthonormal frame; s goes along dp/du. Right-handed, but for turned materials
+#endif
+#if FEATURE_ROUGH_PLASTIC
+    __global const float* tables;  // of `scene.boundaries`
+#endif
+#if FEATURE_TEXTURES
+    const Textures* textures;
+    TexturePoint point;
 #endif
 } Shading;
 
 // A parameter of the material that is a colour, and one that is a number.
 INLINE float3 rgb_parameter(const Shading* at, uint slot)
 {
+#if FEATURE_TEXTURES
+    const uint texture = at->bsdf->textures[slot];
+    if (texture != NONE) return texture_rgb(at->textures, texture, &at->point);
+#endif
     return LOAD3(slot, at->bsdf->values);
 }
 
 INLINE float number_parameter(const Shading* at, uint slot)
 {
+#if FEATURE_TEXTURES
+    const uint texture = at->bsdf->textures[slot];
+    if (texture != NONE) return texture_number(at->textures, texture, &at->point);
+#endif
     return at->bsdf->values[3u * slot];
 }
 
@@ -31,9 +48,9 @@ INLINE float3 to_local(const Shading* at, float3 world)
     return (float3)(dot3(world, at->s), dot3(world, at->t), dot3(world, at->normal));
 }
 
-INLINE float3 to_world(const Shading* at, float3 local)
+INLINE float3 to_world(const Shading* at, float3 v)
 {
-    return local.x * at->s + local.y * at->t + local.z * at->normal;
+    return v.x * at->s + v.y * at->t + v.z * at->normal;
 }
 #endif
 

@@ -10,6 +10,12 @@ typedef struct {
     float3 geometric_normal;  // unit; zero for a triangle without area
     float3 normal;            // unit shading normal
     uint bsdf, light;         // indices; light is NONE if the surface does not shine
+#if FEATURE_UVS
+    float2 uv;
+    float3 dp_du, dp_dv;  // how the position changes with uv
+    uint triangle;        // NONE on other surfaces
+    float2 barycentric;   // weights of the triangle's second and third corner
+#endif
 } Surface;
 
 // All that describes the surfaces of a scene; members that it does not need are NULL.
@@ -17,11 +23,33 @@ typedef struct {
     __global const float4* triangles;  // records of TRIANGLE_ROWS: host/isonoise/scene/structs.py
     __global const uint* faces;
     __global const float* vertex_normals;
+    __global const float* uvs;
     __global const Analytic* analytics;
     __global const Shape* shapes;
 } Geometry;
 
 #define TRIANGLE_ROWS 4
+
+#if FEATURE_UVS && FEATURE_TRIANGLES
+// Texture coordinates of a triangle, and how its points change with them. Without any they are the barycentric ones, and the
+// changes some basis, as in Mitsuba 3.
+INLINE void triangle_uv(const Geometry* g, uint triangle, float u, float v, float3 edge1, float3 edge2, uint flags, Surface* s)
+{
+    s->triangle = triangle;
+    s->uv = s->barycentric = (float2)(u, v);
+    basis(s->geometric_normal, &s->dp_du, &s->dp_dv);
+    if (!(flags & SHAPE_UVS)) return;
+    const uint3 index = LOAD3U(triangle, g->faces);
+    const float2 uv0 = (float2)(g->uvs[2 * index.x], g->uvs[2 * index.x + 1]);
+    const float2 along1 = (float2)(g->uvs[2 * index.y], g->uvs[2 * index.y + 1]) - uv0;
+    const float2 along2 = (float2)(g->uvs[2 * index.z], g->uvs[2 * index.z + 1]) - uv0;
+    s->uv = uv0 + u * along1 + v * along2;
+    const float determinant = along1.x * along2.y - along1.y * along2.x;
+    if (determinant == 0.0f) return;
+    s->dp_du = (along2.y * edge1 - along1.y * edge2) / determinant;
+    s->dp_dv = (along1.x * edge2 - along2.x * edge1) / determinant;
+}
+#endif
 
 #if FEATURE_TRIANGLES
 INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float v)
@@ -44,7 +72,48 @@ INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float
         s.normal = dot3(interpolated, interpolated) > 0.0f ? interpolated : s.geometric_normal;
     }
 #endif
+#if FEATURE_UVS
+    triangle_uv(g, triangle, u, v, edge1.xyz, edge2.xyz, as_uint(edge2.w) ^ LANE_BIAS, &s);
+#endif
     return s;
+}
+#endif
+
+#if FEATURE_ANALYTICS && FEATURE_UVS
+// Texture coordinates of a point of an analytic shape, as Mitsuba 3 has them: of a sphere the angles around and from z, of a
+// disk the radius and the angle, of a cylinder the angle and the height. At a pole, where they have no direction, dp_du is 0.
+INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
+{
+    float m[12], inverse[12];
+    load_matrix(shape->to_world, m);
+    load_matrix(shape->to_object, inverse);
+    const float3 p = transform_point(inverse, s->position);
+    const float around = SQRT(dot2(p.xy, p.xy)), turn = atan2(p.y, p.x) * (0.5f * M_1_PI_F);
+    const float2 out = around > 0.0f ? p.xy / around : (float2)(1.0f, 0.0f), on = (float2)(-p.y, p.x);
+    const float angle = turn < 0.0f ? turn + 1.0f : turn;
+    s->triangle = NONE;
+    s->barycentric = (float2)(0.0f);
+    switch (shape->kind) {
+#if FEATURE_SPHERES
+    case ANALYTIC_SPHERE:
+        s->uv = (float2)(angle, atan2(around, p.z) * M_1_PI_F);
+        s->dp_du = transform_direction(m, 2.0f * M_PI_F * (float3)(on, 0.0f));
+        s->dp_dv = transform_direction(m, M_PI_F * (float3)(p.z * out, -around));
+        break;
+#endif
+#if FEATURE_DISKS
+    case ANALYTIC_DISK:
+        s->uv = (float2)(around, angle);
+        s->dp_du = transform_direction(m, (float3)(out, 0.0f));
+        s->dp_dv = transform_direction(m, (float3)(-out.y, out.x, 0.0f));
+        break;
+#endif
+    default:
+        s->uv = (float2)(angle, p.z);
+        s->dp_du = transform_direction(m, 2.0f * M_PI_F * (float3)(on, 0.0f));
+        s->dp_dv = transform_direction(m, (float3)(0.0f, 0.0f, 1.0f));
+        break;
+    }
 }
 #endif
 
@@ -57,6 +126,9 @@ INLINE void complete_analytic(const Geometry* g, uint index, Surface* s)
     s->geometric_normal = s->normal;
     s->bsdf = shape->bsdf;
     s->light = shape->first_light == NONE ? NONE : shape->first_light + (index - shape->first_primitive);
+#if FEATURE_UVS
+    analytic_uv(g->analytics + index, s);
+#endif
 }
 #endif
 
@@ -134,7 +206,8 @@ INLINE Surface surface_at(const Geometry* g, uint primitive, float3 origin, floa
 #if FEATURE_ANALYTICS
     return analytic_surface(g, primitive & ~ANALYTIC_BIT, origin + t * direction);
 #elif !FEATURE_TRIANGLES
-    const Surface none = {0.0f, 0.0f, 0.0f, 0.0f, 0, NONE};  // an empty scene: nothing is ever met
+    Surface none;  // an empty scene: nothing is ever met
+    none.geometric_normal = (float3)(0.0f);
     return none;
 #endif
 }
@@ -156,6 +229,10 @@ INLINE Surface instanced_surface_at(const Geometry* g, __global const Instance* 
     s.error = transform_direction(magnitude, s.error) + round_trip_error(m, inverse, on_object, s.position);
     s.geometric_normal = unit(transform_normal(inverse, s.geometric_normal));
     s.normal = unit(transform_normal(inverse, s.normal));
+#if FEATURE_UVS
+    s.dp_du = transform_direction(m, s.dp_du);
+    s.dp_dv = transform_direction(m, s.dp_dv);
+#endif
     return s;
 }
 #endif

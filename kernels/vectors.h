@@ -7,6 +7,11 @@ INLINE float luminance(float3 rgb)
     return dot3(rgb, (float3)(0.2126f, 0.7152f, 0.0722f));  // Rec. 709
 }
 
+INLINE float3 cross3(float3 a, float3 b)
+{
+    return (float3)(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
+
 // Unit vector along v, zero for zero. What would vanish or overflow when squared is scaled first.
 INLINE float3 unit(float3 v)
 {

@@ -5,7 +5,10 @@ Kernels test `FEATURE_<name>` with #if; the host sets every one to 0 or 1.
 
 from dataclasses import dataclass
 
-from isonoise.scene import structs
+import numpy as np
+
+from isonoise.scene import structs, textures
+from isonoise.scene.bsdfs import reads_uvs
 from isonoise.scene.compiled import CompiledScene
 from isonoise.statistics import NOTHING_MORE, Needs
 
@@ -25,6 +28,11 @@ FEATURES = {
     "VERTEX_NORMALS": Feature(
         "smooth shading by vertex normals", "12 bytes a vertex and 12 a triangle, interpolation in shade"
     ),
+    "UVS": Feature("texture coordinates", "8 bytes a vertex and 12 a triangle, interpolation in shade"),
+    "TEXTURES": Feature("parameters that vary over a surface", "records and texels, code in shade"),
+    "BITMAPS": Feature("images as textures", "4 or 16 bytes a texel, code in shade"),
+    "CHECKERBOARDS": Feature("checkerboards", "code in shade"),
+    "MESH_ATTRIBUTES": Feature("colours of vertices and faces", "12 bytes each, code in shade"),
     "ANALYTICS": Feature("shapes that are not triangles", "a record each, a second kind of leaf"),
     "SPHERES": Feature("spheres", "sphere test in intersect and shadow"),
     "DISKS": Feature("disks", "disk test in intersect and shadow"),
@@ -42,6 +50,8 @@ FEATURES = {
     "PLASTIC": Feature("smooth plastic", "code in shade"),
     "ROUGH_PLASTIC": Feature("rough plastic", "code in shade"),
     "PRINCIPLED": Feature("the principled material", "code in shade"),
+    "BECKMANN": Feature("rough surfaces by Beckmann's distribution", "code in shade"),
+    "ALL_NORMALS": Feature("rough surfaces sampled by all their normals", "code in shade"),
     "NULL": Feature("surfaces that let all through", "code in shade"),
     "SIDES": Feature("materials that differ on the two sides", "code in shade"),
     "MASK": Feature("opacity", "code in shade"),
@@ -81,15 +91,24 @@ _SMOOTH = {
 }
 """Materials of which next-event estimation can find something."""
 
+_ROUGH = (structs.BSDF_ROUGH_CONDUCTOR, structs.BSDF_ROUGH_DIELECTRIC, structs.BSDF_ROUGH_PLASTIC)
+"""Materials of which the distribution of normals can be chosen."""
+
 
 def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, bool]:
     """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
     analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
     surface_lights = {structs.LIGHT_TRIANGLE, structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER}
+    rough = np.isin(scene.bsdfs["kind"], _ROUGH)
     endless = scene.max_depth < 0
     return {
         "TRIANGLES": len(scene.faces) > 0,
         "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
+        "UVS": reads_uvs(scene.bsdfs),
+        "TEXTURES": len(scene.textures) > 0,
+        "BITMAPS": textures.TEXTURE_BITMAP in scene.textures["kind"],
+        "CHECKERBOARDS": textures.TEXTURE_CHECKERBOARD in scene.textures["kind"],
+        "MESH_ATTRIBUTES": textures.TEXTURE_MESH_ATTRIBUTE in scene.textures["kind"],
         "ANALYTICS": len(scene.analytics) > 0,
         "SPHERES": structs.ANALYTIC_SPHERE in analytic,
         "DISKS": structs.ANALYTIC_DISK in analytic,
@@ -104,6 +123,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "PLASTIC": structs.BSDF_PLASTIC in bsdf,
         "ROUGH_PLASTIC": structs.BSDF_ROUGH_PLASTIC in bsdf,
         "PRINCIPLED": structs.BSDF_PRINCIPLED in bsdf,
+        "BECKMANN": bool((rough & (scene.bsdfs["flags"] & structs.BSDF_GGX == 0)).any()),
+        "ALL_NORMALS": bool((scene.bsdfs["flags"] & structs.BSDF_SAMPLE_ALL).any()),
         "NULL": structs.BSDF_NULL in bsdf,
         "SIDES": structs.BSDF_SIDES in bsdf,
         "MASK": structs.BSDF_MASK in bsdf,

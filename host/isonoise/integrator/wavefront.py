@@ -15,7 +15,7 @@ from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
-from isonoise.scene import structs
+from isonoise.scene import structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.triangles import triangle_records
@@ -27,6 +27,7 @@ STRUCTS = {
     "Analytic": structs.ANALYTIC,
     "Instance": structs.INSTANCE,
     "Bsdf": structs.BSDF,
+    "Texture": textures.TEXTURE,
     "Light": structs.LIGHT,
     "Alias": structs.ALIAS,
 }
@@ -46,7 +47,8 @@ KERNELS = {
     ),
     "shade": (
         "shade.cl",
-        "paths sample_pixel seed max_depth rr_depth triangles faces vertex_normals analytics shapes bsdfs "
+        "paths sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
+        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
         "lights light_alias light_count environment_light hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance",
     ),
@@ -97,7 +99,7 @@ class Wavefront:
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
         table = {name: row for name, row in KERNELS.items() if name != "shadow" or self.features["NEXT_EVENT"]}
-        self._stages = Stages(device, table, self.features, structs.CONSTANTS | build_constants(needs), STRUCTS)
+        self._stages = Stages(device, table, self.features, structs.CONSTANTS | textures.CONSTANTS | build_constants(needs), STRUCTS)
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = present(PATH_STATE, self.features)
@@ -128,7 +130,13 @@ class Wavefront:
             "blocks": table(bvh.blocks, "the hierarchy's triangles"),
             "block_count": np.uint32(len(bvh.blocks)),
             "triangles": table(triangle_records(scene), "the triangles"),
-            "faces": table(scene.faces if on["VERTEX_NORMALS"] else nothing, "the faces"),
+            "faces": table(scene.faces if on["VERTEX_NORMALS"] or on["UVS"] else nothing, "the faces"),
+            "uvs": table(scene.uvs, "the texture coordinates"),
+            "textures": table(scene.textures, "the textures"),
+            "texel_bytes": table(scene.texel_bytes, "the texels"),
+            "texel_floats": table(scene.texel_floats, "the texels"),
+            "srgb": table(textures.SRGB if on["BITMAPS"] else nothing, "the table of sRGB"),
+            "attributes": table(scene.attributes, "the mesh attributes"),
             "vertex_normals": table(scene.vertex_normals if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),

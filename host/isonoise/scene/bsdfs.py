@@ -7,11 +7,11 @@
 | roughdielectric | the same, 4 alpha_u, 5 alpha_v |
 | conductor | 0 specular_reflectance, 2 eta, 3 k |
 | roughconductor | the same, 4 alpha_u, 5 alpha_v |
-| plastic | 0 specular_reflectance, 1 diffuse_reflectance, 2 int_ior / ext_ior, 3 (internal diffuse reflectance, |
-| | probability of the specular lobe, -) |
-| roughplastic | the same, 4 alpha; 6 to 11: the transmittance of the boundary over the cosine, at 18 places |
-| principled | 0 base_color, 1 roughness, 2 anisotropic, 3 metallic, 4 spec_trans, 5 eta, 6 spec_tint, 7 sheen, |
-| | 8 sheen_tint, 9 flatness, 10 clearcoat, 11 clearcoat_gloss |
+| plastic | 0 specular_reflectance, 1 diffuse_reflectance, 2 int_ior / ext_ior, 3 (mean inner reflectance, -, -) |
+| roughplastic | the same, 3 (mean inner reflectance, index of its table in `tables`, -), 4 alpha |
+| principled | 0 base_color, 1 (roughness, diffuse sampling rate, -), 2 anisotropic, 3 metallic, 4 spec_trans, |
+| | 5 (eta, specular, clearcoat sampling rate), 6 spec_tint, 7 sheen, 8 sheen_tint, 9 flatness, 10 clearcoat, |
+| | 11 clearcoat_gloss |
 | mask, blendbsdf, bumpmap, normalmap | 0 opacity; weight; height times scale (1 its scale); normal |
 """
 
@@ -20,6 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from isonoise.scene import structs
+from isonoise.scene.boundaries import NODES, inner_reflectance, rough_boundary
 from isonoise.scene.materials import MIRROR, conductors
 from isonoise.scene.spectra import colour_to_rgb
 
@@ -49,6 +50,12 @@ class Bsdfs:
         self._texture = texture
         self._records: list[np.ndarray] = []
         self._known: dict[bytes, int] = {}
+        self._tables: list[np.ndarray] = []
+
+    @property
+    def tables(self) -> np.ndarray:
+        """(t, boundaries.NODES) float32: transmittances of rough boundaries over the cosine."""
+        return np.array(self._tables, np.float32).reshape(-1, NODES)
 
     @property
     def records(self) -> np.ndarray:
@@ -111,11 +118,18 @@ class Bsdfs:
             eta, k = conductors()[bsdf.get("material", MIRROR)]
             slot(2, bsdf["eta"], "unbounded") if "eta" in bsdf else values.__setitem__(2, eta)
             slot(3, bsdf["k"], "unbounded") if "k" in bsdf else values.__setitem__(3, k)
+        if type_ == "plastic":
+            values[3, 0] = inner_reflectance(bsdf["int_ior"] / bsdf["ext_ior"])
+        if type_ == "roughplastic":
+            slot(4, bsdf["alpha"], "number")
+            values[3, :2] = self._boundary(bsdf)
         if type_ == "principled":
             slot(5, _principled_eta(bsdf), "number")
             for number, name in enumerate(_PRINCIPLED, start=1):
                 if name != "eta":
                     slot(number, bsdf[name], "number")
+            values[1, 1] = bsdf["diffuse_reflectance_sampling_rate"]
+            values[5, 1:] = bsdf["main_specular_sampling_rate"], bsdf["clearcoat_sampling_rate"]
         if type_ in ("mask", "blendbsdf"):
             slot(0, bsdf["opacity" if type_ == "mask" else "weight"], "number")
         if type_ == "bumpmap":
@@ -125,6 +139,27 @@ class Bsdfs:
             slot(0, bsdf["normalmap"], "raw")
         nested = [self.index(bsdf[key]) for key in ("bsdf", "bsdf_1") if key in bsdf]
         record["nested"][0, : len(nested)] = nested
+
+    def _boundary(self, bsdf: dict) -> tuple[float, int]:
+        """(mean inner reflectance, index of the table of transmittance) of a rough plastic's boundary."""
+        eta = bsdf["int_ior"] / bsdf["ext_ior"]
+        table, inner = rough_boundary(bsdf["alpha"], eta, bsdf["distribution"] == "ggx")
+        for index, known in enumerate(self._tables):
+            if known is table:
+                return inner, index
+        self._tables.append(table)
+        return inner, len(self._tables) - 1
+
+
+def reads_uvs(records: np.ndarray) -> bool:
+    """Whether some material depends on texture coordinates or on the direction in which they grow."""
+    if (records["textures"] != structs.NONE).any():
+        return True
+    values = records["values"].reshape(-1, structs.BSDF_SLOTS, 3)
+    rough = np.isin(records["kind"], (structs.BSDF_ROUGH_CONDUCTOR, structs.BSDF_ROUGH_DIELECTRIC))
+    stretched = rough & (values[:, 4, 0] != values[:, 5, 0])
+    stretched |= (records["kind"] == structs.BSDF_PRINCIPLED) & (values[:, 2, 0] != 0)
+    return bool(stretched.any())
 
 
 _COLOURS = {
@@ -154,7 +189,12 @@ _PRINCIPLED = (
 
 
 def _principled_eta(bsdf: dict) -> float:
-    """The index that `eta` gives, or `specular` s: 2 / (1 - sqrt(0.08 s)) - 1 (Mitsuba 3, principled.cpp); s = 0.5."""
+    """The index that `eta` gives, or `specular` s: 2 / (1 - sqrt(0.08 s)) - 1, s = 0.5 where neither is given.
+
+    Mitsuba 3, principled.cpp: where light may be transmitted, an eta of 1 is 1.001 and an s of 0 is 0.001.
+    """
+    passes = bsdf["spec_trans"] != 0.0
     if "eta" in bsdf:
-        return bsdf["eta"]
-    return 2.0 / (1.0 - (0.08 * bsdf.get("specular", 0.5)) ** 0.5) - 1.0
+        return 1.001 if passes and bsdf["eta"] == 1.0 else bsdf["eta"]
+    specular = bsdf.get("specular", 0.5)
+    return 2.0 / (1.0 - (0.08 * (1e-3 if passes and specular == 0.0 else specular)) ** 0.5) - 1.0

@@ -8,11 +8,12 @@ from isonoise.errors import SceneError
 from isonoise.scene import lights as lighting
 from isonoise.scene import structs, vocabulary
 from isonoise.scene.bounds import instance_extents
-from isonoise.scene.bsdfs import Bsdfs
+from isonoise.scene.bsdfs import Bsdfs, reads_uvs
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.instances import instance_records, separate
 from isonoise.scene.surfaces import Surface, make_surface
+from isonoise.scene.textures import MeshAttributes, Textures
 
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none
 _PATH = {"type": "path", "max_depth": -1, "rr_depth": 5, "hide_emitters": False}
@@ -51,6 +52,11 @@ def compile_scene(
         "instances": instances,
         "group_begins": _group_begins(spaces),
         "bsdfs": geometry.bsdfs,
+        "uvs": geometry.uvs,
+        "textures": geometry.textures.records,
+        "texel_bytes": geometry.textures.bytes,
+        "texel_floats": geometry.textures.floats,
+        "attributes": geometry.textures.attributes,
         "lights": lights,
         "light_alias": alias,
         "bounds": bounds.astype(np.float32),
@@ -134,7 +140,8 @@ class _Geometry:
             [len(m.faces) for m in meshes],
         )
         self.emissive: list[tuple[int, dict, Surface]] = []
-        bsdfs, analytics, first_face = Bsdfs(_no_texture), [], 0
+        textures = Textures()
+        bsdfs, analytics, first_face = Bsdfs(textures.index), [], 0
         for index, (shape, surface) in enumerate(zip(shapes, surfaces, strict=True)):
             flags = structs.SHAPE_VERTEX_NORMALS if len(surface.normals) else 0
             flags |= structs.SHAPE_FLIP_NORMALS if surface.flip else 0
@@ -149,10 +156,16 @@ class _Geometry:
                 analytics.append(surface.analytic)
         self.analytics = np.concatenate(analytics) if analytics else np.zeros(0, structs.ANALYTIC)
         self.bsdfs = bsdfs.records
-
-
-def _no_texture(texture: dict, kind: str) -> int:
-    raise SceneError(f"texture '{texture['type']}' is not supported yet")
+        self.textures = textures.arrays(
+            [MeshAttributes(len(mesh.vertices), len(mesh.faces), mesh.attributes) for mesh in meshes]
+        )
+        self.uvs = np.zeros((0, 2), np.float32)
+        if reads_uvs(self.bsdfs) and any(len(mesh.uvs) for mesh in meshes):
+            self.uvs = np.concatenate(
+                [mesh.uvs if len(mesh.uvs) else np.zeros((len(mesh.vertices), 2), np.float32) for mesh in meshes]
+            )
+            having = [surface.analytic is None and len(surface.uvs) > 0 for surface in surfaces]
+            self.shapes["flags"][having] |= structs.SHAPE_UVS
 
 
 def _stack(arrays: list[np.ndarray], dtype) -> np.ndarray:

@@ -28,6 +28,11 @@ class CompiledScene:
     instances: np.ndarray  # (I,) structs.INSTANCE
     group_begins: np.ndarray  # (G + 1, 2) uint32: first triangle, analytic primitive of each group; their numbers
     bsdfs: np.ndarray  # (B,) structs.BSDF
+    uvs: np.ndarray  # (V, 2) float32 where a material reads them and some shape has SHAPE_UVS, else (0, 2)
+    textures: np.ndarray  # (X,) textures.TEXTURE
+    texel_bytes: np.ndarray  # (b, 4) uint8: texels of 8-bit images
+    texel_floats: np.ndarray  # (f, 4) float32: texels of others
+    attributes: np.ndarray  # (a, 3) float32: mesh attributes that a texture reads
     lights: np.ndarray  # (L,) structs.LIGHT; pick probabilities sum to 1
     light_alias: np.ndarray  # (L,) structs.ALIAS
     environment_light: int  # index of the LIGHT_CONSTANT light, -1 if there is none

@@ -6,7 +6,7 @@ says it: where a mirroring transform or a file turns shading and geometric norma
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,8 @@ class Surface:
     normals: np.ndarray  # (v, 3) float32 unit vectors, or (0, 3) for flat shading
     analytic: np.ndarray | None = None  # (1,) structs.ANALYTIC without its shape
     flip: bool = False  # analytic only: the front is the other side
+    uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))  # (v, 2) float32, or (0, 2)
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)  # 'vertex_...', 'face_...': see `meshes.Mesh`
 
     @property
     def areas(self) -> np.ndarray:
@@ -74,7 +76,13 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
     if shape["flip_normals"]:
         faces, normals = faces[:, ::-1], -normals
     vertices = np.ascontiguousarray(vertices, np.float32)
-    return Surface(vertices, np.ascontiguousarray(faces, np.uint32), np.ascontiguousarray(normals, np.float32))
+    return Surface(
+        vertices,
+        np.ascontiguousarray(faces, np.uint32),
+        np.ascontiguousarray(normals, np.float32),
+        uvs=mesh.uvs,
+        attributes=mesh.attributes,
+    )
 
 
 def _wound_like(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
