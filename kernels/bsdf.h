@@ -1,5 +1,8 @@
 // Scattering at a surface: evaluation and sampling by kind of material.
 #pragma once
+#include "plastic.h"
+#include "principled.h"
+#include "rough.h"
 #include "smooth.h"
 
 #define HAS_SMOOTH_BSDFS                                                                                          \
@@ -36,6 +39,21 @@ INLINE float3 bsdf_eval(const Shading* at, float3 wo, float* pdf)
 #if FEATURE_DIFFUSE
     case BSDF_DIFFUSE: value = diffuse_eval(at, wo, pdf); break;
 #endif
+#if FEATURE_ROUGH_CONDUCTOR
+    case BSDF_ROUGH_CONDUCTOR: value = rough_conductor_eval(at, wo, pdf); break;
+#endif
+#if FEATURE_ROUGH_DIELECTRIC
+    case BSDF_ROUGH_DIELECTRIC: value = rough_dielectric_eval(at, wo, pdf); break;
+#endif
+#if FEATURE_PLASTIC
+    case BSDF_PLASTIC: value = plastic_eval(at, wo, pdf); break;
+#endif
+#if FEATURE_ROUGH_PLASTIC
+    case BSDF_ROUGH_PLASTIC: value = rough_plastic_eval(at, wo, pdf); break;
+#endif
+#if FEATURE_PRINCIPLED
+    case BSDF_PRINCIPLED: value = principled_eval(at, wo, pdf); break;
+#endif
     default: break;
     }
     return value;
@@ -54,8 +72,26 @@ INLINE BsdfSample bsdf_sample(const Shading* at, float3 u)
 #if FEATURE_DIELECTRIC
     case BSDF_DIELECTRIC: sample = dielectric_sample(at, u.x); break;
 #endif
+#if FEATURE_THIN_DIELECTRIC
+    case BSDF_THIN_DIELECTRIC: sample = thin_dielectric_sample(at, u.x); break;
+#endif
 #if FEATURE_CONDUCTOR
     case BSDF_CONDUCTOR: sample = conductor_sample(at); break;
+#endif
+#if FEATURE_ROUGH_CONDUCTOR
+    case BSDF_ROUGH_CONDUCTOR: sample = rough_conductor_sample(at, u.yz); break;
+#endif
+#if FEATURE_ROUGH_DIELECTRIC
+    case BSDF_ROUGH_DIELECTRIC: sample = rough_dielectric_sample(at, u); break;
+#endif
+#if FEATURE_PLASTIC
+    case BSDF_PLASTIC: sample = plastic_sample(at, u); break;
+#endif
+#if FEATURE_ROUGH_PLASTIC
+    case BSDF_ROUGH_PLASTIC: sample = rough_plastic_sample(at, u); break;
+#endif
+#if FEATURE_PRINCIPLED
+    case BSDF_PRINCIPLED: sample = principled_sample(at, u); break;
 #endif
     default: break;
     }

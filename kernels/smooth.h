@@ -1,6 +1,25 @@
-// Diffuse reflection and smooth boundaries.
+// Diffuse reflection and smooth boundaries, to one side, of a thin sheet or into a body.
 #pragma once
 #include "shading.h"
+
+#if FEATURE_DIFFUSE || FEATURE_PLASTIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED
+// A direction about z with density cos / pi.
+INLINE float3 square_to_hemisphere(float2 u)
+{
+    const float2 disk = square_to_disk(u);
+    return (float3)(disk.x, disk.y, SQRT(GREATER(1.0f - dot2(disk, disk), 0.0f)));
+}
+#endif
+
+#if FEATURE_DIFFUSE || FEATURE_PLASTIC
+// A direction about z as one about n.
+INLINE float3 around(float3 n, float3 about_z)
+{
+    float3 s, t;
+    basis(n, &s, &t);
+    return about_z.x * s + about_z.y * t + about_z.z * n;
+}
+#endif
 
 #if FEATURE_DIFFUSE
 // bsdf * cos and the pdf of sampling `wo`.
@@ -14,14 +33,11 @@ INLINE float3 diffuse_eval(const Shading* at, float3 wo, float* pdf)
 
 INLINE BsdfSample diffuse_sample(const Shading* at, float2 u)
 {
-    const float2 disk = square_to_disk(u);
-    const float cos_o = SQRT(GREATER(1.0f - dot2(disk, disk), 0.0f));
-    float3 s, t;
-    basis(at->normal, &s, &t);
+    const float3 about_z = square_to_hemisphere(u);
     BsdfSample sample;
-    sample.direction = disk.x * s + disk.y * t + cos_o * at->normal;
-    sample.weight = at->cos_i > 0.0f && cos_o > 0.0f ? rgb_parameter(at, 0) : (float3)(0.0f);
-    sample.pdf = cos_o * M_1_PI_F;
+    sample.direction = around(at->normal, about_z);
+    sample.weight = at->cos_i > 0.0f && about_z.z > 0.0f ? rgb_parameter(at, 0) : (float3)(0.0f);
+    sample.pdf = about_z.z * M_1_PI_F;
     sample.eta = 1.0f;
     return sample;
 }
@@ -70,6 +86,22 @@ INLINE BsdfSample dielectric_sample(const Shading* at, float u)
         sample.weight = rgb_parameter(at, 1) / (eta * eta);
         sample.eta = eta;
     }
+    return sample;
+}
+#endif
+
+#if FEATURE_THIN_DIELECTRIC
+// Two boundaries so close that what is refracted goes on as it came; reflections between them are summed.
+INLINE BsdfSample thin_dielectric_sample(const Shading* at, float u)
+{
+    float cos_t;
+    const float once = fresnel_dielectric(abs1(at->cos_i), number_parameter(at, 2), &cos_t);
+    const bool reflects = u <= 2.0f * once / (1.0f + once);
+    BsdfSample sample;
+    sample.direction = reflects ? unit(2.0f * at->cos_i * at->normal - at->wi) : -at->wi;
+    sample.weight = rgb_parameter(at, reflects ? 0 : 1);
+    sample.pdf = -1.0f;
+    sample.eta = 1.0f;
     return sample;
 }
 #endif
