@@ -120,6 +120,21 @@ INLINE float sample_surface(const Geometry* g, __global const Light* light, floa
 }
 #endif
 
+#if FEATURE_AREA_LIGHTS
+// Radiance that a light's surface emits at a point of it.
+INLINE float3 emitted_radiance(const Geometry* g, __global const Light* light, const Surface* s)
+{
+    float3 radiance = LOAD3(0, light->radiance);
+#if FEATURE_TEXTURES
+    if (light->texture != NONE) {
+        const TexturePoint point = texture_point(s);
+        radiance *= texture_rgb(&g->textures, light->texture, &point);
+    }
+#endif
+    return radiance;
+}
+#endif
+
 #if FEATURE_SPOT_LIGHTS
 // Share of the spot's intensity that leaves along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is
 // taken from the chord, which is exact for narrow spots too.
@@ -130,6 +145,21 @@ INLINE float spot_falloff(__global const Light* light, float3 direction)
     const float angle = 2.0f * asin(LESSER(half_chord, 1.0f));
     const float share = (light->cutoff - angle) * light->inverse_transition;
     return LESSER(GREATER(share, 0.0f), 1.0f);
+}
+#endif
+
+#if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
+// Radiance that arrives from beyond the scene, and the density with which `sample_light` would have found it.
+INLINE float3 sky_radiance(const Geometry* g, __global const Light* sky, float3 direction, float* pdf)
+{
+    float3 radiance = LOAD3(0, sky->radiance);
+    *pdf = 0.25f * M_1_PI_F;
+#if FEATURE_ENVIRONMENT_MAP
+    if (!FEATURE_CONSTANT_LIGHT || sky->kind == LIGHT_ENVIRONMENT_MAP)
+        radiance = environment_radiance(&g->environment, direction, pdf);
+#endif
+    *pdf *= sky->pick_probability;
+    return radiance;
 }
 #endif
 
@@ -171,6 +201,15 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
         return sample;
     }
 #endif
+#if FEATURE_ENVIRONMENT_MAP
+    if (light->kind == LIGHT_ENVIRONMENT_MAP) {
+        float density;
+        sample.radiance = environment_sample(&g->environment, u.yz, &sample.direction, &density);
+        sample.pdf *= density;
+        sample.is_infinite = true;
+        return sample;
+    }
+#endif
 #if FEATURE_CONSTANT_LIGHT
     if (light->kind == LIGHT_CONSTANT) {
         const float z = 1.0f - 2.0f * u.y, r = 2.0f * SQRT(GREATER(u.y * (1.0f - u.y), 0.0f));
@@ -187,7 +226,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     const float distance2 = dot3(arm, arm);
     sample.direction = unit(arm);
     const float cos_light = -dot3(s.normal, sample.direction);
-    if (!(cos_light > 0.0f)) sample.radiance = (float3)(0.0f);
+    sample.radiance = cos_light > 0.0f ? emitted_radiance(g, light, &s) : (float3)(0.0f);
     sample.pdf *= density > 0.0f ? density : distance2 / (cos_light * light->area);
     sample.position = s.position;
     sample.error = s.error;

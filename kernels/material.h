@@ -11,16 +11,10 @@ INLINE void turn_to_viewer(Shading* at)
 {
     at->normal = -at->normal;
     at->cos_i = -at->cos_i;
-}
-
 #if HAS_BUMPS
-// Whether a direction lies on one side of the surface and on the other of what bumps make of it: nothing scatters there.
-INLINE bool through_the_bump(const Shading* at, const Surface* s, float3 direction)
-{
-    const float side = dot3(s->normal, at->wi) * at->cos_i < 0.0f ? -1.0f : 1.0f;
-    return side * dot3(s->normal, direction) * dot3(at->normal, direction) <= 0.0f;
-}
+    at->turned = !at->turned;
 #endif
+}
 
 #if HAS_FRAMES
 // The frame about at->normal whose s goes along dp/du, where there is such a direction.
@@ -38,32 +32,56 @@ INLINE void set_frame(Shading* at, const Surface* s)
 #endif
 
 #if HAS_BUMPS
-// The normal of the surface that a height, or a map of normals, makes of this one; local to the frame of `s`'s own normal.
-// As Mitsuba 3's bumpmap.cpp and normalmap.cpp (3.9) have it.
+// The normal of the surface that a height, or a map of normals, makes of this one, local to the frame there. As Mitsuba 3
+// (3.9, bumpmap.cpp, normalmap.cpp and what they share) has it.
 INLINE float3 bumped_normal(const Shading* at, const Surface* s)
 {
+    float3 local = (float3)(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (at->bsdf->kind == BSDF_NORMAL_MAP) return unit(2.0f * rgb_parameter(at, 0) - 1.0f);
+    if (at->bsdf->kind == BSDF_NORMAL_MAP) local = 2.0f * rgb_parameter(at, 0) - 1.0f;
 #endif
 #if FEATURE_BUMP
-    const float2 slope = at->bsdf->values[3] * texture_gradient(at->textures, at->bsdf->textures[0], &at->point);
-    const float3 along_u = s->dp_du + (slope.x - dot3(s->normal, s->dp_du)) * s->normal;
-    const float3 along_v = s->dp_dv + (slope.y - dot3(s->normal, s->dp_dv)) * s->normal;
-    const float3 normal = unit(cross3(along_u, along_v));
-    const float3 outward = dot3(s->geometric_normal, normal) < 0.0f ? -normal : normal;
-    return (float3)(dot3(outward, at->s), dot3(outward, at->t), dot3(outward, s->normal));
+    if (at->bsdf->kind == BSDF_BUMP) {
+        const float2 slope = at->bsdf->values[3] * texture_gradient(at->textures, at->bsdf->textures[0], &at->point);
+        const float3 along_u = s->dp_du + (slope.x - dot3(s->normal, s->dp_du)) * s->normal;
+        const float3 along_v = s->dp_dv + (slope.y - dot3(s->normal, s->dp_dv)) * s->normal;
+        const float3 normal = cross3(along_u, along_v);
+        const float3 outward = dot3(s->geometric_normal, normal) < 0.0f ? -normal : normal;
+        local = (float3)(dot3(outward, at->s), dot3(outward, at->t), dot3(outward, s->normal));
+    }
 #endif
+    // seen from behind it is turned to the viewer: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
+    const float3 wi = to_local(at, at->wi);
+    if (wi.z * dot3(wi, local) <= 0.0f) local.xy = -local.xy;
+    local = unit(local);
+    return dot3(local, local) > 0.0f ? local : (float3)(0.0f, 0.0f, 1.0f);
 }
 
 // Takes the bumped normal for the shading normal; the frame stays as right- or left-handed as it is.
 INLINE void bump(Shading* at, const Surface* s)
 {
-    const float3 normal = to_world(at, bumped_normal(at, s));
-    const bool turned = dot3(cross3(at->s, at->t), at->normal) < 0.0f;
+    const float3 local = bumped_normal(at, s), along = (float3)(1.0f, 0.0f, 0.0f) - local.x * local;
+    const float3 s_local = dot3(along, along) > 0.0f ? unit(along) : (float3)(0.0f, 1.0f, 0.0f);
+    const float3 t_local = cross3(local, s_local);
+    const float3 normal = to_world(at, local), first = to_world(at, s_local), second = to_world(at, t_local);
     at->normal = normal;
+    at->s = first;
+    at->t = second;
     at->cos_i = dot3(normal, at->wi);
-    set_frame(at, s);
-    if (turned) at->t = -at->t;
+}
+
+// What of the light from `direction` a bumped surface scatters: nothing where it lies on one side of the surface and on the
+// other of the bump, and less where the bump casts a shadow. Estevez, Lecocq, Stein, "A Microfacet-Based Shadowing Function to
+// Solve the Bump Terminator Problem", Ray Tracing Gems, 2019.
+INLINE float bump_share(const Shading* at, const Surface* s, float3 direction)
+{
+    const float cos_bump = dot3(s->normal, at->normal), cos_o = dot3(s->normal, direction);
+    if (abs1(cos_bump) == 1.0f) return 1.0f;
+    const float side = at->turned ? -1.0f : 1.0f;
+    if (side * cos_o * dot3(at->normal, direction) <= 0.0f) return 0.0f;
+    const float tan2_bump = 1.0f / (cos_bump * cos_bump) - 1.0f, tan2_o = 1.0f / (cos_o * cos_o) - 1.0f;
+    const float alpha2 = LESSER(0.125f * tan2_bump, 1.0f);
+    return 2.0f / (1.0f + SQRT(1.0f + alpha2 * tan2_o));
 }
 #endif
 

@@ -32,11 +32,11 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
     if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
     float bsdf_pdf;
     const float3 scattered = bsdf_eval(at, light.direction, &bsdf_pdf);
-#if HAS_BUMPS
-    if (through_the_bump(at, s, light.direction)) return;
-#endif
     const float mis = light.is_delta ? 1.0f : mis_weight(light.pdf, bsdf_pdf);
-    const float3 radiance = weight * scattered * light.radiance * (mis / light.pdf);
+    float3 radiance = weight * scattered * light.radiance * (mis / light.pdf);
+#if HAS_BUMPS
+    radiance *= bump_share(at, s, light.direction);
+#endif
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
     const float3 origin = offset_origin(s->position, s->error, s->geometric_normal, light.direction);
     // to a finite light the ray's length is 1, and both its ends are moved off their surfaces
@@ -60,6 +60,10 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
                     __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
                     __global const Light* lights, __global const Alias* light_alias, uint light_count,
+#if FEATURE_ENVIRONMENT_MAP
+                    __global const Environment* environment, __global const float* environment_texels,
+                    __global const EnvironmentRow* environment_rows, __global const uint* environment_columns,
+#endif
                     uint environment_light, __global const float4* hit, __global float4* ray_origin,
                     __global float4* ray_direction, __global float4* throughput, __global uint4* path,
                     __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance,
@@ -84,8 +88,15 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #if FEATURE_UVS
     geometry.uvs = uvs;
 #endif
+#if FEATURE_ENVIRONMENT_MAP
+    geometry.environment.record = environment;
+    geometry.environment.texels = environment_texels;
+    geometry.environment.rows = environment_rows;
+    geometry.environment.columns = environment_columns;
+#endif
 #if FEATURE_TEXTURES
     const Textures all_textures = {textures, texel_bytes, texel_floats, srgb, attributes, faces};
+    geometry.textures = all_textures;
 #endif
     const float4 h = hit[i], origin = ray_origin[i], direction = ray_direction[i], carried = throughput[i];
     const uint4 state = path[i];
@@ -93,13 +104,13 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     float3 weight = carried.xyz;
 
     if (primitive == NONE) {
-#if FEATURE_CONSTANT_LIGHT && FEATURE_HIDE_EMITTERS
+#if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
+#if FEATURE_HIDE_EMITTERS
         if (depth == 0u) return;
 #endif
-#if FEATURE_CONSTANT_LIGHT
-        __global const Light* sky = lights + environment_light;
-        const float mis = mis_weight(direction.w, sky->pick_probability * 0.25f * M_1_PI_F);
-        store3(LOAD3(state.x, samples) + weight * LOAD3(0, sky->radiance) * mis, state.x, samples);
+        float pdf;
+        const float3 radiance = sky_radiance(&geometry, lights + environment_light, direction.xyz, &pdf);
+        store3(LOAD3(state.x, samples) + weight * radiance * mis_weight(direction.w, pdf), state.x, samples);
 #endif
         return;
     }
@@ -126,7 +137,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
         if (dot3(s.normal, direction.xyz) < 0.0f) {
             __global const Light* light = lights + s.light;
             const float pdf = light_pdf(&geometry, light, origin.xyz, direction.xyz, h.x, s.normal);
-            const float3 emitted = weight * LOAD3(0, light->radiance) * mis_weight(direction.w, pdf);
+            const float3 emitted = weight * emitted_radiance(&geometry, light, &s) * mis_weight(direction.w, pdf);
             store3(LOAD3(state.x, samples) + emitted, state.x, samples);
         }
     }
@@ -138,14 +149,15 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     at.normal = s.normal;
     at.wi = -direction.xyz;
     at.cos_i = dot3(at.normal, at.wi);
+#if HAS_BUMPS
+    at.turned = false;
+#endif
 #if HAS_FRAMES
     set_frame(&at, &s);
 #endif
 #if FEATURE_TEXTURES
-    at.textures = &all_textures;
-    at.point.uv = s.uv;
-    at.point.triangle = s.triangle;
-    at.point.barycentric = s.barycentric;
+    at.textures = &geometry.textures;
+    at.point = texture_point(&s);
 #endif
 #if HAS_WRAPPERS
     const bool passes = unwrap(&at, bsdfs, &s, random_block(seed, pixel, state.z, BLOCK_MATERIAL(depth)).x);
@@ -174,7 +186,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     const BsdfSample next = bsdf_sample(&at, u.xyz);
     weight *= next.weight;
 #if HAS_BUMPS
-    if (through_the_bump(&at, &s, next.direction)) return;
+    weight *= bump_share(&at, &s, next.direction);
 #endif
     const float total = weight.x + weight.y + weight.z;
     if (total == 0.0f) return;

@@ -17,6 +17,9 @@ typedef struct {
 #if FEATURE_ROUGH_PLASTIC
     __global const float* tables;  // of `scene.boundaries`
 #endif
+#if HAS_BUMPS
+    bool turned;  // to the viewer: the normal is the surface's from behind
+#endif
 #if FEATURE_TEXTURES
     const Textures* textures;
     TexturePoint point;

@@ -18,6 +18,14 @@ typedef struct {
 #endif
 } Surface;
 
+#if FEATURE_TEXTURES
+INLINE TexturePoint texture_point(const Surface* s)
+{
+    const TexturePoint point = {s->uv, s->triangle, s->barycentric};
+    return point;
+}
+#endif
+
 // All that describes the surfaces of a scene; members that it does not need are NULL.
 typedef struct {
     __global const float4* triangles;  // records of TRIANGLE_ROWS: host/isonoise/scene/structs.py
@@ -26,6 +34,12 @@ typedef struct {
     __global const float* uvs;
     __global const Analytic* analytics;
     __global const Shape* shapes;
+#if FEATURE_ENVIRONMENT_MAP
+    EnvironmentMap environment;
+#endif
+#if FEATURE_TEXTURES
+    Textures textures;
+#endif
 } Geometry;
 
 #define TRIANGLE_ROWS 4

@@ -15,7 +15,7 @@ from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
-from isonoise.scene import structs, textures
+from isonoise.scene import environment, structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.triangles import triangle_records
@@ -28,6 +28,8 @@ STRUCTS = {
     "Instance": structs.INSTANCE,
     "Bsdf": structs.BSDF,
     "Texture": textures.TEXTURE,
+    "Environment": environment.ENVIRONMENT,
+    "EnvironmentRow": environment.ENVIRONMENT_ROW,
     "Light": structs.LIGHT,
     "Alias": structs.ALIAS,
 }
@@ -49,7 +51,8 @@ KERNELS = {
         "shade.cl",
         "paths sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
-        "lights light_alias light_count environment_light hit ray_origin ray_direction throughput path shadow_origin "
+        "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
+        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance",
     ),
     "shadow": (
@@ -146,6 +149,7 @@ class Wavefront:
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),
             "light_count": np.uint32(len(scene.lights)),
+            **self._environment(),
             "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
@@ -166,6 +170,18 @@ class Wavefront:
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
             "pixel_offset": device.buffer(4 * pixels, "the allocation"),
+        }
+
+    def _environment(self) -> dict[str, object]:
+        """The buffers of the environment map, if there is one."""
+        sky, device = self.scene.environment, self.device
+        if sky is None:
+            return {}
+        return {
+            "environment": device.buffer(sky.record, "the environment map"),
+            "environment_texels": device.buffer(sky.texels, "the environment map"),
+            "environment_rows": device.buffer(sky.rows, "the environment map"),
+            "environment_columns": device.buffer(sky.columns, "the environment map"),
         }
 
     def warm_up(self) -> None:

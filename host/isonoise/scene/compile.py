@@ -11,9 +11,11 @@ from isonoise.scene.bounds import instance_extents
 from isonoise.scene.bsdfs import Bsdfs, reads_uvs
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.environment import Environment, make_environment
+from isonoise.scene.images import read_image
 from isonoise.scene.instances import instance_records, separate
 from isonoise.scene.surfaces import Surface, make_surface
-from isonoise.scene.textures import MeshAttributes, Textures
+from isonoise.scene.textures import MeshAttributes, Textures, is_plain
 
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none
 _PATH = {"type": "path", "max_depth": -1, "rr_depth": 5, "hide_emitters": False}
@@ -40,7 +42,9 @@ def compile_scene(
     bounds = _bounds(spaces, instances, list(placed))
     shapes = [shape for space in (world, *groups) for shape in space.values()]
     geometry = _Geometry(shapes, [surface for space in spaces for surface in space.values()])
-    lights, alias, environment, scale = _lights(geometry, list(_of_kind(description, "emitter").values()), bounds)
+    emitters = _of_kind(description, "emitter")
+    sky = next((_sky(emitter, name) for name, emitter in emitters.items() if emitter["type"] == "envmap"), None)
+    lights, alias, environment, scale = _lights(geometry, list(emitters.values()), sky, bounds)
     arrays = {
         "camera": camera,
         "vertices": geometry.vertices,
@@ -70,7 +74,15 @@ def compile_scene(
         "radiance_scale": scale,
     }
     sample_count = sensor.get("sampler", {}).get("sample_count", _SAMPLE_COUNT)
-    return CompiledScene(**arrays, **facts, sample_count=sample_count, hash=_hash(arrays, facts))
+    hashed = arrays if sky is None else arrays | {"sky": sky.texels, "sky_record": sky.record}
+    return CompiledScene(
+        **arrays, **facts, environment=sky, sample_count=sample_count, hash=_hash(hashed, facts)
+    )
+
+
+def _sky(emitter: dict, name: str) -> Environment:
+    where = f"emitter '{name}'"
+    return make_environment(read_image(emitter["filename"]), emitter.get("to_world", np.eye(4)), emitter["scale"], where)
 
 
 def _of_kind(description: dict, kind: str) -> dict[str, dict]:
@@ -140,7 +152,7 @@ class _Geometry:
             [len(m.faces) for m in meshes],
         )
         self.emissive: list[tuple[int, dict, Surface]] = []
-        textures = Textures()
+        self._textures = textures = Textures()
         bsdfs, analytics, first_face = Bsdfs(textures.index), [], 0
         for index, (shape, surface) in enumerate(zip(shapes, surfaces, strict=True)):
             flags = structs.SHAPE_VERTEX_NORMALS if len(surface.normals) else 0
@@ -149,6 +161,7 @@ class _Geometry:
             self.shapes[index] = (bsdfs.index(shape.get("bsdf", _DIFFUSE)), structs.NONE, primitive, flags)
             if "emitter" in shape:
                 self.emissive.append((index, shape["emitter"], surface))
+                self.radiance_texture(shape["emitter"])  # enters it
             if surface.analytic is None:
                 first_face += len(surface.faces)
             else:
@@ -160,7 +173,8 @@ class _Geometry:
             [MeshAttributes(len(mesh.vertices), len(mesh.faces), mesh.attributes) for mesh in meshes]
         )
         self.uvs = np.zeros((0, 2), np.float32)
-        if reads_uvs(self.bsdfs) and any(len(mesh.uvs) for mesh in meshes):
+        textured = any(self.radiance_texture(emitter) != structs.NONE for _, emitter, _ in self.emissive)
+        if (textured or reads_uvs(self.bsdfs)) and any(len(mesh.uvs) for mesh in meshes):
             self.uvs = np.concatenate(
                 [mesh.uvs if len(mesh.uvs) else np.zeros((len(mesh.vertices), 2), np.float32) for mesh in meshes]
             )
@@ -168,32 +182,49 @@ class _Geometry:
             self.shapes["flags"][having] |= structs.SHAPE_UVS
 
 
+    def radiance_texture(self, emitter: dict) -> int:
+        """The index of the texture that an area emitter's radiance is, NONE if it is plain."""
+        return structs.NONE if is_plain(emitter["radiance"]) else self._textures.index(emitter["radiance"], "radiance")
+
+    def emitted(self, emitter: dict) -> np.ndarray:
+        """Linear RGB (3,) of an area emitter's radiance, of a texture its mean."""
+        texture = self.radiance_texture(emitter)
+        return lighting.emitted(emitter) if texture == structs.NONE else self._textures.mean(texture)
+
+
 def _stack(arrays: list[np.ndarray], dtype) -> np.ndarray:
     return np.concatenate(arrays).astype(dtype, copy=False) if arrays else np.zeros((0, 3), dtype)
 
 
-def _lights(geometry: _Geometry, emitters: list[dict], bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, float]:
-    """(lights, alias table, index of the constant light or -1, radiance_scale); enters first_light into the shapes."""
-    values = [lighting.emitted(emitter) for _, emitter, _ in geometry.emissive]
-    values += [lighting.emitted(emitter) for emitter in emitters]
-    scale = lighting.radiance_scale(values)
+def _lights(
+    geometry: _Geometry, emitters: list[dict], sky: Environment | None, bounds: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int, float]:
+    """(lights, alias table, index of the light beyond the scene or -1, radiance_scale); enters first_light into the
+    shapes, and the scale into the sky."""
+    values = [geometry.emitted(emitter) for _, emitter, _ in geometry.emissive]
+    values += [sky.mean if emitter["type"] == "envmap" else lighting.emitted(emitter) for emitter in emitters]
+    scale = lighting.radiance_scale([*values, *([np.full(3, sky.largest)] if sky else [])])
     parts, count = [], 0
-    for (index, _, surface), value in zip(geometry.emissive, values[: len(geometry.emissive)], strict=True):
+    for (index, emitter, surface), value in zip(geometry.emissive, values[: len(geometry.emissive)], strict=True):
         kind = None if surface.analytic is None else int(surface.analytic["kind"][0])
         first = int(geometry.shapes["first_primitive"][index])
-        parts.append(lighting.surface_lights(kind, first, surface.areas, value * scale))
+        texture = geometry.radiance_texture(emitter)
+        parts.append(lighting.surface_lights(kind, first, surface.areas, value * scale, texture))
         geometry.shapes["first_light"][index] = count
         count += len(parts[-1])
     parts += [
         lighting.emitter_light(emitter, value * scale)
         for emitter, value in zip(emitters, values[len(geometry.emissive) :], strict=True)
     ]
+    if sky is not None:
+        sky.record["scale"] *= scale
     if not parts:
         return np.zeros(0, structs.LIGHT), np.zeros(0, structs.ALIAS), -1, scale
     lights = np.concatenate(parts)
     if not np.isfinite(lights["radiance"]).all():
         raise SceneError("an emitter's colour leaves the range of 32-bit floats")
-    constant = np.flatnonzero(lights["kind"] == structs.LIGHT_CONSTANT)
+    beyond = np.flatnonzero(np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP)))
     alias = lighting.alias_table(lighting.pick_probabilities(lights, bounds))
     lights["pick_probability"] = lighting.picked(alias)
-    return lights, alias, int(constant[0]) if len(constant) else -1, scale
+    lights["radiance"][lights["texture"] != structs.NONE] = scale  # times the texture
+    return lights, alias, int(beyond[0]) if len(beyond) else -1, scale

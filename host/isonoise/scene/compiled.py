@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from isonoise.scene.environment import Environment
+
 
 @dataclass(frozen=True)
 class CompiledScene:
@@ -35,7 +37,8 @@ class CompiledScene:
     attributes: np.ndarray  # (a, 3) float32: mesh attributes that a texture reads
     lights: np.ndarray  # (L,) structs.LIGHT; pick probabilities sum to 1
     light_alias: np.ndarray  # (L,) structs.ALIAS
-    environment_light: int  # index of the LIGHT_CONSTANT light, -1 if there is none
+    environment_light: int  # index of the LIGHT_CONSTANT or LIGHT_ENVIRONMENT_MAP light, -1 if there is none
+    environment: Environment | None  # the map of the latter
     bounds: np.ndarray  # (2, 3) float32: corners of the box around all surfaces; zeros if there are none
     radiance_scale: float  # power of two: device radiance = true radiance * radiance_scale
     hash: str  # hex digest of the description: changes when the picture may

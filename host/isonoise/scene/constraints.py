@@ -129,9 +129,9 @@ def _shapegroup(group: dict, place: Place):
 
 
 def _scene(scene: dict, place: Place):
-    constant = [v for v in scene.values() if isinstance(v, dict) and v["type"] == "constant"]
+    constant = [v for v in scene.values() if isinstance(v, dict) and v["type"] in ("constant", "envmap")]
     if len(constant) > 1:
-        place.fail("a scene has only one constant emitter")
+        place.fail("a scene has only one constant emitter or environment map")
     sensors = {plugin.name for plugin in SENSORS}
     if not any(isinstance(v, dict) and v["type"] in sensors for v in scene.values()):
         place.fail('the scene has no sensor; add a <sensor type="perspective">')

@@ -29,13 +29,14 @@ def radiance_scale(values: list[np.ndarray]) -> float:
     return 2.0 ** min(max(1 - math.frexp(brightest)[1], -_EXPONENT), _EXPONENT)
 
 
-def surface_lights(kind: int | None, first: int, areas: np.ndarray, value: np.ndarray) -> np.ndarray:
+def surface_lights(kind: int | None, first: int, areas: np.ndarray, value: np.ndarray, texture: int) -> np.ndarray:
     """Lights of an emissive shape's primitives, in their order. `kind` is the analytic kind, None for triangles."""
     lights = np.zeros(len(areas), structs.LIGHT)
     lights["kind"] = structs.LIGHT_TRIANGLE if kind is None else _KINDS[kind]
     lights["primitive"] = first + np.arange(len(areas))
     lights["area"] = areas
     lights["radiance"] = value
+    lights["texture"] = texture
     return lights
 
 
@@ -44,6 +45,7 @@ def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
     light = np.zeros(1, structs.LIGHT)
     light["primitive"] = structs.NONE
     light["radiance"] = value
+    light["texture"] = structs.NONE
     to_world = emitter.get("to_world", np.eye(4))
     if emitter["type"] == "point":
         light["kind"] = structs.LIGHT_POINT
@@ -60,6 +62,8 @@ def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
         light["kind"] = structs.LIGHT_DIRECTIONAL
         direction = np.asarray(emitter.get("direction", to_world[:3, 2]), float)
         light["position"] = direction / np.linalg.norm(direction)
+    elif emitter["type"] == "envmap":
+        light["kind"] = structs.LIGHT_ENVIRONMENT_MAP
     else:
         light["kind"] = structs.LIGHT_CONSTANT
     return light
@@ -79,7 +83,7 @@ def pick_probabilities(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     beam = cutoff - 1.0 / lights["inverse_transition"][spot]
     factor[spot] = 2.0 * np.pi * (1.0 - 0.5 * (np.cos(beam) + np.cos(cutoff)))
     factor[lights["kind"] == structs.LIGHT_DIRECTIONAL] = np.pi * radius**2
-    factor[lights["kind"] == structs.LIGHT_CONSTANT] = 4.0 * np.pi**2 * radius**2
+    factor[np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP))] = 4.0 * np.pi**2 * radius**2
     power = factor * (lights["radiance"].astype(np.float64) @ LUMINANCE)
     largest = power.max()
     if not largest > 0:

@@ -41,7 +41,8 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
     LIGHT_SPOT,
     LIGHT_DIRECTIONAL,
     LIGHT_CONSTANT,
-) = range(8)
+    LIGHT_ENVIRONMENT_MAP,
+) = range(9)
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS = 1, 2, 4
 BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
@@ -128,6 +129,7 @@ LIGHT = np.dtype(
         ("area", "f4"),  # world area of the primitive, 0 for lights without surface
         # radiance; point, spot: radiant intensity; directional: irradiance. All times radiance_scale
         ("radiance", "f4", 3),
+        ("texture", "u4"),  # that the radiance is to be multiplied by, NONE
         ("position", "f4", 3),  # point, spot: position; directional: direction of travel (unit)
         ("axis", "f4", 3),  # spot: unit direction of the brightest light
         ("cutoff", "f4"),  # spot: angle from which on it is dark

@@ -22,5 +22,10 @@ EMITTERS = (
         ),
     ),
     Plugin("emitter", "directional", (P("irradiance", "radiance", 1.0), P("direction", "vector"), *PLACED, *_WEIGHT)),
+    Plugin(
+        "emitter",
+        "envmap",
+        (P("filename", "file", required=True), P("scale", "float", 1.0, "[0, inf)"), *PLACED, *_WEIGHT),
+    ),
     Plugin("emitter", "constant", (P("radiance", "radiance", 1.0), *_WEIGHT)),
 )
