@@ -1,6 +1,8 @@
 // From a hit to the surface there: position with its error bound, normals, shape.
 #pragma once
 #include "instance.h"
+#include "environment.h"
+#include "texture.h"
 #include "vectors.h"
 
 #define GAMMA(n) ((n) * 0x1p-24f / (1.0f - (n) * 0x1p-24f))  // Higham's bound on n rounded operations
