@@ -130,7 +130,6 @@ def room(sensor: dict) -> dict:
         return matrix
 
     lamp = placed(0, 2.5, -2, 0.8) @ np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-    lamp[:3, 2] *= -1  # shines down
     balls = {
         f"ball{i}": {
             "type": "sphere",
