@@ -372,14 +372,19 @@ def room(**more) -> dict:
 
 
 def coloured(group: dict) -> dict:
-    """The shapes in different materials, glass and metal among them."""
+    """The shapes in different materials; two of them turn with the surface's coordinates."""
+    brushed = {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.5, "specular_reflectance": 0.9}
     materials = [
-        *({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}}
-          for colour in ([0.7, 0.2, 0.1], [0.1, 0.6, 0.2], [0.6, 0.6, 0.6], [0.2, 0.3, 0.8])),
-        {"type": "dielectric"},
-        {"type": "twosided", "bsdf": {"type": "conductor", "specular_reflectance": 0.8}},
-    ]  # fmt: skip
-    return {name: {**shape, "bsdf": materials[i]} for i, (name, shape) in enumerate(group.items())}
+        {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.2, 0.1]}},
+        brushed,
+        {"type": "diffuse", "reflectance": {"type": "checkerboard", "color0": 0.1, "color1": 0.8}},
+        {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.3, 0.8]}},
+        brushed,
+    ]
+    return {
+        name: {**shape, "bsdf": {"type": "twosided", "bsdf": bsdf}}
+        for (name, shape), bsdf in zip(group.items(), materials, strict=False)
+    }
 
 
 SEEN = (
