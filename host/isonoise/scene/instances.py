@@ -7,6 +7,10 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.scene import structs
 
+_SHEAREST = 2.0**24
+"""How much larger than a point the terms of its coordinates may become on the way to the group's space and back: from
+here on nothing of the point is left in 32-bit floats."""
+
 
 def separate(shapes: Mapping[str, dict]) -> tuple[dict[str, dict], list[dict[str, dict]], dict[str, tuple[dict, int]]]:
     """(shapes that stand in the world, groups, instances with the number of their group), by the names for errors.
@@ -40,8 +44,10 @@ def instance_records(instances: Mapping[str, tuple[dict, int]]) -> np.ndarray:
         records["to_world"] = matrices[:, :3].reshape(-1, 12)
         fits = np.isfinite(matrices).all(axis=(1, 2)) & (np.linalg.det(matrices[:, :3, :3]) != 0)
         matrices[~fits] = np.eye(4)
-        records["to_object"] = np.linalg.inv(matrices)[:, :3].reshape(-1, 12)
-    fits &= np.isfinite(records["to_object"]).all(axis=1)
+        inverses = np.linalg.inv(matrices)
+        records["to_object"] = inverses[:, :3].reshape(-1, 12)
+    there_and_back = np.abs(matrices[:, :3, :3]) @ np.abs(inverses[:, :3, :3])
+    fits &= np.isfinite(records["to_object"]).all(axis=1) & (there_and_back <= _SHEAREST).all(axis=(1, 2))
     if not fits.all():
         raise SceneError(f"{list(instances)[int(np.argmin(fits))]}: its to_world leaves the range of 32-bit floats")
     records["root"] = [1 + number for _, number in instances.values()]
