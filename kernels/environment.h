@@ -6,9 +6,9 @@
 #if FEATURE_ENVIRONMENT_MAP
 typedef struct {
     __global const Environment* record;
-    __global const float* texels;         // RGB, row by row
+    __global const float4* texels;        // RGB, and the table's bound of the cell that begins there, as bits
     __global const EnvironmentRow* rows;  // of texels
-    __global const uint* columns;         // row of cells by row of cells
+    __global const uint* guides;          // of the rows, then of the columns of each row of cells
 } EnvironmentMap;
 
 #define LEAST_SINE 1e-20f  // at a pole the density is infinite and what it weighs nothing: both stay numbers
@@ -23,13 +23,13 @@ typedef struct {
 INLINE EnvironmentCell environment_cell(const EnvironmentMap* map, uint column, uint row)
 {
     const uint width = map->record->size[0], next = column + 1u == width ? 0u : column + 1u;
-    __global const float* upper = map->texels + 3u * row * width;
-    __global const float* lower = upper + 3u * width;
+    __global const float4* upper = map->texels + row * width;
+    __global const float4* lower = upper + width;
     EnvironmentCell cell;
-    cell.texel00 = LOAD3(column, upper);
-    cell.texel10 = LOAD3(next, upper);
-    cell.texel01 = LOAD3(column, lower);
-    cell.texel11 = LOAD3(next, lower);
+    cell.texel00 = upper[column].xyz;
+    cell.texel10 = upper[next].xyz;
+    cell.texel01 = lower[column].xyz;
+    cell.texel11 = lower[next].xyz;
     cell.sine0 = map->rows[row].sine;
     cell.sine1 = map->rows[row + 1u].sine;
     return cell;
@@ -44,6 +44,20 @@ INLINE float3 cell_radiance(const EnvironmentMap* map, const EnvironmentCell* c,
     return ((1.0f - c->t) * upper + c->t * lower) * map->record->scale;
 }
 
+// The angle of (x, y) in [-pi, pi]. The polynomial is fitted to atan(q) / q over |q| <= tan(pi / 8), off by 2e-8 of it.
+INLINE float angle_of(float y, float x)
+{
+    const float ax = abs1(x), ay = abs1(y), less = LESSER(ax, ay), more = GREATER(ax, ay);
+    const bool steep = less > 0.41421356f * more;  // then the angle is counted from the diagonal
+    const float q = (steep ? less - more : less) / GREATER(steep ? less + more : more, 1e-37f);
+    const float q2 = q * q;
+    float angle =
+        q + q * q2 * (-0.33332956f + q2 * (0.19977924f + q2 * (-0.13879836f + q2 * 0.080602668f)));
+    angle += steep ? M_PI_4_F : 0.0f;
+    angle = ay > ax ? M_PI_2_F - angle : angle;
+    return with_sign(x < 0.0f ? M_PI_F - angle : angle, y);
+}
+
 // Radiance from a unit direction, and the density with which `environment_sample` finds it.
 INLINE float3 environment_radiance(const EnvironmentMap* map, float3 direction, float* pdf)
 {
@@ -52,11 +66,13 @@ INLINE float3 environment_radiance(const EnvironmentMap* map, float3 direction, 
                          direction.z * LOAD3(2, record->to_world);
     const float sine = SQRT(turned.x * turned.x + turned.z * turned.z);
     const int width = (int)record->size[0], cells = (int)record->size[1] - 1;
-    const float x = atan2(turned.x, -turned.z) * (0.5f * M_1_PI_F) * (float)width - 0.5f;
-    const float y = atan2(sine, turned.y) * M_1_PI_F * (float)cells;  // near the poles acos would be coarse
+    const float x = angle_of(turned.x, -turned.z) * (0.5f * M_1_PI_F) * (float)width - 0.5f;
+    const float y = angle_of(sine, turned.y) * M_1_PI_F * (float)cells;  // near the poles acos would be coarse
     const int whole = (int)x, left = (float)whole > x ? whole - 1 : whole;
-    const int column = left < 0 ? left + width : left, row = LESSER((int)y, cells - 1);
-    EnvironmentCell cell = environment_cell(map, (uint)column, (uint)row);
+    // unsigned: what is no number ends in the last cell, not beside the map
+    const uint column = LESSER((uint)(left < 0 ? left + width : left), (uint)width - 1u);
+    const uint row = LESSER((uint)(int)y, (uint)cells - 1u);
+    EnvironmentCell cell = environment_cell(map, column, row);
     cell.s = x - (float)left;
     cell.t = LESSER(y - (float)row, 1.0f);
     float weight;
@@ -72,10 +88,13 @@ INLINE float environment_pdf(const EnvironmentMap* map, float3 direction)
     return pdf;
 }
 
-// The last of `count` ascending bounds, `stride` words apart, that is not above `key`; the first is 0.
-INLINE uint last_bound(__global const uint* bounds, uint stride, uint count, uint key)
+// The last of some ascending bounds, `stride` words apart, that is not above `key`; the first is 0. A guide says where it lies
+// for the first bits of the key, so that few are left to be compared (Chen and Asau, "On Generating Random Variates from an
+// Empirical Distribution", AIIE Transactions 6, 1974).
+INLINE uint last_bound(__global const uint* bounds, uint stride, __global const uint* guide, uint shift, uint key)
 {
-    uint found = 0;
+    guide += key >> shift;
+    uint found = guide[0], count = guide[1] - found + 1u;
     while (count > 1u) {
         const uint half_way = count >> 1;
         found += bounds[stride * (found + half_way)] <= key ? half_way : 0u;
@@ -85,7 +104,7 @@ INLINE uint last_bound(__global const uint* bounds, uint stride, uint count, uin
 }
 
 // Place of `key` between two bounds.
-INLINE float between(uint low, uint high, uint key)
+INLINE float place_between(uint low, uint high, uint key)
 {
     return (float)(key - low) / (float)(high - low);
 }
@@ -109,16 +128,17 @@ INLINE float3 environment_sample(const EnvironmentMap* map, float2 u, float3* di
     // a row of cells, a cell of it; the rest of each number serves within
     const uint row_key = (uint)(u.y * 0x1p24f) << 8, column_key = (uint)(u.x * 0x1p24f) << 8;
     __global const uint* row_bounds = (__global const uint*)map->rows;
-    const uint row = last_bound(row_bounds, 2u, cells, row_key);
-    __global const uint* bounds = map->columns + row * width;
-    const uint column = last_bound(bounds, 1u, width, column_key);
+    const uint row = last_bound(row_bounds, 2u, map->guides, record->row_shift, row_key);
     const uint row_end = row + 1u == cells ? 0xFFFFFFFFu : row_bounds[2u * row + 2u];
-    const uint column_end = column + 1u == width ? 0xFFFFFFFFu : bounds[column + 1u];
+    __global const uint* bounds = (__global const uint*)(map->texels + row * width) + 3;
+    __global const uint* guide = map->guides + record->row_guide + row * record->column_guide;
+    const uint column = last_bound(bounds, 4u, guide, record->column_shift, column_key);
+    const uint column_end = column + 1u == width ? 0xFFFFFFFFu : bounds[4u * column + 4u];
     EnvironmentCell cell = environment_cell(map, column, row);
     const float w00 = cell.sine0 * luminance(cell.texel00), w10 = cell.sine0 * luminance(cell.texel10);
     const float w01 = cell.sine1 * luminance(cell.texel01), w11 = cell.sine1 * luminance(cell.texel11);
-    cell.t = sample_linear(between(row_bounds[2u * row], row_end, row_key), w00 + w10, w01 + w11);
-    cell.s = sample_linear(between(bounds[column], column_end, column_key), (1.0f - cell.t) * w00 + cell.t * w01,
+    cell.t = sample_linear(place_between(row_bounds[2u * row], row_end, row_key), w00 + w10, w01 + w11);
+    cell.s = sample_linear(place_between(bounds[4u * column], column_end, column_key), (1.0f - cell.t) * w00 + cell.t * w01,
                            (1.0f - cell.t) * w10 + cell.t * w11);
     float weight;
     const float3 radiance = cell_radiance(map, &cell, &weight);

@@ -1,5 +1,5 @@
-// Textures: a colour, a number or the slope of a number at a point of a surface. Conventions are Mitsuba 3's: v = 0 is an image's
-// top row, texel centres lie at one half, nothing is clamped. Records and stores: host/isonoise/scene/textures.py.
+// Textures: a colour, a number or the slope of a number at a point of a surface. Conventions are Mitsuba 3's: v = 0 is the top
+// row of an image, texel centres lie at one half, nothing is clamped. Records and stores: host/isonoise/scene/textures.py.
 #pragma once
 #include "plain.h"
 

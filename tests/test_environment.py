@@ -17,13 +17,13 @@ from isonoise.scene.images import Image, read_image
 Z = 5.0
 SAMPLES = 1 << 19
 KERNEL = """
-__kernel void sample(__global const Environment* record, __global const float* texels,
-                     __global const EnvironmentRow* rows, __global const uint* columns, __global const float2* u,
+__kernel void sample(__global const Environment* record, __global const float4* texels,
+                     __global const EnvironmentRow* rows, __global const uint* guides, __global const float2* u,
                      __global float4* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const EnvironmentMap map = {record, texels, rows, columns};
+    const EnvironmentMap map = {record, texels, rows, guides};
     float3 direction;
     float pdf;
     const float3 radiance = environment_sample(&map, u[i], &direction, &pdf);
@@ -31,13 +31,13 @@ __kernel void sample(__global const Environment* record, __global const float* t
     out[2 * i + 1] = (float4)(radiance, 0.0f);
 }
 
-__kernel void look(__global const Environment* record, __global const float* texels,
-                   __global const EnvironmentRow* rows, __global const uint* columns,
+__kernel void look(__global const Environment* record, __global const float4* texels,
+                   __global const EnvironmentRow* rows, __global const uint* guides,
                    __global const float4* direction, __global float4* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const EnvironmentMap map = {record, texels, rows, columns};
+    const EnvironmentMap map = {record, texels, rows, guides};
     float pdf;
     const float3 radiance = environment_radiance(&map, direction[i].xyz, &pdf);
     out[i] = (float4)(radiance, environment_pdf(&map, direction[i].xyz) == pdf ? pdf : NAN);
@@ -58,7 +58,7 @@ class OnDevice:
 
     def _run(self, kernel: str, made: Environment, given: np.ndarray, rows: int) -> np.ndarray:
         n = len(given)
-        arrays = (made.record, made.texels, made.rows, made.columns, given)
+        arrays = (made.record, made.texels, made.rows, made.guides, given)
         out = self.device.buffer(16 * rows * n, "results")
         buffers = [self.device.buffer(array, "a map") for array in arrays]
         self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
@@ -306,6 +306,15 @@ def test_poles_and_seam(on_device):
         assert (found <= pixels[row].max(axis=0) + 1e-6).all()
 
 
+def test_directions_that_are_none(on_device):
+    """They read nothing beside the map."""
+    values = np.array([np.nan, np.inf, -np.inf, 0.0, 1e38])
+    directions = np.stack(np.meshgrid(values, values, values), axis=-1).reshape(-1, 3)
+    on_device.look(make("sun"), directions)
+    radiance, _ = on_device.look(make("noise"), np.zeros((1, 3)))
+    assert np.isfinite(radiance).all()
+
+
 def test_all_dark(on_device):
     made = make_environment(Image(np.zeros((5, 8, 3), np.float32)), np.eye(4), 1.0, "envmap")
     _, pdf, radiance = on_device.sample(made, 1000)
@@ -327,7 +336,7 @@ def test_images_of_bytes_and_of_one_channel(on_device):
     linear = np.broadcast_to(Image(grey).linear(), (9, 16, 3))
     same = make_environment(Image(np.ascontiguousarray(linear)), np.eye(4), 1.0, "envmap")
     assert (made.texels == same.texels).all()
-    assert (made.columns == same.columns).all()
+    assert (made.guides == same.guides).all()
 
 
 @pytest.mark.parametrize(
@@ -337,7 +346,6 @@ def test_images_of_bytes_and_of_one_channel(on_device):
         (np.ones((3, 1, 3), np.float32), np.eye(4), "at least 2 x 3"),
         (np.full((3, 2, 3), np.inf, np.float32), np.eye(4), "no finite numbers"),
         (np.full((3, 2, 3), np.nan, np.float32), np.eye(4), "no finite numbers"),
-        (np.full((3, 2, 3), -1e-9, np.float32), np.eye(4), "negative"),
         (np.ones((3, 2, 3), np.float32), np.diag([1.0, 2.0, 1.0, 1.0]), "turn, mirror and scale evenly"),
         (np.ones((3, 2, 3), np.float32), np.zeros((4, 4)), "turn, mirror and scale evenly"),
     ],
@@ -345,6 +353,15 @@ def test_images_of_bytes_and_of_one_channel(on_device):
 def test_maps_that_cannot_be(pixels, to_world, message):
     with pytest.raises(SceneError, match=f"envmap 'sky'.*{message}"):
         make_environment(Image(pixels), to_world, 1.0, "envmap 'sky'")
+
+
+def test_negative_pixels_are_black():
+    pixels = np.ones((3, 2, 3), np.float32)
+    pixels[1] = -1e-3
+    with pytest.warns(UserWarning, match="envmap 'sky'.*negative"):
+        made = make_environment(Image(pixels), np.eye(4), 1.0, "envmap 'sky'")
+    assert (made.texels[1, :, :3] == 0).all()
+    assert (made.texels[[0, 2], :, :3] == 1).all()
 
 
 def test_a_real_sky(on_device, public_scenes):

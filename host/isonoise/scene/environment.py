@@ -10,6 +10,7 @@ times brighter than its neighbours makes no more noise than a plain sky. Where r
 either. Of the poles, where the sine is zero, its mean over the reach of the texel counts.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,10 +23,11 @@ ENVIRONMENT = np.dtype(
         ("to_world", "f4", 9),  # rows of an orthogonal matrix
         ("size", "u4", 2),  # texels: width, height
         ("scale", "f4"),  # radiance = texel * scale
-        (
-            "density",
-            "f4",
-        ),  # pdf = density * interpolated (luminance * sine) of the texels / sin(theta); 0 if all is dark
+        ("density", "f4"),  # pdf = density * interpolated (luminance * sine) / sin(theta); 0 if all is dark
+        ("row_shift", "u4"),  # of a number of 32 bits: what is left is an entry of the rows' guide
+        ("row_guide", "u4"),  # entries of the rows' guide
+        ("column_shift", "u4"),  # the same for the columns of a row
+        ("column_guide", "u4"),
     ]
 )
 
@@ -37,6 +39,8 @@ ENVIRONMENT_ROW = np.dtype(
 )
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # the weights of kernels/vectors.h: the density is computed with them
+_BEYOND = 2.0**32 - 1  # the largest bound
+_GUIDED = 8  # entries that one of a guide stands for, at most
 _ROWS = 64  # that are summed at once
 _ORTHOGONAL = 1e-3  # how far the axes of to_world may be off
 
@@ -47,9 +51,11 @@ class Environment:
     the seam, the next column's."""
 
     record: np.ndarray  # (1,) ENVIRONMENT
-    texels: np.ndarray  # (height, width, 3) float32, brightest luminance in [1, 2)
+    texels: np.ndarray  # (height, width, 4) float32: RGB, brightest luminance in [1, 2); the bits of a uint32 bound:
+    # probability of the cells before this one in its row, times 2^32
     rows: np.ndarray  # (height,) ENVIRONMENT_ROW
-    columns: np.ndarray  # (height - 1, width) uint32: probability of the row's cells before each, times 2^32
+    guides: np.ndarray  # (row_guide + (height - 1) * column_guide,) uint32: for the first bits of a number the last
+    # bound that is not above it, by rows and then by columns of each row
     mean: np.ndarray  # (3,) float64: mean radiance over the sphere
     largest: float  # luminance of the brightest texel
 
@@ -58,32 +64,33 @@ def make_environment(image: Image, to_world: np.ndarray, scale: float, where: st
     """The map of an image. `to_world` is (4, 4); `where` names the emitter in errors.
 
     Whoever scales radiance for the device multiplies the record's `scale`. Raises SceneError where the image is smaller
-    than 2 x 3 pixels or has values that are negative or no numbers, and where to_world does more than turn, mirror and
-    scale evenly.
+    than 2 x 3 pixels or has values that are no finite numbers, and where to_world does more than turn, mirror and scale
+    evenly. Negative values are black, with a warning.
     """
-    pixels = image.linear()
+    rotation, pixels = _rotation(to_world, where), image.linear()
     height, width, _ = pixels.shape
     if width < 2 or height < 3:
         raise SceneError(f"{where}: an environment map needs at least 2 x 3 pixels, this one has {width} x {height}")
-    brightest = _brightest(pixels, where)
-    exponent = 1 - int(np.frexp(brightest)[1])
-    texels = np.empty((height, width, 3), np.float32)
-    np.ldexp(pixels, exponent, out=texels)
-    rows, columns, total, mean = _table(texels)
-    record = np.zeros(1, ENVIRONMENT)
-    record["to_world"] = _rotation(to_world, where).ravel()
-    record["size"] = width, height
-    record["scale"] = unit = np.ldexp(scale, -exponent)
-    record["density"] = width * (height - 1) / (2 * np.pi**2 * total) if total > 0 else 0.0
-    return Environment(record, texels, rows, columns, mean * unit, brightest * scale)
-
-
-def _brightest(pixels: np.ndarray, where: str) -> float:
-    """The largest luminance."""
     if not np.isfinite(pixels.min()) or not np.isfinite(pixels.max()):
         raise SceneError(f"{where}: the environment map has pixels that are no finite numbers")
     if pixels.min() < 0:
-        raise SceneError(f"{where}: the environment map has negative pixels")
+        warnings.warn(f"{where}: the environment map has negative pixels; they are taken for black", stacklevel=2)
+        pixels = np.maximum(pixels, 0)
+    brightest = _brightest(pixels)
+    exponent = 1 - int(np.frexp(brightest)[1])
+    texels = np.zeros((height, width, 4), np.float32)
+    np.ldexp(pixels, exponent, out=texels[..., :3])
+    record = np.zeros(1, ENVIRONMENT)
+    rows, guides, total, mean = _table(texels, record)
+    record["to_world"] = rotation.ravel()
+    record["size"] = width, height
+    record["scale"] = unit = np.ldexp(scale, -exponent)
+    record["density"] = width * (height - 1) / (2 * np.pi**2 * total) if total > 0 else 0.0
+    return Environment(record, texels, rows, guides, mean * unit, brightest * scale)
+
+
+def _brightest(pixels: np.ndarray) -> float:
+    """The largest luminance."""
     weights = _LUMINANCE if pixels.shape[2] == 3 else np.ones(1)
     return max(float((pixels[row : row + _ROWS] @ weights).max()) for row in range(0, len(pixels), _ROWS))
 
@@ -107,32 +114,52 @@ def _sines(height: int) -> np.ndarray:
     return sines
 
 
-def _table(texels: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Rows, columns, the sum of the cells' weights, and the mean radiance over the sphere."""
+def _table(texels: np.ndarray, record: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Rows, guides, the sum of the cells' weights, and the mean radiance over the sphere; enters bounds into the texels
+    and what is said of guides into the record."""
     height, width, _ = texels.shape
-    sines = _sines(height)
+    sines, bits = _sines(height), texels.view(np.uint32)[..., 3]
     weights, sums = np.empty(height - 1), np.empty((height, 3))
-    columns = np.zeros((height - 1, width), np.uint32)
+    record["row_shift"], record["row_guide"] = _guide_size(height - 1)
+    record["column_shift"], record["column_guide"] = shift, entries = _guide_size(width)
+    guides = np.empty((height - 1, entries), np.uint32)
     for first in range(0, height - 1, _ROWS):
         last = min(first + _ROWS, height - 1)
-        part = texels[first : last + 1].astype(np.float64)
+        part = texels[first : last + 1, :, :3].astype(np.float64)
         sums[first : last + 1] = part.sum(axis=1)
         node = (part @ _LUMINANCE) * sines[first : last + 1, None]
         pair = node + np.roll(node, -1, axis=1)
         cumulative = np.cumsum(pair[:-1] + pair[1:], axis=1)
         weights[first:last] = cumulative[:, -1] / 4
-        columns[first:last, 1:] = _fixed_point(cumulative)[:, :-1]
+        bits[first:last] = bounds = _bounds(cumulative)
+        for row in range(first, last):
+            guides[row] = _guide(bounds[row - first], shift, entries)
     rows = np.zeros(height, ENVIRONMENT_ROW)
-    rows["cumulative"][1:] = _fixed_point(np.cumsum(weights)[None])[0]
     rows["sine"] = sines
+    rows["cumulative"][:-1] = bounds = _bounds(np.cumsum(weights)[None])[0]
+    guide = _guide(bounds, int(record["row_shift"][0]), int(record["row_guide"][0]))
     share = sines.copy()  # of the sphere, for a row of texels; the poles reach to one side alone
     share[[0, -1]] *= 0.5
     mean = share @ sums * (np.pi / (2 * width * (height - 1)))
-    return rows, columns, float(weights.sum()), mean
+    return rows, np.concatenate([guide, guides.ravel()]), float(weights.sum()), mean
 
 
-def _fixed_point(cumulative: np.ndarray) -> np.ndarray:
-    """Sums along rows over their last, times 2^32, as whole numbers below it; 0 where all are 0."""
+def _bounds(cumulative: np.ndarray) -> np.ndarray:
+    """Probability of what comes before each entry of a row, times 2^32, from cumulative weights; 0 where all are 0."""
     total = cumulative[:, -1:]
-    share = cumulative / np.where(total > 0, total, 1.0)
-    return np.minimum(share * 2.0**32, 2.0**32 - 1).astype(np.uint32)
+    share = cumulative[:, :-1] / np.where(total > 0, total, 1.0)
+    bounds = np.zeros(cumulative.shape, np.uint32)
+    bounds[:, 1:] = np.minimum(share * 2.0**32, _BEYOND)
+    return bounds
+
+
+def _guide_size(count: int) -> tuple[int, int]:
+    """(shift, entries) of a guide to some bounds: a power of two of them, and the end of the last."""
+    bits = max((count // _GUIDED).bit_length(), 1)
+    return 32 - bits, (1 << bits) + 1
+
+
+def _guide(bounds: np.ndarray, shift: int, entries: int) -> np.ndarray:
+    """The last bound that is not above each multiple of 2^shift; the last of all for 2^32."""
+    starts = np.arange(entries, dtype=np.uint64) << np.uint64(shift)
+    return (np.searchsorted(bounds, starts, side="right") - 1).astype(np.uint32)
