@@ -109,8 +109,8 @@ INLINE float place_between(uint low, uint high, uint key)
     return (float)(key - low) / (float)(high - low);
 }
 
-// Inverts the distribution of a density that goes from a at 0 to b at 1 in a straight line; written so that nothing cancels. What
-// is so small that its square vanishes is as good as never picked.
+// Inverts the distribution of a density that goes from a at 0 to b at 1 in a straight line; written so that nothing cancels.
+// What is so small that its square vanishes is as good as never picked.
 INLINE float sample_linear(float u, float a, float b)
 {
     const float x = u * (a + b) / GREATER(a + SQRT((1.0f - u) * a * a + u * b * b), 1e-30f);
