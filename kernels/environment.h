@@ -6,9 +6,9 @@
 #if FEATURE_ENVIRONMENT_MAP
 typedef struct {
     __global const Environment* record;
-    __global const float4* texels;        // RGB, and the table's bound of the cell that begins there, as bits
+    __global const float* texels;         // four numbers each: RGB, and as bits the bound of the cell that begins there
     __global const EnvironmentRow* rows;  // of texels
-    __global const uint* guides;          // of the rows, then of the columns of each row of cells
+    __global const uint* columns;         // guides to the bounds: of the rows, then of the columns of each row
 } EnvironmentMap;
 
 #define LEAST_SINE 1e-20f  // at a pole the density is infinite and what it weighs nothing: both stay numbers
@@ -23,7 +23,7 @@ typedef struct {
 INLINE EnvironmentCell environment_cell(const EnvironmentMap* map, uint column, uint row)
 {
     const uint width = map->record->size[0], next = column + 1u == width ? 0u : column + 1u;
-    __global const float4* upper = map->texels + row * width;
+    __global const float4* upper = (__global const float4*)map->texels + row * width;
     __global const float4* lower = upper + width;
     EnvironmentCell cell;
     cell.texel00 = upper[column].xyz;
@@ -125,10 +125,10 @@ INLINE float3 environment_sample(const EnvironmentMap* map, float2 u, float3* di
     // a row of cells, a cell of it; the rest of each number serves within
     const uint row_key = (uint)(u.y * 0x1p24f) << 8, column_key = (uint)(u.x * 0x1p24f) << 8;
     __global const uint* row_bounds = (__global const uint*)map->rows;
-    const uint row = last_bound(row_bounds, 2u, map->guides, record->row_shift, row_key);
+    const uint row = last_bound(row_bounds, 2u, map->columns, record->row_shift, row_key);
     const uint row_end = row + 1u == cells ? 0xFFFFFFFFu : row_bounds[2u * row + 2u];
-    __global const uint* bounds = (__global const uint*)(map->texels + row * width) + 3;
-    __global const uint* guide = map->guides + record->row_guide + row * record->column_guide;
+    __global const uint* bounds = (__global const uint*)map->texels + 4u * row * width + 3u;
+    __global const uint* guide = map->columns + record->row_guide + row * record->column_guide;
     const uint column = last_bound(bounds, 4u, guide, record->column_shift, column_key);
     const uint column_end = column + 1u == width ? 0xFFFFFFFFu : bounds[4u * column + 4u];
     EnvironmentCell cell = environment_cell(map, column, row);

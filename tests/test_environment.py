@@ -17,13 +17,13 @@ from isonoise.scene.images import Image, read_image
 Z = 5.0
 SAMPLES = 1 << 19
 KERNEL = """
-__kernel void sample(__global const Environment* record, __global const float4* texels,
-                     __global const EnvironmentRow* rows, __global const uint* guides, __global const float2* u,
+__kernel void sample(__global const Environment* record, __global const float* texels,
+                     __global const EnvironmentRow* rows, __global const uint* columns, __global const float2* u,
                      __global float4* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const EnvironmentMap map = {record, texels, rows, guides};
+    const EnvironmentMap map = {record, texels, rows, columns};
     float3 direction;
     float pdf;
     const float3 radiance = environment_sample(&map, u[i], &direction, &pdf);
@@ -31,13 +31,13 @@ __kernel void sample(__global const Environment* record, __global const float4* 
     out[2 * i + 1] = (float4)(radiance, 0.0f);
 }
 
-__kernel void look(__global const Environment* record, __global const float4* texels,
-                   __global const EnvironmentRow* rows, __global const uint* guides,
+__kernel void look(__global const Environment* record, __global const float* texels,
+                   __global const EnvironmentRow* rows, __global const uint* columns,
                    __global const float4* direction, __global float4* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const EnvironmentMap map = {record, texels, rows, guides};
+    const EnvironmentMap map = {record, texels, rows, columns};
     float pdf;
     const float3 radiance = environment_radiance(&map, direction[i].xyz, &pdf);
     out[i] = (float4)(radiance, environment_pdf(&map, direction[i].xyz) == pdf ? pdf : NAN);
@@ -58,7 +58,7 @@ class OnDevice:
 
     def _run(self, kernel: str, made: Environment, given: np.ndarray, rows: int) -> np.ndarray:
         n = len(given)
-        arrays = (made.record, made.texels, made.rows, made.guides, given)
+        arrays = (made.record, made.texels, made.rows, made.columns, given)
         out = self.device.buffer(16 * rows * n, "results")
         buffers = [self.device.buffer(array, "a map") for array in arrays]
         self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
@@ -336,7 +336,7 @@ def test_images_of_bytes_and_of_one_channel(on_device):
     linear = np.broadcast_to(Image(grey).linear(), (9, 16, 3))
     same = make_environment(Image(np.ascontiguousarray(linear)), np.eye(4), 1.0, "envmap")
     assert (made.texels == same.texels).all()
-    assert (made.guides == same.guides).all()
+    assert (made.columns == same.columns).all()
 
 
 @pytest.mark.parametrize(

@@ -54,8 +54,8 @@ class Environment:
     texels: np.ndarray  # (height, width, 4) float32: RGB, brightest luminance in [1, 2); the bits of a uint32 bound:
     # probability of the cells before this one in its row, times 2^32
     rows: np.ndarray  # (height,) ENVIRONMENT_ROW
-    guides: np.ndarray  # (row_guide + (height - 1) * column_guide,) uint32: for the first bits of a number the last
-    # bound that is not above it, by rows and then by columns of each row
+    columns: np.ndarray  # (row_guide + (height - 1) * column_guide,) uint32, guides: for the first bits of a number the
+    # last bound that is not above it, by rows and then by columns of each row
     mean: np.ndarray  # (3,) float64: mean radiance over the sphere
     largest: float  # luminance of the brightest texel
 
