@@ -9,7 +9,7 @@
     (FEATURE_DIFFUSE || FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_PLASTIC ||                      \
      FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
 
-#define HAS_DELTA_BSDFS (FEATURE_DIELECTRIC || FEATURE_THIN_DIELECTRIC || FEATURE_CONDUCTOR || FEATURE_NULL)
+#define HAS_DELTA_BSDFS (FEATURE_DIELECTRIC || FEATURE_THIN_DIELECTRIC || FEATURE_CONDUCTOR)
 #define HAS_ROUGH_TRANSMISSION (FEATURE_ROUGH_DIELECTRIC || FEATURE_PRINCIPLED)
 
 // Whether next-event estimation can find anything: some lobe is no delta function, and the side is one that scatters.
@@ -20,8 +20,7 @@ INLINE bool bsdf_is_smooth(const Shading* at)
     switch (at->bsdf->kind) {
     case BSDF_DIELECTRIC:
     case BSDF_THIN_DIELECTRIC:
-    case BSDF_CONDUCTOR:
-    case BSDF_NULL: return false;
+    case BSDF_CONDUCTOR: return false;
     default: return true;
     }
 #else
