@@ -101,6 +101,7 @@ LOBES = {
     "roughplastic": {"type": "roughplastic", "diffuse_reflectance": RED},
     "roughplastic ggx nonlinear": rough("roughplastic", 0.3, diffuse_reflectance=RED, nonlinear=True, int_ior=1.7),
     "roughplastic all normals": rough("roughplastic", 0.2, "beckmann", sample_visible=False, specular_reflectance=RED),
+    "roughplastic thinner within": {"type": "roughplastic", "int_ior": 1.0, "ext_ior": 1.25},
     "principled": {"type": "principled", "base_color": RED},
     "principled metal": {
         "type": "principled",

@@ -9,7 +9,7 @@ import numpy as np
 
 NODES = 64
 """Cosines 0, 1/63 ... 1 at which a transmittance is tabulated; kernels interpolate linearly, as Mitsuba does."""
-_THROUGH, _BACK = 32, 128  # nodes of quadrature along either axis; total reflection has an edge
+_FEW_NODES, _MANY_NODES = 32, 128  # of quadrature along either axis; many where there is total reflection
 
 
 def inner_reflectance(eta: float) -> float:
@@ -31,14 +31,14 @@ def rough_boundary(alpha: float, eta: float, ggx: bool) -> tuple[np.ndarray, flo
     cosines = np.maximum(np.linspace(0.0, 1.0, NODES), 1e-6)
     alpha = max(alpha, 1e-4)
     w = np.stack([np.sqrt(1.0 - cosines**2), np.zeros(NODES), cosines])[:, :, None]
-    transmittance = _scattered(w, alpha, eta, ggx, _THROUGH, transmitted=True)
-    reflectance = _scattered(w, alpha, 1.0 / eta, ggx, _BACK, transmitted=False)
+    transmittance = _scattered(w, alpha, eta, ggx, transmitted=True)
+    reflectance = _scattered(w, alpha, 1.0 / eta, ggx, transmitted=False)
     return transmittance, float(2.0 * (reflectance * cosines).mean())
 
 
-def _scattered(w: np.ndarray, alpha: float, eta: float, ggx: bool, nodes: int, transmitted: bool) -> np.ndarray:
+def _scattered(w: np.ndarray, alpha: float, eta: float, ggx: bool, transmitted: bool) -> np.ndarray:
     """Share of the light from `w` (3, n, 1) that is reflected, or transmitted: (n,)."""
-    m, weight = _facets(w, alpha, ggx, nodes)
+    m, weight = _facets(w, alpha, ggx, _FEW_NODES if eta > 1.0 else _MANY_NODES)
     cosine = (w * m).sum(axis=0)
     reflectance, refracted = _fresnel(cosine, eta)
     if transmitted:
