@@ -267,7 +267,7 @@ def mitsuba_eval_pdf(mi, bsdf: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np
 def test_eval_and_pdf_are_mitsubas(mitsuba, lobe, name):
     """At 16 directions, for each 24 that are uniform over the sphere and 24 that the lobe itself sends there: to 1e-3;
     where alpha is below 0.05, to 1e-3 of the largest seen for the same wi, as the half vector of two float32 directions
-    has no more digits there."""
+    has no more digits there. What is below 1e-8 is zero."""
     random = np.random.default_rng(3)
     wi = uniform_sphere(random, 16)
     if name not in BOTH_SIDES:
@@ -286,7 +286,7 @@ def test_eval_and_pdf_are_mitsubas(mitsuba, lobe, name):
         if name in NARROW:
             peaks = scale.reshape(16, 48, -1).max(axis=1, keepdims=True)
             scale = np.broadcast_to(peaks, (16, 48, theirs.shape[1])).reshape(theirs.shape)
-        error = np.abs(ours - theirs) / np.maximum(scale, 1e-6)
+        error = np.abs(ours - theirs) / np.maximum(scale, 1e-5)
         worst = np.unravel_index(error.argmax(), error.shape)[0]
         assert error.max() < 1e-3, (wi[worst], wo[worst], ours[worst], theirs[worst])
 
@@ -316,12 +316,13 @@ BINS, NODES_A_BIN, SAMPLES = 40, 8, 2**16
 
 
 def bin_masses(lobe: Lobe, wi: np.ndarray) -> np.ndarray:
-    """Integral of the pdf over BINS x BINS bins of theta and phi, by a Gauss rule in each."""
+    """Integral of the pdf over BINS x BINS bins of theta and phi, by a Gauss rule in each, where the path goes on."""
     at, weight = np.polynomial.legendre.leggauss(NODES_A_BIN)
     steps = (np.arange(BINS)[:, None] + 0.5 * (at + 1)).ravel() / BINS
     theta, phi = np.meshgrid(math.pi * steps, 2 * math.pi * steps, indexing="ij")
     wo = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-    pdf = lobe.evaluate(wi, wo.reshape(-1, 3))[1].reshape(theta.shape) * np.sin(theta)
+    value, pdf = lobe.evaluate(wi, wo.reshape(-1, 3))
+    pdf = np.where(value.any(axis=1), pdf, 0).reshape(theta.shape) * np.sin(theta)
     area = math.pi * 2 * math.pi / BINS**2 / 4
     masses = pdf.reshape(BINS, NODES_A_BIN, BINS, NODES_A_BIN) * np.outer(weight, weight)[None, :, None]
     return masses.sum(axis=(1, 3)) * area
