@@ -13,7 +13,8 @@ from isonoise.scene.materials import MIRROR, conductors
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.surfaces import Surface, make_surface
 
-_DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none
+_DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none,
+_BLACK = {"type": "diffuse", "reflectance": 0.0}  # and where it shines
 _PATH = {"type": "path", "max_depth": -1, "rr_depth": 5, "hide_emitters": False}
 _DIRECT_DEPTH = 2  # light that arrives over one bounce
 _FARTHEST = 1e18  # the square of a distance, 1.2e37 at most, fits in 32-bit floats
@@ -114,7 +115,8 @@ class _Geometry:
             flags = structs.SHAPE_VERTEX_NORMALS if len(surface.normals) else 0
             flags |= structs.SHAPE_FLIP_NORMALS if surface.flip else 0
             primitive = first_face if surface.analytic is None else len(analytics)
-            self.shapes[index] = (self.bsdfs.index(shape.get("bsdf", _DIFFUSE)), structs.NONE, primitive, flags)
+            bsdf = shape.get("bsdf", _BLACK if "emitter" in shape else _DIFFUSE)
+            self.shapes[index] = (self.bsdfs.index(bsdf), structs.NONE, primitive, flags)
             if "emitter" in shape:
                 self.emissive.append((index, shape["emitter"], surface))
             if surface.analytic is None:
