@@ -254,7 +254,7 @@ def test_the_page_has_every_picture(page):
         head, data = image["src"].split(",", 1)
         assert head == "data:image/png;base64"
         assert Image.open(io.BytesIO(base64.b64decode(data))).size == (80, 60)
-    assert page.tags.count("table") == 2 + 2 * len(SCENES)
+    assert page.tags.count("table") == 3 + 2 * len(SCENES)
 
 
 def test_the_ids_of_the_page_are_its_own_and_its_links_lead_somewhere(page):

@@ -514,7 +514,7 @@ def test_ctrl_c_keeps_what_is_finished():
     assert 2 <= len(run_files("out")) < 50
     assert Path("out/report.html").exists()
     assert not list(Path("out").rglob("*.tmp*"))
-    assert "seed 1" in out
+    assert "seed 0" in out  # that of seed 1 may be interrupted between its file and its line
 
 
 # ---- references

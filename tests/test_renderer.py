@@ -200,7 +200,7 @@ def test_an_environment_alone():
     outcome = render(without(lamp_over_floor(), "lamp", "floor") | {"sky": sky}, spp=20)
     np.testing.assert_allclose(outcome.rgb, np.broadcast_to([0.2, 0.4, 0.6], outcome.rgb.shape), rtol=1e-6)
     assert (outcome.statistics.variance == 0).all()
-    assert len(np.unique(outcome.statistics.count)) == 1  # no pixel is noisier than another
+    assert np.ptp(outcome.statistics.count) <= 2  # no pixel is noisier than another; waves are rounded, the last is cut
 
 
 def test_depth_zero_is_black_and_depth_one_sees_lights_alone():

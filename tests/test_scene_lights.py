@@ -158,3 +158,13 @@ def test_a_million_emissive_triangles():
     assert len(scene.lights) == 2 * (side - 1) ** 2 > 10**6
     areas = scene.lights["area"].astype(float)
     np.testing.assert_allclose(scene.lights["pick_probability"], areas / areas.sum(), rtol=2e-6)
+
+
+def test_what_shines_and_names_no_material_reflects_nothing():
+    """As in Mitsuba 3: its default material has the reflectance 0.5, on emitters 0."""
+    lamp = {"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}}
+    scene = compile_scene(_scene(lamp=lamp, ball={"type": "sphere"}))
+    lit = scene.shapes["first_light"] != structs.NONE
+    reflectance = scene.bsdfs["reflectance"][scene.shapes["bsdf"]]
+    assert (reflectance[lit] == 0).all()
+    assert (reflectance[~lit] == 0.5).all()

@@ -239,6 +239,15 @@ def time_cell(row: Mapping | None, metric: str) -> Cell:
     return Cell(two(ratio["low"]), _interval(common, two), ratio["low"], _tone(common))
 
 
+def short_cell(row: Mapping | None, scene: Mapping) -> Cell:
+    """The ratios of RMS p99 and of relMSE to the baseline's, and that of the image means."""
+    figures = [("rms_ratio", "p99", "value"), ("rel_mse_ratio", "value"), ("energy", "value")]
+    values = [_at(row, keys) for keys in figures]
+    if None in values:
+        return Cell()
+    return Cell(f"{two(values[0])} / {two(values[1])} / {values[2]:.4f}", value=values[0])
+
+
 def _at(row: Mapping, keys: Sequence[str]):
     for key in keys:
         row = None if row is None else row.get(key)

@@ -13,7 +13,7 @@ from isonoise.comparison.columns import SCENE_COLUMNS, SINGLE_COLUMNS, number, p
 from isonoise.comparison.presets import POSTER
 from isonoise.comparison.results import Results
 from isonoise.comparison.summary import summarise, write_summary
-from isonoise.comparison.tables import BELOW_REFERENCE, TIME_METRICS, scene_tables, time_table
+from isonoise.comparison.tables import BELOW_REFERENCE, TIME_METRICS, scene_tables, short_table, time_table
 from isonoise.errors import UserError
 from isonoise.film.files import write_whole
 
@@ -42,7 +42,7 @@ def write_report(directory: Path) -> None:
         summary=summary,
         scenes=[_scene(results, summary, scene) for scene in shown],
         poster=_poster(results, summary),
-        times=[time_table(summary, metric) for metric in TIME_METRICS],
+        across=[*(time_table(summary, metric) for metric in TIME_METRICS), short_table(summary)],
         columns=[*SCENE_COLUMNS, *SINGLE_COLUMNS],
         below_reference=BELOW_REFERENCE,
         dates=_dates(results),

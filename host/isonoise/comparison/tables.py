@@ -1,10 +1,10 @@
 """The tables of a comparison, as columns and cells that the terminal, Markdown and HTML share."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from isonoise.comparison.columns import SCENE_COLUMNS, SINGLE_COLUMNS, Cell, Column, percent, time_cell, two
+from isonoise.comparison.columns import SCENE_COLUMNS, SINGLE_COLUMNS, Cell, Column, percent, short_cell, time_cell, two
 
 
 @dataclass(frozen=True)
@@ -30,27 +30,44 @@ def time_table(summary: Mapping, metric: str) -> Table:
     `metric`: a key of `TIME_METRICS`.
     """
     name, baseline = TIME_METRICS[metric], _titles(summary)[summary["baseline"]]
-    columns = [Column(scene["name"], "", True, lambda row, _: time_cell(row, metric)) for scene in summary["scenes"]]
-    by_scene = [{row["strategy"]: row for row in scene["rows"]} for scene in summary["scenes"]]
-    rows = []
-    for strategy in summary["strategies"]:
-        found = [rows_of.get(strategy["slug"]) for rows_of in by_scene]
-        if any(found):
-            below = [row is not None and row["below_reference"] for row in found]
-            cells = [
-                column.cell(row, scene) for column, row, scene in zip(columns, found, summary["scenes"], strict=True)
-            ]
-            cells = [replace(c, text=c.text + MARK) if b else c for c, b in zip(cells, below, strict=True)]
-            rows.append((strategy["title"], "", cells))
+    columns, rows = _across_scenes(summary, lambda row, _: time_cell(row, metric))
     notes = [
         f"Time to reach the {name} that {baseline} ends with, over the time that {baseline} takes: 0.5 is twice as "
         "fast. In brackets the 95 % interval over the seeds.",
         "'> x': not reached in the budget; beside it the ratio at the error that it ends with. '< x': never above it "
         "since the first measurement.",
     ]
-    if any(row["below_reference"] for scene in summary["scenes"] for row in scene["rows"]):
-        notes.append(BELOW_REFERENCE)
-    return Table(f"Time to equal {name}, relative to {baseline}", notes, columns, rows)
+    return Table(f"Time to equal {name}, relative to {baseline}", [*notes, *_mark_notes(summary)], columns, rows)
+
+
+def short_table(summary: Mapping) -> Table:
+    """The three figures that belong together: strategies down, scenes across."""
+    baseline = _titles(summary)[summary["baseline"]]
+    columns, rows = _across_scenes(summary, short_cell)
+    notes = [
+        f"RMS p99 and relMSE over those of {baseline}, and the image mean over the reference's, when the budget ends."
+    ]
+    return Table("RMS p99 / relMSE / image mean", [*notes, *_mark_notes(summary)], columns, rows)
+
+
+def _across_scenes(summary: Mapping, cell: Callable[[Mapping | None, Mapping], Cell]) -> tuple[list[Column], list]:
+    """Columns, a scene each, and the rows of all strategies that have one in some scene."""
+    columns = [Column(scene["name"], "", True, cell) for scene in summary["scenes"]]
+    by_scene = [{row["strategy"]: row for row in scene["rows"]} for scene in summary["scenes"]]
+    rows = []
+    for strategy in summary["strategies"]:
+        found = [rows_of.get(strategy["slug"]) for rows_of in by_scene]
+        if any(found):
+            below = [row is not None and row["below_reference"] for row in found]
+            cells = [cell(row, scene) for row, scene in zip(found, summary["scenes"], strict=True)]
+            cells = [replace(c, text=c.text + MARK) if b else c for c, b in zip(cells, below, strict=True)]
+            rows.append((strategy["title"], "", cells))
+    return columns, rows
+
+
+def _mark_notes(summary: Mapping) -> list[str]:
+    below = any(row["below_reference"] for scene in summary["scenes"] for row in scene["rows"])
+    return [BELOW_REFERENCE] if below else []
 
 
 def scene_tables(summary: Mapping, scene: Mapping) -> tuple[Table, Table]:
@@ -130,6 +147,7 @@ def markdown(summary: Mapping) -> str:
 def _all(summary: Mapping) -> list[tuple[Table, bool]]:
     """Every table, and whether the terminal shows its brief columns only."""
     tables = [(time_table(summary, metric), False) for metric in TIME_METRICS]
+    tables.append((short_table(summary), False))
     return tables + [(scene_tables(summary, scene)[0], True) for scene in summary["scenes"]]
 
 
