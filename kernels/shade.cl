@@ -59,6 +59,9 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
                     __global const float4* texel_floats, __global const float* srgb, __global const float* attributes,
 #endif
                     __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
+#if FEATURE_ROUGH_PLASTIC
+                    __global const float* boundaries,
+#endif
                     __global const Light* lights, __global const Alias* light_alias, uint light_count,
 #if FEATURE_ENVIRONMENT_MAP
                     __global const Environment* environment, __global const float* environment_texels,
@@ -154,6 +157,9 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
 #if HAS_FRAMES
     set_frame(&at, &s);
+#endif
+#if FEATURE_ROUGH_PLASTIC
+    at.tables = boundaries;
 #endif
 #if FEATURE_TEXTURES
     at.textures = &geometry.textures;

@@ -51,6 +51,7 @@ KERNELS = {
         "shade.cl",
         "paths sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
+        "ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
         "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance",
@@ -146,6 +147,7 @@ class Wavefront:
             "instances": table(scene.instances, "the instances"),
             "first_instance": np.uint32(len(bvh.blocks) + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
+            "boundaries": table(scene.boundaries, "the tables of rough plastics"),
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),
             "light_count": np.uint32(len(scene.lights)),

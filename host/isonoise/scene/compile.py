@@ -57,6 +57,7 @@ def compile_scene(
         "instances": instances,
         "group_begins": _group_begins(spaces),
         "bsdfs": geometry.bsdfs,
+        "boundaries": geometry.boundaries,
         "uvs": geometry.uvs,
         "textures": geometry.textures.records,
         "texel_bytes": geometry.textures.bytes,
@@ -170,7 +171,7 @@ class _Geometry:
                 surface.analytic["shape"] = index
                 analytics.append(surface.analytic)
         self.analytics = np.concatenate(analytics) if analytics else np.zeros(0, structs.ANALYTIC)
-        self.bsdfs = bsdfs.records
+        self.bsdfs, self.boundaries = bsdfs.records, bsdfs.tables
         self.textures = textures.arrays(
             [MeshAttributes(len(mesh.vertices), len(mesh.faces), mesh.attributes) for mesh in meshes]
         )

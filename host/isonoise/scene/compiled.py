@@ -30,6 +30,7 @@ class CompiledScene:
     instances: np.ndarray  # (I,) structs.INSTANCE
     group_begins: np.ndarray  # (G + 1, 2) uint32: first triangle, analytic primitive of each group; their numbers
     bsdfs: np.ndarray  # (B,) structs.BSDF
+    boundaries: np.ndarray  # (t, boundaries.NODES) float32: transmittances of rough plastics over the cosine
     uvs: np.ndarray  # (V, 2) float32 where a material reads them and some shape has SHAPE_UVS, else (0, 2)
     textures: np.ndarray  # (X,) textures.TEXTURE
     texel_bytes: np.ndarray  # (b, 4) uint8: texels of 8-bit images
