@@ -1,6 +1,7 @@
 """What a plugin is to isonoise: its kind, its parameters with types and defaults, the objects it may hold.
 
-The declarations are in `vocabulary`; checks, defaults and suggestions of the scene reader all come from them.
+The declarations are in `vocabulary`; checks, defaults and suggestions of the scene reader, `isonoise plugins` and the
+tables of scenes/README.md all come from them.
 """
 
 import math
@@ -21,6 +22,8 @@ class Parameter:
     status: str = SUPPORTED  # IGNORED: read over, cannot change the image; UNSUPPORTED: Mitsuba has it, isonoise not
     required: bool = False
     texture: bool = False  # a texture may take the place of the value
+    meaning: str = ""  # one line, with the unit where there is one; IGNORED, UNSUPPORTED: why
+    unset: str = ""  # what holds where it is not given, if `default` does not say it
 
     def admits(self, value: float) -> bool:
         """Whether a number lies in the interval."""
@@ -48,13 +51,15 @@ class Child:
 
 @dataclass(frozen=True)
 class Plugin:
-    """One supported plugin."""
+    """One plugin that is read."""
 
     kind: str
     name: str
     parameters: tuple[Parameter, ...] = ()
     children: tuple[Child, ...] = ()
     any_parameter: bool = False  # parameters that are not declared are read over (samplers)
+    status: str = SUPPORTED  # IGNORED: read over, what it adds cannot change the image
+    meaning: str = ""  # one line; IGNORED: why
 
     def parameter(self, name: str) -> Parameter | None:
         return next((p for p in self.parameters if p.name == name), None)

@@ -69,16 +69,18 @@ class _Normaliser:
         supported = vocabulary.plugins_of(kind)
         if element.type in supported:
             return supported[element.type]
-        if element.type in vocabulary.ELSEWHERE.get(kind, ()):
-            if not supported:
-                element.place.fail(f"{kind} '{element.type}' is not supported (Mitsuba 3 has it); give a plain value")
-            listed = ", ".join(sorted(supported))
-            hint = nearest(element.type, supported)
-            element.place.fail(
-                f"{kind} '{element.type}' is not supported (Mitsuba 3 has it); nearest: '{hint}' (supported: {listed})"
-            )
-        listed = ", ".join(sorted(supported)) or "none"
+        listed = ", ".join(sorted(supported))
         hint = nearest(element.type, supported)
+        reason = vocabulary.ELSEWHERE.get(kind, {}).get(element.type)
+        if reason and supported:
+            element.place.fail(
+                f"{kind} '{element.type}' is not supported (Mitsuba 3 has it): {reason}; "
+                f"nearest: '{hint}' (supported: {listed})"
+            )
+        if reason:
+            element.place.fail(f"{kind} '{element.type}' is not supported (Mitsuba 3 has it): {reason}")
+        if not supported:
+            element.place.fail(f"unknown {kind} '{element.type}'; none is supported")
         element.place.fail(f"unknown {kind} '{element.type}'; did you mean '{hint}'? (supported: {listed})")
 
     def kind(self, element: Element, kinds: tuple[str, ...]) -> str:

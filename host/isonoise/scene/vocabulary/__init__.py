@@ -7,6 +7,7 @@ from types import MappingProxyType
 from isonoise.scene.registry import Child, Plugin
 from isonoise.scene.vocabulary.bsdfs import BSDFS
 from isonoise.scene.vocabulary.common import ignored
+from isonoise.scene.vocabulary.elsewhere import ELSEWHERE
 from isonoise.scene.vocabulary.emitters import EMITTERS
 from isonoise.scene.vocabulary.sensors import FILMS, INTEGRATORS, SAMPLERS, SENSORS
 from isonoise.scene.vocabulary.shapes import SHAPES
@@ -15,7 +16,7 @@ from isonoise.scene.vocabulary.textures import TEXTURES
 _SCENE = Plugin(
     "scene",
     "scene",
-    ignored("boolean", "embree_use_robust_intersections"),
+    ignored("boolean", "embree_use_robust_intersections", why="rays are intersected watertightly"),
     (
         Child("integrator"),
         Child("sensor", most=1 << 16),
@@ -37,24 +38,6 @@ PLUGINS: tuple[Plugin, ...] = (
     *EMITTERS,
     _SCENE,
 )
-
-ELSEWHERE: dict[str, tuple[str, ...]] = {
-    kind: tuple(names.split())
-    for kind, names in {
-        "sensor": "batch distant irradiancemeter radiancemeter",
-        "film": "specfilm",
-        "rfilter": "catmullrom lanczos mitchell",
-        "integrator": "depth direct_projective prb prb_basic prb_projective prbvolpath ptracer stokes volpathmis",
-        "bsdf": "circular hair measured measured_polarized polarizer pplastic principledthin retarder",
-        "shape": "blender bsplinecurve ellipsoids ellipsoidsmesh linearcurve merge sdfgrid",
-        "emitter": "directionalarea projector sunsky timed_sunsky",
-        "texture": "blackbody d65 irregular rawconstant regular srgb uniform volume",
-        "medium": "heterogeneous homogeneous",
-        "phase": "blendphase hg isotropic rayleigh sggx tabphase",
-        "volume": "constvolume gridvolume",
-    }.items()
-}
-"""Plugins that Mitsuba 3 has and isonoise does not: named in the error, so that nobody looks for a typing mistake."""
 
 
 @cache

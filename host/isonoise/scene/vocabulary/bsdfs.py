@@ -5,91 +5,143 @@ from isonoise.scene.registry import Child, Parameter, Plugin
 P = Parameter
 
 
-def _colour(name: str, default: float) -> Parameter:
-    return P(name, "reflectance", default, texture=True)
+def _colour(name: str, default: float, meaning: str) -> Parameter:
+    return P(name, "reflectance", default, texture=True, meaning=meaning)
 
 
-def _number(name: str, default: float, interval: str = "[0, 1]") -> Parameter:
-    return P(name, "float", default, interval, texture=True)
+def _number(name: str, default: float, meaning: str) -> Parameter:
+    return P(name, "float", default, "[0, 1]", texture=True, meaning=meaning)
 
 
-_SPECULAR = _colour("specular_reflectance", 1.0)
-_TRANSMITTED = _colour("specular_transmittance", 1.0)
-_ROUGH = (
-    P("distribution", "string", "beckmann", choices=("beckmann", "ggx")),
-    P("alpha", "float", interval="(0, inf)", texture=True),
-    P("alpha_u", "float", interval="(0, inf)", texture=True),
-    P("alpha_v", "float", interval="(0, inf)", texture=True),
-    P("sample_visible", "boolean", True),
+def _alpha(name: str, meaning: str) -> Parameter:
+    return P(name, "float", interval="(0, inf)", texture=True, meaning=meaning, unset="0.1")
+
+
+_SPECULAR = _colour("specular_reflectance", 1.0, "factor on the reflection; 1 is physical")
+_TRANSMITTED = _colour("specular_transmittance", 1.0, "factor on what passes through; 1 is physical")
+_DISTRIBUTION = P(
+    "distribution", "string", "beckmann", choices=("beckmann", "ggx"), meaning="of the normals of the microfacets"
 )
-_METAL = (P("material", "string"), P("eta", "unbounded", texture=True), P("k", "unbounded", texture=True), _SPECULAR)
+_VISIBLE = P("sample_visible", "boolean", True, meaning="sample the normals that are seen alone: less noise")
+_ROUGH = (
+    _DISTRIBUTION,
+    _alpha("alpha", "roughness: RMS slope of the microfacets"),
+    _alpha("alpha_u", "roughness along the tangent"),
+    _alpha("alpha_v", "roughness along the bitangent"),
+    _VISIBLE,
+)
+_METAL = (
+    P("material", "string", meaning="preset of eta and k, such as Au, or none: a perfect mirror", unset="none"),
+    P("eta", "unbounded", texture=True, meaning="real part of the index of refraction", unset="0"),
+    P("k", "unbounded", texture=True, meaning="imaginary part of the index of refraction", unset="1"),
+    _SPECULAR,
+)
 
 
 def _indices(interior: str, exterior: str = "air") -> tuple[Parameter, ...]:
-    return P("int_ior", "index", interior), P("ext_ior", "index", exterior)
+    return (
+        P("int_ior", "index", interior, meaning="index of refraction inside, a number or a name"),
+        P("ext_ior", "index", exterior, meaning="index of refraction outside, a number or a name"),
+    )
 
 
 _PLASTIC = (
     *_indices("polypropylene"),
-    _colour("diffuse_reflectance", 0.5),
+    _colour("diffuse_reflectance", 0.5, "colour of the base below the coat"),
     _SPECULAR,
-    P("nonlinear", "boolean", False),
+    P("nonlinear", "boolean", False, meaning="colours shift with scattering inside"),
 )
 
 BSDFS = (
-    Plugin("bsdf", "diffuse", (_colour("reflectance", 0.5),)),
-    Plugin("bsdf", "dielectric", (*_indices("bk7"), _SPECULAR, _TRANSMITTED)),
-    Plugin("bsdf", "thindielectric", (*_indices("bk7"), _SPECULAR, _TRANSMITTED)),
-    Plugin("bsdf", "roughdielectric", (*_indices("bk7"), _SPECULAR, _TRANSMITTED, *_ROUGH)),
-    Plugin("bsdf", "conductor", _METAL),
-    Plugin("bsdf", "roughconductor", (*_METAL, *_ROUGH)),
-    Plugin("bsdf", "plastic", _PLASTIC),
+    Plugin("bsdf", "diffuse", (_colour("reflectance", 0.5, "share of light that is reflected"),), meaning="matt"),
+    Plugin("bsdf", "dielectric", (*_indices("bk7"), _SPECULAR, _TRANSMITTED), meaning="smooth glass, water"),
+    Plugin(
+        "bsdf",
+        "thindielectric",
+        (*_indices("bk7"), _SPECULAR, _TRANSMITTED),
+        meaning="a pane of smooth glass in one surface",
+    ),
+    Plugin("bsdf", "roughdielectric", (*_indices("bk7"), _SPECULAR, _TRANSMITTED, *_ROUGH), meaning="rough glass"),
+    Plugin("bsdf", "conductor", _METAL, meaning="smooth metal"),
+    Plugin("bsdf", "roughconductor", (*_METAL, *_ROUGH), meaning="rough metal"),
+    Plugin("bsdf", "plastic", _PLASTIC, meaning="a matt base below a smooth coat"),
     Plugin(
         "bsdf",
         "roughplastic",
         (
             *_PLASTIC,
-            P("distribution", "string", "beckmann", choices=("beckmann", "ggx")),
-            P("alpha", "float", 0.1, "(0, inf)"),
-            P("sample_visible", "boolean", True),
+            _DISTRIBUTION,
+            P("alpha", "float", 0.1, "(0, inf)", meaning="roughness: RMS slope of the microfacets"),
+            _VISIBLE,
         ),
+        meaning="a matt base below a rough coat",
     ),
     Plugin(
         "bsdf",
         "principled",
         (
-            _colour("base_color", 0.5),
-            _number("roughness", 0.5),
-            _number("anisotropic", 0.0),
-            _number("metallic", 0.0),
-            _number("spec_trans", 0.0),
-            P("eta", "float", interval="(0, inf)"),
-            P("specular", "float", interval="[0, 1]"),
-            _number("spec_tint", 0.0),
-            _number("sheen", 0.0),
-            _number("sheen_tint", 0.0),
-            _number("flatness", 0.0),
-            _number("clearcoat", 0.0),
-            _number("clearcoat_gloss", 0.0),
-            P("diffuse_reflectance_sampling_rate", "float", 1.0, "[0, inf)"),
-            P("main_specular_sampling_rate", "float", 1.0, "[0, inf)"),
-            P("clearcoat_sampling_rate", "float", 1.0, "[0, inf)"),
+            _colour("base_color", 0.5, "colour"),
+            _number("roughness", 0.5, "the square root of alpha"),
+            _number("anisotropic", 0.0, "how much highlights stretch along the tangent"),
+            _number("metallic", 0.0, "0 dielectric, 1 metal"),
+            _number("spec_trans", 0.0, "0 opaque, 1 glass"),
+            P("eta", "float", interval="(0, inf)", meaning="index of refraction, inside over outside", unset="1.5"),
+            P("specular", "float", interval="[0, 1]", meaning="reflection at normal incidence, in place of eta"),
+            _number("spec_tint", 0.0, "how much highlights take on the colour"),
+            _number("sheen", 0.0, "cloth's gleam at grazing angles"),
+            _number("sheen_tint", 0.0, "how much sheen takes on the colour"),
+            _number("flatness", 0.0, "share of a look of scattering below the surface"),
+            _number("clearcoat", 0.0, "strength of a second, clear coat"),
+            _number("clearcoat_gloss", 0.0, "how glossy that coat is"),
+            P("diffuse_reflectance_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples"),
+            P("main_specular_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples"),
+            P("clearcoat_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples"),
         ),
+        meaning="Disney's material: metal, plastic, glass, cloth, car paint",
     ),
-    Plugin("bsdf", "twosided", (), (Child("bsdf", most=2, least=1),)),
-    Plugin("bsdf", "mask", (_number("opacity", 0.5),), (Child("bsdf", least=1),)),
+    Plugin(
+        "bsdf",
+        "twosided",
+        (),
+        (Child("bsdf", most=2, least=1),),
+        meaning="a material on both sides, or one a side; none that lets light through",
+    ),
+    Plugin(
+        "bsdf",
+        "mask",
+        (_number("opacity", 0.5, "0 lets all through"),),
+        (Child("bsdf", least=1),),
+        meaning="a material with holes",
+    ),
     Plugin(
         "bsdf",
         "blendbsdf",
-        (P("weight", "float", required=True, interval="[0, 1]", texture=True),),
+        (
+            P(
+                "weight",
+                "float",
+                required=True,
+                interval="[0, 1]",
+                texture=True,
+                meaning="0 is the first material, 1 the second",
+            ),
+        ),
         (Child("bsdf", most=2, least=2),),
+        meaning="a mixture of two materials",
     ),
-    Plugin("bsdf", "bumpmap", (P("scale", "float", 1.0),), (Child("texture", least=1), Child("bsdf", least=1))),
+    Plugin(
+        "bsdf",
+        "bumpmap",
+        (P("scale", "float", 1.0, meaning="factor on the heights"),),
+        (Child("texture", least=1), Child("bsdf", least=1)),
+        meaning="a material whose normals follow a texture of heights",
+    ),
     Plugin(
         "bsdf",
         "normalmap",
-        (P("normalmap", "texture", required=True, texture=True),),
+        (P("normalmap", "texture", required=True, texture=True, meaning="normals, as (n + 1) / 2; read with raw"),),
         (Child("bsdf", least=1),),
+        meaning="a material whose normals come from a texture",
     ),
-    Plugin("bsdf", "null"),
+    Plugin("bsdf", "null", meaning="no surface: for the boundary of a medium, or a hole"),
 )

@@ -4,28 +4,74 @@ from isonoise.scene.registry import UNSUPPORTED, Parameter, Plugin
 from isonoise.scene.vocabulary.common import PLACED, ignored
 
 P = Parameter
-_WEIGHT = ignored("float", "sampling_weight")
+_WEIGHT = ignored("float", "sampling_weight", why="moves samples between lights; isonoise picks them by itself")
 
 EMITTERS = (
-    Plugin("emitter", "area", (P("radiance", "radiance", 1.0, texture=True), *_WEIGHT)),
-    Plugin("emitter", "point", (P("intensity", "radiance", 1.0), P("position", "vector"), *PLACED, *_WEIGHT)),
+    Plugin(
+        "emitter",
+        "area",
+        (
+            P("radiance", "radiance", 1.0, texture=True, meaning="emitted radiance, W / (m² sr)"),
+            *_WEIGHT,
+        ),
+        meaning="makes a shape shine, on the side of its normal",
+    ),
+    Plugin(
+        "emitter",
+        "point",
+        (
+            P("intensity", "radiance", 1.0, meaning="radiant intensity, W / sr"),
+            P("position", "vector", meaning="where it stands, in place of to_world", unset="0, 0, 0"),
+            *PLACED,
+            *_WEIGHT,
+        ),
+        meaning="a point that shines the same in all directions",
+    ),
     Plugin(
         "emitter",
         "spot",
         (
-            P("intensity", "radiance", 1.0),
-            P("cutoff_angle", "float", 20.0, "(0, 90)"),
-            P("beam_width", "float", interval="[0, 90)"),
-            P("texture", "texture", status=UNSUPPORTED),
+            P("intensity", "radiance", 1.0, meaning="radiant intensity in the middle, W / sr"),
+            P("cutoff_angle", "float", 20.0, "(0, 90)", meaning="half the angle of the cone, degrees"),
+            P(
+                "beam_width",
+                "float",
+                interval="[0, 90)",
+                meaning="half the angle within which intensity does not fall off, degrees",
+                unset="3/4 of cutoff_angle",
+            ),
+            P("texture", "texture", status=UNSUPPORTED, meaning="a picture in the cone is not built"),
             *PLACED,
             *_WEIGHT,
         ),
+        meaning="a point that shines into a cone around +z",
     ),
-    Plugin("emitter", "directional", (P("irradiance", "radiance", 1.0), P("direction", "vector"), *PLACED, *_WEIGHT)),
+    Plugin(
+        "emitter",
+        "directional",
+        (
+            P("irradiance", "radiance", 1.0, meaning="power a unit of area at right angles to the light, W / m²"),
+            P("direction", "vector", meaning="where the light goes, in place of to_world", unset="0, 0, 1"),
+            *PLACED,
+            *_WEIGHT,
+        ),
+        meaning="parallel light from infinity, along +z",
+    ),
     Plugin(
         "emitter",
         "envmap",
-        (P("filename", "file", required=True), P("scale", "float", 1.0, "[0, inf)"), *PLACED, *_WEIGHT),
+        (
+            P("filename", "file", required=True, meaning="an image in latitude-longitude format, y up"),
+            P("scale", "float", 1.0, "[0, inf)", meaning="factor on its radiance"),
+            *PLACED,
+            *_WEIGHT,
+        ),
+        meaning="an image around the scene, sampled by its brightness",
     ),
-    Plugin("emitter", "constant", (P("radiance", "radiance", 1.0), *_WEIGHT)),
+    Plugin(
+        "emitter",
+        "constant",
+        (P("radiance", "radiance", 1.0, meaning="radiance from all directions, W / (m² sr)"), *_WEIGHT),
+        meaning="the same light from all directions",
+    ),
 )
