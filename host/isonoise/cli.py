@@ -43,6 +43,16 @@ def _parser() -> argparse.ArgumentParser:
     _add_compare(commands)
     devices = "list the OpenCL devices and say which one is the default"
     commands.add_parser("devices", help=devices, description=devices.capitalize() + ".")
+    plugins = commands.add_parser(
+        "plugins",
+        help="list what scenes may hold, or the parameters of one plugin",
+        description="List Mitsuba 3's plugins by kind: which are supported, which are read over because they cannot "
+        "change the image, which are not supported and why. For one plugin: its parameters.",
+    )
+    plugins.add_argument(
+        "name", metavar="KIND|NAME", nargs="?", help="a kind such as bsdf, or a plugin such as plastic"
+    )
+    plugins.add_argument("--json", action="store_true", help="print the same as JSON, with all parameters")
     info = commands.add_parser(
         "info",
         help="say what a scene contains and which features it compiles to, or how an image was made",

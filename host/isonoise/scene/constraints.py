@@ -95,9 +95,23 @@ def _rough_dielectric(bsdf: dict, place: Place):
 
 
 def _twosided(bsdf: dict, place: Place):
-    for side in ("bsdf", "bsdf_1"):
-        if bsdf.get(side, {}).get("type") in _TRANSMITTING:
-            place.fail(f"twosided cannot hold a bsdf '{bsdf[side]['type']}': only materials that let no light through")
+    passed: set[int] = set()
+    queue = [bsdf]
+    while queue:
+        outer = queue.pop()
+        for nested in (outer[name] for name in ("bsdf", "bsdf_1") if name in outer and id(outer[name]) not in passed):
+            if nested["type"] in _TRANSMITTING or nested.get("spec_trans", 0.0) != 0.0:
+                place.fail(
+                    f"twosided cannot hold a bsdf '{nested['type']}' that lets light through, in Mitsuba 3 neither"
+                )
+            passed.add(id(nested))
+            queue.append(nested)
+
+
+def _relief(bsdf: dict, place: Place):
+    for name in ("flip_invalid_normals", "use_shadowing_function"):
+        if not bsdf[name]:
+            place.fail(f"'{name}' can only be true")
 
 
 def _cylinder(shape: dict, place: Place):
@@ -153,6 +167,8 @@ _CHECKS = {
     "roughplastic": _dielectric,
     "roughdielectric": _rough_dielectric,
     "twosided": _twosided,
+    "bumpmap": _relief,
+    "normalmap": _relief,
     "cylinder": _cylinder,
     "directional": _directional,
     "spot": _spot,

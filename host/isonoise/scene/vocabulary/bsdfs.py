@@ -1,6 +1,6 @@
 """Materials of the vocabulary; names, defaults and what may be a texture are Mitsuba 3's."""
 
-from isonoise.scene.registry import Child, Parameter, Plugin
+from isonoise.scene.registry import UNSUPPORTED, Child, Parameter, Plugin
 
 P = Parameter
 
@@ -52,6 +52,11 @@ _PLASTIC = (
     P("nonlinear", "boolean", False, meaning="colours shift with scattering inside"),
 )
 
+_RELIEF = (
+    P("flip_invalid_normals", "boolean", True, meaning="normals stay on the side of the viewer; only true"),
+    P("use_shadowing_function", "boolean", True, meaning="soft terminators; only true"),
+)
+
 BSDFS = (
     Plugin("bsdf", "diffuse", (_colour("reflectance", 0.5, "share of light that is reflected"),), meaning="matt"),
     Plugin("bsdf", "dielectric", (*_indices("bk7"), _SPECULAR, _TRANSMITTED), meaning="smooth glass, water"),
@@ -85,8 +90,20 @@ BSDFS = (
             _number("anisotropic", 0.0, "how much highlights stretch along the tangent"),
             _number("metallic", 0.0, "0 dielectric, 1 metal"),
             _number("spec_trans", 0.0, "0 opaque, 1 glass"),
-            P("eta", "float", interval="(0, inf)", meaning="index of refraction, inside over outside", unset="1.5"),
-            P("specular", "float", interval="[0, 1]", meaning="reflection at normal incidence, in place of eta"),
+            P(
+                "eta",
+                "float",
+                interval="(0, inf)",
+                meaning="index of refraction, inside over outside",
+                unset="by specular",
+            ),
+            P(
+                "specular",
+                "float",
+                interval="[0, 1]",
+                meaning="reflection at normal incidence, in place of eta",
+                unset="0.5, which is eta 1.5",
+            ),
             _number("spec_tint", 0.0, "how much highlights take on the colour"),
             _number("sheen", 0.0, "cloth's gleam at grazing angles"),
             _number("sheen_tint", 0.0, "how much sheen takes on the colour"),
@@ -102,7 +119,7 @@ BSDFS = (
     Plugin(
         "bsdf",
         "twosided",
-        (),
+        (P("allow_transmission", "boolean", status=UNSUPPORTED, meaning="no light passes a two-sided material"),),
         (Child("bsdf", most=2, least=1),),
         meaning="a material on both sides, or one a side; none that lets light through",
     ),
@@ -132,14 +149,17 @@ BSDFS = (
     Plugin(
         "bsdf",
         "bumpmap",
-        (P("scale", "float", 1.0, meaning="factor on the heights"),),
+        (P("scale", "float", 1.0, meaning="factor on the heights"), *_RELIEF),
         (Child("texture", least=1), Child("bsdf", least=1)),
         meaning="a material whose normals follow a texture of heights",
     ),
     Plugin(
         "bsdf",
         "normalmap",
-        (P("normalmap", "texture", required=True, texture=True, meaning="normals, as (n + 1) / 2; read with raw"),),
+        (
+            P("normalmap", "texture", required=True, texture=True, meaning="normals, as (n + 1) / 2; read with raw"),
+            *_RELIEF,
+        ),
         (Child("bsdf", least=1),),
         meaning="a material whose normals come from a texture",
     ),

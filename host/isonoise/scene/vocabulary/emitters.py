@@ -63,6 +63,7 @@ EMITTERS = (
         (
             P("filename", "file", required=True, meaning="an image in latitude-longitude format, y up"),
             P("scale", "float", 1.0, "[0, inf)", meaning="factor on its radiance"),
+            *ignored("boolean", "mis_compensation", why="moves samples alone"),
             *PLACED,
             *_WEIGHT,
         ),
