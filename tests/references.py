@@ -23,6 +23,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+import isonoise
 from isonoise.film.exr import read_exr, write_exr
 from isonoise.film.luminance import luminance
 from isonoise.statistics import Statistics
@@ -61,6 +62,23 @@ def from_batches(batches: np.ndarray) -> Estimate:
     return Estimate(batches.mean(axis=0), batches.std(axis=0, ddof=1) / np.sqrt(count), count - 1)
 
 
+def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
+    """Independent images of a scene, (batches, height, width, 3) float64: what each wave of one render has brought.
+
+    Hierarchy and programs are made once. As a difference of float32 means a batch carries a rounding error of up to
+    batches * 2^-24 of its value. No sample may be rejected.
+    """
+    renderer = isonoise.Renderer(scene, strategy=f"uniform:wave_spp={spp}", seed=seed)
+    sums = [0.0]
+    for batch in range(1, batches + 1):
+        renderer.step()
+        statistics = renderer.statistics()
+        assert (statistics.count == batch * spp).all()
+        assert not statistics.rejected.any(), f"{statistics.rejected.sum()} samples are no numbers"
+        sums.append(batch * statistics.rgb.astype(np.float64))
+    return np.diff(np.stack(np.broadcast_arrays(*sums)), axis=0)
+
+
 def from_statistics(statistics: list[Statistics]) -> Estimate:
     """Estimate of the luminance, from renders of equal counts with different seeds, by the variance that they state."""
     mean = np.mean([s.mean for s in statistics], axis=0)
@@ -84,8 +102,8 @@ def luminance_of(rgb: Estimate) -> Estimate:
     return Estimate(luminance(rgb.mean)[..., None], luminance(rgb.se)[..., None], rgb.freedom)
 
 
-def standard_scores(image: Estimate, reference: Estimate) -> np.ndarray:
-    """Differences in units of their standard error, as standard normal deviates.
+def standard_scores(image: Estimate, reference: Estimate, rounding: float = ROUNDING) -> np.ndarray:
+    """Differences in units of their standard error, as standard normal deviates; 0 up to `rounding` of the reference.
 
     The degrees of freedom of the difference are those of Welch and Satterthwaite; Student's t becomes a normal deviate
     by D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square distributions" (Annals of
@@ -94,7 +112,7 @@ def standard_scores(image: Estimate, reference: Estimate) -> np.ndarray:
     squared_image, squared_reference = image.se**2, reference.se**2
     squared = squared_image + squared_reference
     difference = image.mean - reference.mean
-    difference[np.abs(difference) <= ROUNDING * np.abs(reference.mean)] = 0.0
+    difference[np.abs(difference) <= rounding * np.abs(reference.mean)] = 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = squared**2 / (squared_image**2 / image.freedom + squared_reference**2 / reference.freedom)
         t = difference / np.sqrt(squared)
@@ -103,7 +121,12 @@ def standard_scores(image: Estimate, reference: Estimate) -> np.ndarray:
 
 
 def assert_agree(
-    image: Estimate, reference: Estimate, folder: Path, share: float = 0.9975, alpha: float = 0.01
+    image: Estimate,
+    reference: Estimate,
+    folder: Path,
+    share: float = 0.9975,
+    alpha: float = 0.01,
+    rounding: float = ROUNDING,
 ) -> np.ndarray:
     """At least `share` of the values agree, each tested so that all of them together fail by chance with probability
     alpha (Sidak); returns the standard scores.
@@ -114,7 +137,7 @@ def assert_agree(
     """
     assert image.mean.shape == reference.mean.shape
     assert np.isfinite(image.mean).all()
-    scores = standard_scores(image, reference)
+    scores = standard_scores(image, reference, rounding)
     threshold = NormalDist().inv_cdf(1 - (1 - (1 - alpha) ** (1 / scores.size)) / 2)
     passed = np.abs(scores) <= threshold
     if passed.mean() < share:
