@@ -52,7 +52,7 @@ INLINE float3 bumped_normal(const Shading* at, const Surface* s)
 #endif
     // seen from behind it is turned to the viewer: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
     const float3 wi = to_local(at, at->wi);
-    if (wi.z * dot3(wi, local) <= 0.0f) local.xy = -local.xy;
+    if (!(at->bsdf->flags & BSDF_ANY_NORMAL) && wi.z * dot3(wi, local) <= 0.0f) local.xy = -local.xy;
     local = unit(local);
     return dot3(local, local) > 0.0f ? local : (float3)(0.0f, 0.0f, 1.0f);
 }
@@ -68,6 +68,8 @@ INLINE void bump(Shading* at, const Surface* s)
     at->s = first;
     at->t = second;
     at->cos_i = dot3(normal, at->wi);
+    const float tan2 = dot2(local.xy, local.xy) / (local.z * local.z);
+    at->shadow = at->bsdf->flags & BSDF_NO_SHADOW ? 0.0f : LESSER(0.125f * tan2, 1.0f);
 }
 
 // What of the light from `direction` a bumped surface scatters: nothing where it lies on one side of the surface and on the
@@ -75,13 +77,10 @@ INLINE void bump(Shading* at, const Surface* s)
 // Solve the Bump Terminator Problem", Ray Tracing Gems, 2019.
 INLINE float bump_share(const Shading* at, const Surface* s, float3 direction)
 {
-    const float cos_bump = dot3(s->normal, at->normal), cos_o = dot3(s->normal, direction);
-    if (abs1(cos_bump) == 1.0f) return 1.0f;
-    const float side = at->turned ? -1.0f : 1.0f;
-    if (side * cos_o * dot3(at->normal, direction) <= 0.0f) return 0.0f;
-    const float tan2_bump = 1.0f / (cos_bump * cos_bump) - 1.0f, tan2_o = 1.0f / (cos_o * cos_o) - 1.0f;
-    const float alpha2 = LESSER(0.125f * tan2_bump, 1.0f);
-    return 2.0f / (1.0f + SQRT(1.0f + alpha2 * tan2_o));
+    if (at->shadow == NO_BUMP) return 1.0f;
+    const float cos_o = dot3(s->normal, direction), side = at->turned ? -1.0f : 1.0f;
+    if (!(side * cos_o * dot3(at->normal, direction) > 0.0f)) return 0.0f;
+    return at->shadow > 0.0f ? 2.0f / (1.0f + SQRT(1.0f + at->shadow * (1.0f / (cos_o * cos_o) - 1.0f))) : 1.0f;
 }
 #endif
 

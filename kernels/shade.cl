@@ -154,6 +154,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     at.cos_i = dot3(at.normal, at.wi);
 #if HAS_BUMPS
     at.turned = false;
+    at.shadow = NO_BUMP;
 #endif
 #if HAS_FRAMES
     set_frame(&at, &s);

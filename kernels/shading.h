@@ -6,6 +6,8 @@
 #define HAS_BUMPS (FEATURE_BUMP || FEATURE_NORMAL_MAP)
 #define HAS_FRAMES (HAS_BUMPS || FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
 
+#define NO_BUMP (-1.0f)
+
 typedef struct {
     __global const Bsdf* bsdf;  // one that wraps no other
     float3 normal;              // shading normal
@@ -19,6 +21,7 @@ typedef struct {
 #endif
 #if HAS_BUMPS
     bool turned;  // to the viewer: the normal is the surface's from behind
+    float shadow;  // alpha^2 of what shadows the bump, NO_BUMP where there is none
 #endif
 #if FEATURE_TEXTURES
     const Textures* textures;

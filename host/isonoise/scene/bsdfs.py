@@ -106,6 +106,10 @@ class Bsdfs:
             record["flags"] |= structs.BSDF_SAMPLE_ALL
         if bsdf.get("nonlinear"):
             record["flags"] |= structs.BSDF_NONLINEAR
+        if bsdf.get("flip_invalid_normals") is False:
+            record["flags"] |= structs.BSDF_ANY_NORMAL
+        if bsdf.get("use_shadowing_function") is False:
+            record["flags"] |= structs.BSDF_NO_SHADOW
         if "int_ior" in bsdf:
             slot(2, bsdf["int_ior"] / bsdf["ext_ior"], "number")
         for name in _COLOURS.get(type_, {}):

@@ -1,5 +1,7 @@
 """What the parameters of one plugin have to fulfil together; by plugin, called once its defaults are filled in."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from isonoise.scene.camera import fits_film, focal_length, is_rigid
@@ -94,24 +96,28 @@ def _rough_dielectric(bsdf: dict, place: Place):
     _pair_of_alphas(bsdf, place)
 
 
-def _twosided(bsdf: dict, place: Place):
+def _inside(bsdf: dict) -> Iterator[dict]:
+    """The materials inside of one, each of them once."""
     passed: set[int] = set()
     queue = [bsdf]
     while queue:
         outer = queue.pop()
         for nested in (outer[name] for name in ("bsdf", "bsdf_1") if name in outer and id(outer[name]) not in passed):
-            if nested["type"] in _TRANSMITTING or nested.get("spec_trans", 0.0) != 0.0:
-                place.fail(
-                    f"twosided cannot hold a bsdf '{nested['type']}' that lets light through, in Mitsuba 3 neither"
-                )
+            yield nested
             passed.add(id(nested))
             queue.append(nested)
 
 
+def _twosided(bsdf: dict, place: Place):
+    for nested in _inside(bsdf):
+        if nested["type"] in _TRANSMITTING or nested.get("spec_trans", 0.0) != 0.0:
+            place.fail(f"twosided cannot hold a bsdf '{nested['type']}' that lets light through, in Mitsuba 3 neither")
+
+
 def _relief(bsdf: dict, place: Place):
-    for name in ("flip_invalid_normals", "use_shadowing_function"):
-        if not bsdf[name]:
-            place.fail(f"'{name}' can only be true")
+    for nested in _inside(bsdf):
+        if nested["type"] in ("bumpmap", "normalmap"):
+            place.fail(f"a {bsdf['type']} cannot hold a {nested['type']}, not even inside of another bsdf")
 
 
 def _cylinder(shape: dict, place: Place):

@@ -46,6 +46,7 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS = 1, 2, 4
 BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
+BSDF_ANY_NORMAL, BSDF_NO_SHADOW = 16, 32
 BSDF_SLOTS = 12
 """Parameters of a material; what each is, by kind, is told in `scene.bsdfs`."""
 
@@ -114,7 +115,7 @@ INSTANCE = np.dtype(
 BSDF = np.dtype(
     [
         ("kind", "u4"),
-        ("flags", "u4"),  # BSDF_TWOSIDED | BSDF_GGX | BSDF_NONLINEAR | BSDF_SAMPLE_ALL
+        ("flags", "u4"),  # BSDF_TWOSIDED | BSDF_GGX | ..._NONLINEAR | ..._SAMPLE_ALL | ..._ANY_NORMAL | ..._NO_SHADOW
         ("nested", "u4", 2),  # materials that this one wraps: SIDES front, back; BLEND at weight 0, 1; else the first
         ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three
         ("textures", "u4", BSDF_SLOTS),  # that take the place of the values; NONE

@@ -53,8 +53,8 @@ _PLASTIC = (
 )
 
 _RELIEF = (
-    P("flip_invalid_normals", "boolean", True, meaning="normals stay on the side of the viewer; only true"),
-    P("use_shadowing_function", "boolean", True, meaning="soft terminators; only true"),
+    P("flip_invalid_normals", "boolean", True, meaning="turn normals that point away from the viewer"),
+    P("use_shadowing_function", "boolean", True, meaning="soft terminators"),
 )
 
 BSDFS = (
