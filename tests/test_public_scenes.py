@@ -53,7 +53,7 @@ def folder_of_mitsuba(public_scenes: Path) -> Path:
 
 
 def read_mitsuba_reference(scene: Path) -> references.Estimate:
-    """Mean and standard error of XYZ. Mean and variance of a sample were taken of XYZ and stored like colours, as RGB."""
+    """Mean and standard error of XYZ. Mean and variance were taken of XYZ, and stored as RGB like colours."""
     stem = scene.stem.rsplit("_", 1)[0]
     planes = []
     for name in (f"{stem}_ref_rgb.exr", f"{stem}_ref_rgb_var.exr"):
