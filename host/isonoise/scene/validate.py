@@ -7,7 +7,7 @@ from collections import Counter
 
 from isonoise.scene import vocabulary
 from isonoise.scene.constraints import check_constraints
-from isonoise.scene.registry import IGNORED, SUPPORTED, UNSUPPORTED, Child, Plugin
+from isonoise.scene.registry import IGNORED, SUPPORTED, UNSUPPORTED, Child, Parameter, Plugin
 from isonoise.scene.source import Element, Place, Reference, a, nearest
 from isonoise.scene.values import check_value
 
@@ -108,10 +108,14 @@ class _Normaliser:
         parameter = plugin.parameter(name)
         if parameter is not None and parameter.status == IGNORED:
             return
+        self.check_supported(plugin, parameter, place)
         if parameter is not None and parameter.texture and kind == "texture":
             if name in result:
                 place.fail(f"'{name}' is given twice")
             result[name] = self.object(element, kind)
+            return
+        if parameter is not None and parameter.volume and kind == "volume":
+            self.parameter(plugin, result, name, self.object(element, kind)["value"], place)
             return
         if child is None:
             if kind in ("texture", "medium", "phase", "volume") or not kinds:
@@ -137,6 +141,12 @@ class _Normaliser:
         elif held >= child.most:
             number = "one" if child.most == 1 else str(child.most)
             place.fail(f"{plugin.name} may hold only {number} {child.kind}{'s' if child.most > 1 else ''}")
+        elif child.names:
+            if name not in child.names:
+                place.fail(f"{a(child.kind)} of {a(plugin.kind)} is named {' or '.join(child.names)}, got '{name}'")
+            if name in result:
+                place.fail(f"'{name}' is given twice")
+            result[name] = nested
         else:
             result[child.kind if not held else f"{child.kind}_{held}"] = nested
 
@@ -150,13 +160,20 @@ class _Normaliser:
             does = f"; did you mean '{hint}'?" if hint else ""
             listed = f" (known: {', '.join(names)})" if names else " (it has none)"
             place.fail(f"{plugin.kind} '{plugin.name}' has no parameter '{name}'{does}{listed}")
-        if parameter.status == UNSUPPORTED:
-            place.fail(f"parameter '{name}' of {plugin.kind} '{plugin.name}' is not supported (Mitsuba 3 has it)")
+        self.check_supported(plugin, parameter, place)
         if parameter.status == IGNORED:
             return
         if name in result:
             place.fail(f"'{name}' is given twice")
         result[name] = check_value(parameter, value, place)
+
+    @staticmethod
+    def check_supported(plugin: Plugin, parameter: Parameter | None, place: Place):
+        if parameter is not None and parameter.status == UNSUPPORTED:
+            place.fail(
+                f"parameter '{parameter.name}' of {plugin.kind} '{plugin.name}' is not supported (Mitsuba 3 has it): "
+                + parameter.meaning
+            )
 
     def complete(self, plugin: Plugin, result: dict, held: Counter[str], place: Place):
         """Fill in defaults; complain about what is required and about combinations that exclude each other."""

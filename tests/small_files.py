@@ -1,0 +1,122 @@
+"""Small valid files of every format that is read, as bytes: seeds of the fuzzer, and what plugins name."""
+
+import io
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+_POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.1], [1, 1, 1e-3]])
+_FACES = np.array([[0, 1, 2], [2, 1, 3]])
+_UVS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+
+
+def obj(shift: float = 0.0, relative: bool = False) -> bytes:
+    """`shift` is added to all positions, here and below; `relative`: a face counts backwards, which Mitsuba refuses."""
+    lines = ["mtllib a.mtl", *(f"v {x} {y} {z}" for x, y, z in _POINTS + shift), *(f"vt {u} {v}" for u, v in _UVS)]
+    lines += [
+        "vn 0 0 1",
+        "# a comment",
+        "usemtl red",
+        "f 1/1/1 2/2/1 3/3/1",
+        "usemtl lamp",
+        "f 3/3 2/2 4/4",
+        *(["f -4 -3 -1"] if relative else []),
+    ]
+    return "\n".join(lines).encode() + b"\n"
+
+
+def mtl() -> bytes:
+    return b"newmtl red\nKd 0.8 0.1 0.1\nnewmtl lamp\nKd 0 0 0\nKe 5 5 4\n"
+
+
+def ply(binary: bool = True, shift: float = 0.0) -> bytes:
+    """Normals, texture coordinates, colours of vertices and of faces."""
+    form = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {form} 1.0\nelement vertex 4\n" + "".join(
+        f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz", "u", "v")
+    )
+    head += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    head += "element face 2\nproperty list uchar int vertex_indices\nproperty float heat_x\nend_header\n"
+    body = b""
+    for number, (point, uv) in enumerate(zip(_POINTS + shift, _UVS, strict=True)):
+        values = [*point, 0, 0, 1, *uv]
+        colour = [40 * number, 255 - 40 * number, 99]
+        body += (
+            struct.pack("<8f3B", *values, *colour) if binary else (" ".join(map(str, values + colour)) + "\n").encode()
+        )
+    for number, face in enumerate(_FACES):
+        body += (
+            struct.pack("<B3if", 3, *face, number) if binary else f"3 {face[0]} {face[1]} {face[2]} {number}\n".encode()
+        )
+    return head.encode() + body
+
+
+def serialized(meshes: int = 2, version: int = 4, shift: float = 0.0) -> bytes:
+    parts = []
+    for number in range(meshes):
+        data = struct.pack("<I", 0x1 | 0x2 | 0x8 | 0x1000) + (b"part\0" if version == 4 else b"")
+        data += struct.pack("<QQ", len(_POINTS), len(_FACES)) + (_POINTS + number + shift).astype("<f4").tobytes()
+        data += np.tile([0, 0, 1], (4, 1)).astype("<f4").tobytes() + _UVS.astype("<f4").tobytes()
+        data += np.full((4, 3), 0.5).astype("<f4").tobytes() + _FACES.astype("<u4").tobytes()
+        parts.append(struct.pack("<HH", 0x041C, version) + zlib.compress(data))
+    offsets = np.cumsum([0, *map(len, parts)])[:-1].astype({3: "<u4", 4: "<u8"}[version])
+    return b"".join(parts) + offsets.tobytes() + struct.pack("<I", meshes)
+
+
+def foreign(kind: str) -> bytes:
+    """'stl', 'stl_ascii' or 'glb', as trimesh writes them."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(_POINTS, _FACES, process=False)
+    data = mesh.export(file_type=kind)
+    return data.encode() if isinstance(data, str) else data
+
+
+def pixels(width: int = 9, height: int = 5, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def encoded(form: str, seed: int = 0, mode: str = "RGB") -> bytes:
+    """'PNG', 'JPEG', 'BMP' or 'TGA', as pillow writes them."""
+    import PIL.Image
+
+    file = io.BytesIO()
+    PIL.Image.fromarray(pixels(seed=seed)).convert(mode).save(file, form)
+    return file.getvalue()
+
+
+def deep_png() -> bytes:
+    """16 bits a channel."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels().astype(np.uint16) * 257)
+    head = struct.pack(">2I5B", 9, 5, 16, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
+def exr(seed: int = 0) -> bytes:
+    import OpenEXR
+
+    planes = {name: np.ascontiguousarray(pixels(seed=seed)[..., i], np.float32) for i, name in enumerate("RGB")}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.exr"
+        OpenEXR.File(header, planes).write(str(path))
+        return path.read_bytes()
+
+
+def hdr(packed: bool = True) -> bytes:
+    """Radiance HDR, its lines run-length encoded a channel at a time, or plain."""
+    rgbe = np.concatenate([pixels(), np.full((5, 9, 1), 129, np.uint8)], axis=2)
+    body = b""
+    for row in rgbe:
+        if packed:
+            body += b"\x02\x02\x00\x09" + b"".join(bytes([9]) + row[:, i].tobytes() for i in range(3)) + b"\x89\x81"
+        else:
+            body += row.tobytes()
+    return b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 5 +X 9\n" + body
