@@ -32,13 +32,13 @@ INLINE void set_frame(Shading* at, const Surface* s)
 #endif
 
 #if HAS_BUMPS
-// The normal of the surface that a height, or a map of normals, makes of this one, local to the frame there. As Mitsuba 3
+// The normal of the surface that a height, or a map of normals, makes of this one, in the frame there. As Mitsuba 3
 // (3.9, bumpmap.cpp, normalmap.cpp and what they share) has it.
 INLINE float3 bumped_normal(const Shading* at, const Surface* s)
 {
-    float3 local = (float3)(0.0f, 0.0f, 1.0f);
+    float3 bumped = (float3)(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (at->bsdf->kind == BSDF_NORMAL_MAP) local = 2.0f * rgb_parameter(at, 0) - 1.0f;
+    if (at->bsdf->kind == BSDF_NORMAL_MAP) bumped = 2.0f * rgb_parameter(at, 0) - 1.0f;
 #endif
 #if FEATURE_BUMP
     if (at->bsdf->kind == BSDF_BUMP) {
@@ -47,28 +47,28 @@ INLINE float3 bumped_normal(const Shading* at, const Surface* s)
         const float3 along_v = s->dp_dv + (slope.y - dot3(s->normal, s->dp_dv)) * s->normal;
         const float3 normal = cross3(along_u, along_v);
         const float3 outward = dot3(s->geometric_normal, normal) < 0.0f ? -normal : normal;
-        local = (float3)(dot3(outward, at->s), dot3(outward, at->t), dot3(outward, s->normal));
+        bumped = (float3)(dot3(outward, at->s), dot3(outward, at->t), dot3(outward, s->normal));
     }
 #endif
     // seen from behind it is turned to the viewer: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
     const float3 wi = to_local(at, at->wi);
-    if (!(at->bsdf->flags & BSDF_ANY_NORMAL) && wi.z * dot3(wi, local) <= 0.0f) local.xy = -local.xy;
-    local = unit(local);
-    return dot3(local, local) > 0.0f ? local : (float3)(0.0f, 0.0f, 1.0f);
+    if (!(at->bsdf->flags & BSDF_ANY_NORMAL) && wi.z * dot3(wi, bumped) <= 0.0f) bumped.xy = -bumped.xy;
+    bumped = unit(bumped);
+    return dot3(bumped, bumped) > 0.0f ? bumped : (float3)(0.0f, 0.0f, 1.0f);
 }
 
 // Takes the bumped normal for the shading normal; the frame stays as right- or left-handed as it is.
 INLINE void bump(Shading* at, const Surface* s)
 {
-    const float3 local = bumped_normal(at, s), along = (float3)(1.0f, 0.0f, 0.0f) - local.x * local;
-    const float3 s_local = dot3(along, along) > 0.0f ? unit(along) : (float3)(0.0f, 1.0f, 0.0f);
-    const float3 t_local = cross3(local, s_local);
-    const float3 normal = to_world(at, local), first = to_world(at, s_local), second = to_world(at, t_local);
+    const float3 bumped = bumped_normal(at, s), along = (float3)(1.0f, 0.0f, 0.0f) - bumped.x * bumped;
+    const float3 s_bumped = dot3(along, along) > 0.0f ? unit(along) : (float3)(0.0f, 1.0f, 0.0f);
+    const float3 t_bumped = cross3(bumped, s_bumped);
+    const float3 normal = to_world(at, bumped), first = to_world(at, s_bumped), second = to_world(at, t_bumped);
     at->normal = normal;
     at->s = first;
     at->t = second;
     at->cos_i = dot3(normal, at->wi);
-    const float tan2 = dot2(local.xy, local.xy) / (local.z * local.z);
+    const float tan2 = dot2(bumped.xy, bumped.xy) / (bumped.z * bumped.z);
     at->shadow = at->bsdf->flags & BSDF_NO_SHADOW ? 0.0f : LESSER(0.125f * tan2, 1.0f);
 }
 
