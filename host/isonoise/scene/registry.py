@@ -22,6 +22,7 @@ class Parameter:
     status: str = SUPPORTED  # IGNORED: read over, cannot change the image; UNSUPPORTED: Mitsuba has it, isonoise not
     required: bool = False
     texture: bool = False  # a texture may take the place of the value
+    volume: bool = False  # a constvolume may
     meaning: str = ""  # one line, with the unit where there is one; IGNORED, UNSUPPORTED: why
     unset: str = ""  # what holds where it is not given, if `default` does not say it
 
@@ -47,6 +48,7 @@ class Child:
     most: int = 1
     least: int = 0
     types: tuple[str, ...] = ()  # admitted plugins; () is all of the kind
+    names: tuple[str, ...] = ()  # what each is called, if that says what it is for; it is kept under its name
 
 
 @dataclass(frozen=True)
