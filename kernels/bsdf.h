@@ -1,5 +1,6 @@
 // Scattering at a surface: evaluation and sampling by kind of material.
 #pragma once
+#include "phase.h"
 #include "plastic.h"
 #include "principled.h"
 #include "rough.h"
@@ -7,7 +8,7 @@
 
 #define HAS_SMOOTH_BSDFS                                                                                          \
     (FEATURE_DIFFUSE || FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_PLASTIC ||                      \
-     FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
+     FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED || FEATURE_MEDIA)
 
 #define HAS_DELTA_BSDFS (FEATURE_DIELECTRIC || FEATURE_THIN_DIELECTRIC || FEATURE_CONDUCTOR)
 #define HAS_ROUGH_TRANSMISSION (FEATURE_ROUGH_DIELECTRIC || FEATURE_PRINCIPLED)
@@ -15,6 +16,9 @@
 // Whether next-event estimation can find anything: some lobe is no delta function, and the side is one that scatters.
 INLINE bool bsdf_is_smooth(const Shading* at)
 {
+#if FEATURE_MEDIA
+    if (at->bsdf->kind == BSDF_HG) return !(at->bsdf->flags & BSDF_UNLIT);
+#endif
     if (!(at->cos_i > 0.0f || HAS_ROUGH_TRANSMISSION)) return false;
 #if HAS_DELTA_BSDFS
     switch (at->bsdf->kind) {
@@ -52,6 +56,9 @@ INLINE float3 bsdf_eval(const Shading* at, float3 wo, float* pdf)
 #endif
 #if FEATURE_PRINCIPLED
     case BSDF_PRINCIPLED: value = principled_eval(at, wo, pdf); break;
+#endif
+#if FEATURE_MEDIA
+    case BSDF_HG: value = hg_eval(at, wo, pdf); break;
 #endif
     default: break;
     }
@@ -91,6 +98,9 @@ INLINE BsdfSample bsdf_sample(const Shading* at, float3 u)
 #endif
 #if FEATURE_PRINCIPLED
     case BSDF_PRINCIPLED: sample = principled_sample(at, u); break;
+#endif
+#if FEATURE_MEDIA
+    case BSDF_HG: sample = hg_sample(at, u.yz); break;
 #endif
     default: break;
     }

@@ -34,6 +34,12 @@ __kernel void move_paths(__global const uchar* alive, uint paths, uint block_siz
 #if FEATURE_INSTANCES
                          , __global const uint* instance, __global uint* next_instance
 #endif
+#if FEATURE_VOLPATH
+                         , __global const uint2* crossing, __global uint2* next_crossing
+#endif
+#if FEATURE_MEDIA
+                         , __global const uint* medium, __global uint* next_medium
+#endif
                          )
 {
     const uint block = get_global_id(0);
@@ -49,6 +55,12 @@ __kernel void move_paths(__global const uchar* alive, uint paths, uint block_siz
         next_path[to] = path[i];
 #if FEATURE_INSTANCES
         next_instance[to] = instance[i];
+#endif
+#if FEATURE_VOLPATH
+        next_crossing[to] = crossing[i];
+#endif
+#if FEATURE_MEDIA
+        next_medium[to] = medium[i];
 #endif
         ++to;
     }

@@ -25,6 +25,12 @@ __kernel void generate(uint count_new, uint first_slot, uint first_sample, uint2
 #if FEATURE_INSTANCES
                        , __global uint* instance
 #endif
+#if FEATURE_VOLPATH
+                       , __global uint2* crossing
+#endif
+#if FEATURE_MEDIA
+                       , __global uint* medium, uint sensor_medium
+#endif
                        )
 {
     const uint i = get_global_id(0);
@@ -68,6 +74,12 @@ __kernel void generate(uint count_new, uint first_slot, uint first_sample, uint2
     path[slot] = (uint4)(sample, NONE, index, 0u);
 #if FEATURE_INSTANCES
     instance[slot] = NONE;
+#endif
+#if FEATURE_VOLPATH
+    crossing[slot] = (uint2)(0u);
+#endif
+#if FEATURE_MEDIA
+    medium[slot] = sensor_medium;
 #endif
     store3((float3)(0.0f), sample, samples);
 }

@@ -9,6 +9,7 @@
 #define BLOCK_BSDF(depth) (1u + BLOCKS_PER_VERTEX * (depth))   // lobe, direction x, direction y, roulette
 #define BLOCK_LIGHT(depth) (2u + BLOCKS_PER_VERTEX * (depth))  // pick, position x, position y, pick (low bits)
 #define BLOCK_MATERIAL(depth) (0x80000000u + (depth))          // choice of a wrapped material
+#define BLOCK_MEDIUM(depth) (0xC0000000u + (depth))            // colour, distance, distance (low bits)
 
 // Philox4x32 with 7 rounds, the fewest that pass BigCrush.
 // Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011, section 3.3 and table 2.

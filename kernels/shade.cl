@@ -3,6 +3,7 @@
 #include "bsdf.h"
 #include "light.h"
 #include "material.h"
+#include "medium.h"
 #include "random.h"
 
 // Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
@@ -38,7 +39,7 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
     radiance *= bump_share(at, s, light.direction);
 #endif
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
-    const float3 origin = offset_origin(s->position, s->error, s->geometric_normal, light.direction);
+    const float3 origin = leave(s, light.direction);
     // to a finite light the ray's length is 1, and both its ends are moved off their surfaces
     const float3 direction =
         light.is_infinite ? light.direction
@@ -67,12 +68,18 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
                     __global const Environment* environment, __global const float* environment_texels,
                     __global const EnvironmentRow* environment_rows, __global const uint* environment_columns,
 #endif
-                    uint environment_light, __global const float4* hit, __global float4* ray_origin,
+                    uint environment_light, __global float4* hit, __global float4* ray_origin,
                     __global float4* ray_direction, __global float4* throughput, __global uint4* path,
                     __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance,
                     __global float* samples, __global uchar* alive
 #if FEATURE_INSTANCES
                     , __global const Instance* instances, __global const uint* instance
+#endif
+#if FEATURE_VOLPATH
+                    , __global uint2* crossing
+#endif
+#if FEATURE_MEDIA
+                    , __global const Medium* media, __global uint* medium
 #endif
                     )
 {
@@ -105,8 +112,27 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     const uint4 state = path[i];
     const uint primitive = as_uint(h.w), pixel = sample_pixel[state.x], depth = state.w;
     float3 weight = carried.xyz;
+#if FEATURE_VOLPATH
+    // what lets a path through unturned is no vertex of it, but takes random numbers: the vertex before and these are kept
+    const float travelled = as_float(crossing[i].x), since_vertex = travelled + h.x;
+    const float3 last_vertex = origin.xyz - travelled * direction.xyz;
+    const uint crossed = crossing[i].y, event = depth + crossed;
+#else
+    const float since_vertex = h.x;
+    const float3 last_vertex = origin.xyz;
+    const uint event = depth;
+#endif
+#if FEATURE_MEDIA
+    const uint within = medium[i];
+    float flown = h.x;
+    const bool in_volume =
+        within != MEDIUM_NONE && fly(media + within, random_block(seed, pixel, state.z, BLOCK_MEDIUM(event)), &flown, &weight);
+    const bool from_volume = state.y == NONE;
+#else
+    const bool in_volume = false, from_volume = false;
+#endif
 
-    if (primitive == NONE) {
+    if (primitive == NONE && !in_volume) {
 #if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 #if FEATURE_HIDE_EMITTERS
         if (depth == 0u) return;
@@ -117,14 +143,23 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
         return;
     }
+    Surface s;
+    if (!FEATURE_MEDIA || primitive != NONE) {
 #if FEATURE_INSTANCES
-    const Surface s = instanced_surface_at(&geometry, instances, instance[i], primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
+        s = instanced_surface_at(&geometry, instances, instance[i], primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
 #else
-    const Surface s = surface_at(&geometry, primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
+        s = surface_at(&geometry, primitive, origin.xyz, direction.xyz, h.x, h.y, h.z);
 #endif
-    if (dot3(s.geometric_normal, s.geometric_normal) == 0.0f) return;
+    }
+    if (!in_volume && dot3(s.geometric_normal, s.geometric_normal) == 0.0f) return;
 #if FEATURE_TRIANGLES
-    if (!(primitive & ANALYTIC_BIT) && in_plane(&s, origin.xyz)) return;
+    if (!in_volume && !from_volume && !(primitive & ANALYTIC_BIT) && in_plane(&s, origin.xyz)) return;
+#endif
+#if FEATURE_MEDIA
+    if (in_volume) {
+        enter_volume(&s, primitive != NONE, origin.xyz, direction.xyz, flown, h.x, media[within].phase);
+        hit[i].w = as_float(NONE);  // the shadow ray starts on no primitive
+    }
 #endif
 
 #if FEATURE_AREA_LIGHTS
@@ -133,20 +168,25 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
         if (depth == 0u) {  // seen by the camera, the light is not there: the ray goes on behind it
             ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
             path[i].y = primitive;
+#if FEATURE_VOLPATH
+            throughput[i].xyz = weight;
+            crossing[i].y = crossed + 1u;
+#endif
             alive[i] = 1;
             return;
         }
 #endif
         if (dot3(s.normal, direction.xyz) < 0.0f) {
             __global const Light* light = lights + s.light;
-            const float pdf = light_pdf(&geometry, light, origin.xyz, direction.xyz, h.x, s.normal);
+            const float pdf = light_pdf(&geometry, light, last_vertex, direction.xyz, since_vertex, s.normal);
             const float3 emitted = weight * emitted_radiance(&geometry, light, &s) * mis_weight(direction.w, pdf);
             store3(LOAD3(state.x, samples) + emitted, state.x, samples);
         }
     }
 #endif
 
-    if (depth + 1u >= max_depth) return;
+    const bool last = depth + 1u >= max_depth;
+    if (!FEATURE_VOLPATH && last) return;
     Shading at;
     at.bsdf = bsdfs + s.bsdf;
     at.normal = s.normal;
@@ -167,11 +207,11 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     at.point = texture_point(&s);
 #endif
 #if HAS_WRAPPERS
-    const bool passes = unwrap(&at, bsdfs, &s, random_block(seed, pixel, state.z, BLOCK_MATERIAL(depth)).x);
-#elif FEATURE_NULL
-    const bool passes = at.bsdf->kind == BSDF_NULL;
+    const bool passes = unwrap(&at, bsdfs, &s, random_block(seed, pixel, state.z, BLOCK_MATERIAL(event)).x);
+#else
+    const bool passes = FEATURE_NULL && at.bsdf->kind == BSDF_NULL;
 #endif
-#if HAS_SEE_THROUGH
+#if HAS_SEE_THROUGH && !FEATURE_VOLPATH
     if (passes) {  // next-event estimation did not see what is behind: it takes part in no weight
         ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, direction.xyz), INFINITY);
         ray_direction[i].w = -1.0f;
@@ -184,16 +224,22 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) turn_to_viewer(&at);
 #endif
 #if FEATURE_NEXT_EVENT
-    if (bsdf_is_smooth(&at))
+    if (!passes && !last && bsdf_is_smooth(&at)) {
         next_event(&geometry, lights, light_alias, light_count, &s, &at,
-                   random_block(seed, pixel, state.z, BLOCK_LIGHT(depth)), weight, i, shadow_origin, shadow_direction,
+                   random_block(seed, pixel, state.z, BLOCK_LIGHT(event)), weight, i, shadow_origin, shadow_direction,
                    shadow_radiance);
+#if FEATURE_MEDIA
+        shadow_radiance[i].w = as_float(medium_behind(&s, shadow_direction[i].xyz, within));
 #endif
-    const float4 u = random_block(seed, pixel, state.z, BLOCK_BSDF(depth));
-    const BsdfSample next = bsdf_sample(&at, u.xyz);
+    }
+#endif
+    const float4 u = random_block(seed, pixel, state.z, BLOCK_BSDF(event));
+    const BsdfSample next = passes ? straight_on(direction.xyz) : bsdf_sample(&at, u.xyz);
+    const bool straight = FEATURE_VOLPATH && next.pdf == STRAIGHT;
+    if (last && !straight) return;
     weight *= next.weight;
 #if HAS_BUMPS
-    weight *= bump_share(&at, &s, next.direction);
+    if (!straight) weight *= bump_share(&at, &s, next.direction);
 #endif
     const float total = weight.x + weight.y + weight.z;
     if (total == 0.0f) return;
@@ -203,15 +249,21 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     }
     const float eta = carried.w * next.eta;
 #if FEATURE_RUSSIAN_ROULETTE
-    if (depth + 1u >= rr_depth) {  // Mitsuba 3's rule
+    if (depth + 1u >= rr_depth && !straight) {  // Mitsuba 3's rule
         const float survival = LESSER(largest(weight) * eta * eta, 0.95f);
         if (u.w >= survival) return;
         weight /= survival;
     }
 #endif
-    ray_origin[i] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, next.direction), INFINITY);
-    ray_direction[i] = (float4)(next.direction, next.pdf);
+    ray_origin[i] = (float4)(leave(&s, next.direction), INFINITY);
+    ray_direction[i] = (float4)(next.direction, straight ? direction.w : next.pdf);
     throughput[i] = (float4)(weight, eta);
-    path[i] = (uint4)(state.x, primitive, state.z, depth + 1u);
+    path[i] = (uint4)(state.x, in_volume ? NONE : primitive, state.z, depth + (straight ? 0u : 1u));
+#if FEATURE_VOLPATH
+    crossing[i] = straight ? (uint2)(as_uint(since_vertex), crossed + 1u) : (uint2)(as_uint(0.0f), crossed);
+#endif
+#if FEATURE_MEDIA
+    medium[i] = medium_behind(&s, next.direction, within);
+#endif
     alive[i] = 1;
 }

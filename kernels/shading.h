@@ -60,10 +60,19 @@ INLINE float3 to_world(const Shading* at, float3 v)
 }
 #endif
 
+#define STRAIGHT -2.0f
+
 // Mirrored and refracted directions are made unit again: over a path of many such steps their rounding would add up.
 typedef struct {
     float3 direction;  // unit, in world space
     float3 weight;     // bsdf * |cos| / pdf; 0 if the path ends
-    float pdf;         // solid angle; negative if the lobe is a delta function
+    float pdf;         // solid angle; negative if the lobe is a delta function, STRAIGHT if the path goes on as it came
     float eta;         // index of the side that `direction` is on over that of the incident side
 } BsdfSample;
+
+// What lets a path through as if nothing was there.
+INLINE BsdfSample straight_on(float3 direction)
+{
+    const BsdfSample sample = {direction, (float3)(1.0f), STRAIGHT, 1.0f};
+    return sample;
+}

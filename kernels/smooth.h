@@ -92,15 +92,20 @@ INLINE BsdfSample dielectric_sample(const Shading* at, float u)
 
 #if FEATURE_THIN_DIELECTRIC
 // Two boundaries so close that what is refracted goes on as it came; reflections between them are summed.
-INLINE BsdfSample thin_dielectric_sample(const Shading* at, float u)
+INLINE float thin_dielectric_reflectance(const Shading* at)
 {
     float cos_t;
     const float once = fresnel_dielectric(abs1(at->cos_i), number_parameter(at, 2), &cos_t);
-    const bool reflects = u <= 2.0f * once / (1.0f + once);
+    return 2.0f * once / (1.0f + once);
+}
+
+INLINE BsdfSample thin_dielectric_sample(const Shading* at, float u)
+{
+    const bool reflects = u <= thin_dielectric_reflectance(at);
     BsdfSample sample;
     sample.direction = reflects ? unit(2.0f * at->cos_i * at->normal - at->wi) : -at->wi;
     sample.weight = rgb_parameter(at, reflects ? 0 : 1);
-    sample.pdf = -1.0f;
+    sample.pdf = reflects ? -1.0f : STRAIGHT;
     sample.eta = 1.0f;
     return sample;
 }

@@ -12,6 +12,9 @@ typedef struct {
     float3 geometric_normal;  // unit; zero for a triangle without area
     float3 normal;            // unit shading normal
     uint bsdf, light;         // indices; light is NONE if the surface does not shine
+#if FEATURE_MEDIA
+    uint media;  // within | without << 16, where the normal points; NONE if the surface separates none
+#endif
 #if FEATURE_UVS
     float2 uv;
     float3 dp_du, dp_dv;  // how the position changes with uv
@@ -80,6 +83,9 @@ INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float
     s.geometric_normal = s.normal = record[3].xyz;
     s.bsdf = as_uint(corner.w) ^ LANE_BIAS;
     s.light = as_uint(edge1.w) ^ LANE_BIAS;
+#if FEATURE_MEDIA
+    s.media = as_uint(record[3].w) ^ LANE_BIAS;
+#endif
 #if FEATURE_VERTEX_NORMALS
     if ((as_uint(edge2.w) ^ LANE_BIAS) & SHAPE_VERTEX_NORMALS) {
         const uint3 index = LOAD3U(triangle, g->faces);
@@ -142,6 +148,9 @@ INLINE void complete_analytic(const Geometry* g, uint index, Surface* s)
     s->geometric_normal = s->normal;
     s->bsdf = shape->bsdf;
     s->light = shape->first_light == NONE ? NONE : shape->first_light + (index - shape->first_primitive);
+#if FEATURE_MEDIA
+    s->media = shape->media;
+#endif
 #if FEATURE_UVS
     analytic_uv(g->analytics + index, s);
 #endif

@@ -59,6 +59,11 @@ FEATURES = {
     "BUMP": Feature("bump maps", "code in shade"),
     "NORMAL_MAP": Feature("normal maps", "code in shade"),
     "TWOSIDED": Feature("two-sided materials", "code in shade"),
+    "VOLPATH": Feature(
+        "surfaces that let paths and light through unturned",
+        "8 bytes a path; the shadow stage looks at such surfaces instead of ending there",
+    ),
+    "MEDIA": Feature("media", "4 bytes a path, free flights in shade, transmittance in the shadow stage"),
     "AREA_LIGHTS": Feature("surfaces that shine", "light table, emission and its weight in shade"),
     "TRIANGLE_LIGHTS": Feature("triangles that shine", "sampling code in shade"),
     "SPHERE_LIGHTS": Feature("spheres that shine", "sampling code in shade"),
@@ -89,6 +94,7 @@ _SMOOTH = {
     structs.BSDF_PLASTIC,
     structs.BSDF_ROUGH_PLASTIC,
     structs.BSDF_PRINCIPLED,
+    structs.BSDF_HG,
 }
 """Materials of which next-event estimation can find something."""
 
@@ -133,6 +139,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "BUMP": structs.BSDF_BUMP in bsdf,
         "NORMAL_MAP": structs.BSDF_NORMAL_MAP in bsdf,
         "TWOSIDED": bool((scene.bsdfs["flags"] & structs.BSDF_TWOSIDED).any()),
+        "VOLPATH": len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_SEE_THROUGH).any()),
+        "MEDIA": len(scene.media) > 0,
         "AREA_LIGHTS": bool(light & surface_lights),
         "TRIANGLE_LIGHTS": structs.LIGHT_TRIANGLE in light,
         "SPHERE_LIGHTS": structs.LIGHT_SPHERE in light,

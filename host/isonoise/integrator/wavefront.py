@@ -32,6 +32,7 @@ STRUCTS = {
     "EnvironmentRow": environment.ENVIRONMENT_ROW,
     "Light": structs.LIGHT,
     "Alias": structs.ALIAS,
+    "Medium": structs.MEDIUM,
 }
 
 # Kernel -> file and arguments, by the names in `Stages.arguments` or given at the launch.
@@ -40,7 +41,8 @@ KERNELS = {
     "generate": (
         "generate.cl",
         "count_new first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count "
-        "rejected ray_origin ray_direction throughput path samples INSTANCES:instance",
+        "rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
+        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium",
     ),
     "intersect": (
         "intersect.cl",
@@ -54,11 +56,19 @@ KERNELS = {
         "ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
         "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light hit ray_origin ray_direction throughput path shadow_origin "
-        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance",
+        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
+        "VOLPATH:crossing MEDIA:media MEDIA:medium",
     ),
     "shadow": (
         "shadow.cl",
         "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples "
+        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
+    ),
+    "through": (
+        "through.cl",
+        "paths nodes blocks block_count triangles faces vertex_normals UVS:uvs TEXTURES:textures TEXTURES:texel_bytes "
+        "TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs shadow_origin "
+        "shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:sky_distance "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "count_alive": ("compact.cl", "alive paths block_size block_alive"),
@@ -66,7 +76,8 @@ KERNELS = {
     "move_paths": (
         "compact.cl",
         "alive paths block_size block_alive ray_origin ray_direction throughput path "
-        "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance",
+        "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
+        "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium",
     ),
     "reduce": (
         "reduce.cl",
@@ -80,7 +91,10 @@ KERNELS = {
 }
 
 
-PATH_STATE = {"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16, "INSTANCES:instance": 4}
+PATH_STATE = {
+    **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
+    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4},
+}
 """Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
 
 
@@ -102,7 +116,9 @@ class Wavefront:
         self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
-        table = {name: row for name, row in KERNELS.items() if name != "shadow" or self.features["NEXT_EVENT"]}
+        shadow = "through" if self.features["VOLPATH"] else "shadow"
+        self._shadow = shadow if self.features["NEXT_EVENT"] else None
+        table = {name: row for name, row in KERNELS.items() if name not in ("shadow", "through") or name == self._shadow}
         self._stages = Stages(device, table, self.features, structs.CONSTANTS | textures.CONSTANTS | build_constants(needs), STRUCTS)
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
@@ -147,6 +163,10 @@ class Wavefront:
             "instances": table(scene.instances, "the instances"),
             "first_instance": np.uint32(len(bvh.blocks) + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
+            "media": table(scene.media, "the media"),
+            "sensor_medium": np.uint32(scene.sensor_medium),
+            # what Mitsuba 3 gives lights that are infinitely far away, for media without a boundary before them
+            "sky_distance": np.float32(np.linalg.norm(scene.bounds[1].astype(float) - scene.bounds[0])),
             "boundaries": table(scene.boundaries, "the tables of rough plastics"),
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),
@@ -248,8 +268,8 @@ class Wavefront:
         bound = {"paths": np.uint32(paths)}
         self._stages.launch("intersect", paths, **bound)
         self._stages.launch("shade", paths, **bound)
-        if self.features["NEXT_EVENT"]:
-            self._stages.launch("shadow", paths, **bound)
+        if self._shadow:
+            self._stages.launch(self._shadow, paths, **bound)
         blocks = -(-paths // self.block_size)
         self._stages.launch("count_alive", blocks, **bound)
         self._stages.launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))

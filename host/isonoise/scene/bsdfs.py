@@ -13,12 +13,14 @@
 | | 5 (eta, specular, clearcoat sampling rate), 6 spec_tint, 7 sheen, 8 sheen_tint, 9 flatness, 10 clearcoat, |
 | | 11 clearcoat_gloss |
 | mask, blendbsdf, bumpmap, normalmap | 0 opacity; weight; height times scale (1 its scale); normal |
+| hg, isotropic (phase functions) | 0 g |
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
+from isonoise.errors import SceneError
 from isonoise.scene import structs
 from isonoise.scene.boundaries import NODES, inner_reflectance, rough_boundary
 from isonoise.scene.materials import MIRROR, conductors
@@ -40,6 +42,10 @@ KINDS = {
     "bumpmap": structs.BSDF_BUMP,
     "normalmap": structs.BSDF_NORMAL_MAP,
 }
+_LARGEST_G = 1.0 - 2.0**-24  # below 1 as a 32-bit float too
+_SEE_THROUGH = (structs.BSDF_NULL, structs.BSDF_MASK, structs.BSDF_THIN_DIELECTRIC)
+_WRAPPERS = (structs.BSDF_BLEND, structs.BSDF_BUMP, structs.BSDF_NORMAL_MAP)
+_MOST_BLENDS = 8  # within one another; kernels/through.h keeps their other halves
 _ROUGHNESS = 0.1  # Mitsuba 3's alpha where none is given
 
 
@@ -70,6 +76,15 @@ class Bsdfs:
         if bsdf["type"] == "twosided":
             return self._sides(bsdf, record)
         self._fill(record, bsdf)
+        return self._enter(record)
+
+    def phase(self, phase: dict, lit: bool) -> int:
+        """The index of a phase function, from which lights are sampled or not: to a path it is like a material."""
+        record = np.zeros(1, structs.BSDF)
+        record["nested"] = record["textures"] = structs.NONE
+        record["kind"] = structs.BSDF_HG
+        record["flags"] = 0 if lit else structs.BSDF_UNLIT
+        record["values"][0, :3] = np.clip(phase.get("g", 0.0), -_LARGEST_G, _LARGEST_G)
         return self._enter(record)
 
     def _enter(self, record: np.ndarray) -> int:
@@ -153,6 +168,24 @@ class Bsdfs:
                 return inner, index
         self._tables.append(table)
         return inner, len(self._tables) - 1
+
+
+def mark_see_through(records: np.ndarray) -> np.ndarray:
+    """Which materials (b,) let light through unturned, in part or in full; they get BSDF_SEE_THROUGH.
+
+    Raises SceneError where blends are nested deeper than the device can follow.
+    """
+    marked = np.isin(records["kind"], _SEE_THROUGH)
+    blends = np.zeros(len(records), int)
+    for index, record in enumerate(records):  # what is wrapped comes before what wraps it
+        inner = [int(nested) for nested in record["nested"] if nested != structs.NONE]
+        if record["kind"] in _WRAPPERS:
+            marked[index] = marked[inner].any()
+        blends[index] = max(blends[inner], default=0) + (record["kind"] == structs.BSDF_BLEND)
+    if (blends[marked] > _MOST_BLENDS).any():
+        raise SceneError(f"blends of materials with opacity are nested more than {_MOST_BLENDS} deep")
+    records["flags"][marked] |= structs.BSDF_SEE_THROUGH
+    return marked
 
 
 def reads_uvs(records: np.ndarray) -> bool:

@@ -8,12 +8,13 @@ from isonoise.errors import SceneError
 from isonoise.scene import lights as lighting
 from isonoise.scene import structs, vocabulary
 from isonoise.scene.bounds import instance_extents
-from isonoise.scene.bsdfs import Bsdfs, reads_uvs
+from isonoise.scene.bsdfs import Bsdfs, mark_see_through, reads_uvs
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.environment import Environment, make_environment
 from isonoise.scene.images import read_image
 from isonoise.scene.instances import instance_records, separate
+from isonoise.scene.media import Media
 from isonoise.scene.surfaces import Surface, make_surface
 from isonoise.scene.textures import MeshAttributes, Textures, is_plain
 
@@ -37,12 +38,14 @@ def compile_scene(
     camera, filter_name = compile_camera(sensor, size)
     integrator = next(iter(_of_kind(description, "integrator").values()), _PATH)
     depth = _DIRECT_DEPTH if integrator["type"] == "direct" else integrator["max_depth"]
+    volumetric = integrator["type"] == "volpath"
     world, groups, placed = separate(_of_kind(description, "shape"))
     spaces = [{where: make_surface(shape, where) for where, shape in shapes.items()} for shapes in (world, *groups)]
     instances = instance_records(placed)
     bounds = _bounds(spaces, instances, list(placed))
     shapes = [shape for space in (world, *groups) for shape in space.values()]
-    geometry = _Geometry(shapes, [surface for space in spaces for surface in space.values()])
+    surfaces = [surface for space in spaces for surface in space.values()]
+    geometry = _Geometry(shapes, surfaces, volumetric, sensor.get("medium"))
     emitters = _of_kind(description, "emitter")
     sky = next((_sky(emitter, name) for name, emitter in emitters.items() if emitter["type"] == "envmap"), None)
     lights, alias, environment, scale = _lights(geometry, list(emitters.values()), sky, bounds)
@@ -58,6 +61,7 @@ def compile_scene(
         "group_begins": _group_begins(spaces),
         "bsdfs": geometry.bsdfs,
         "boundaries": geometry.boundaries,
+        "media": geometry.media,
         "uvs": geometry.uvs,
         "textures": geometry.textures.records,
         "texel_bytes": geometry.textures.bytes,
@@ -70,8 +74,10 @@ def compile_scene(
     facts = {
         "filter": filter_name,
         "max_depth": depth if max_depth is None else max_depth,
-        "rr_depth": integrator.get("rr_depth", _PATH["rr_depth"]),
+        "rr_depth": integrator.get("rr_depth", _PATH["rr_depth"]) + volumetric,  # Mitsuba 3 begins one later there
         "hide_emitters": integrator["hide_emitters"],
+        "volumetric": volumetric,
+        "sensor_medium": geometry.sensor_medium,
         "environment_light": environment,
         "radiance_scale": scale,
     }
@@ -135,9 +141,9 @@ def _group_begins(spaces: list[dict[str, Surface]]) -> np.ndarray:
 
 
 class _Geometry:
-    """All surfaces in common arrays."""
+    """All surfaces in common arrays; media and what is seen through only if the integrator is volumetric."""
 
-    def __init__(self, shapes: list[dict], surfaces: list[Surface]):
+    def __init__(self, shapes: list[dict], surfaces: list[Surface], volumetric: bool, sensor_medium: dict | None):
         meshes = [s for s in surfaces if s.analytic is None]
         first_vertex = np.cumsum([0, *(len(m.vertices) for m in meshes)])
         self.vertices = _stack([m.vertices for m in meshes], np.float32)
@@ -156,12 +162,15 @@ class _Geometry:
         self.emissive: list[tuple[int, dict, Surface]] = []
         self._textures = textures = Textures()
         bsdfs, analytics, first_face = Bsdfs(textures.index), [], 0
+        media = Media(bsdfs)
+        self.sensor_medium = media.index(sensor_medium if volumetric else None)
         for index, (shape, surface) in enumerate(zip(shapes, surfaces, strict=True)):
             flags = structs.SHAPE_VERTEX_NORMALS if len(surface.normals) else 0
             flags |= structs.SHAPE_FLIP_NORMALS if surface.flip else 0
             primitive = first_face if surface.analytic is None else len(analytics)
             bsdf = shape.get("bsdf", _BLACK if "emitter" in shape else _DIFFUSE)
-            self.shapes[index] = (bsdfs.index(bsdf), structs.NONE, primitive, flags)
+            sides = media.sides(shape) if volumetric else structs.NONE
+            self.shapes[index] = (bsdfs.index(bsdf), structs.NONE, primitive, flags, sides)
             if "emitter" in shape:
                 self.emissive.append((index, shape["emitter"], surface))
                 self.radiance_texture(shape["emitter"])  # enters it
@@ -171,7 +180,9 @@ class _Geometry:
                 surface.analytic["shape"] = index
                 analytics.append(surface.analytic)
         self.analytics = np.concatenate(analytics) if analytics else np.zeros(0, structs.ANALYTIC)
-        self.bsdfs, self.boundaries = bsdfs.records, bsdfs.tables
+        self.bsdfs, self.boundaries, self.media = bsdfs.records, bsdfs.tables, media.records
+        if volumetric:
+            self.shapes["flags"][mark_see_through(self.bsdfs)[self.shapes["bsdf"]]] |= structs.SHAPE_SEE_THROUGH
         self.textures = textures.arrays(
             [MeshAttributes(len(mesh.vertices), len(mesh.faces), mesh.attributes) for mesh in meshes]
         )

@@ -20,6 +20,8 @@ class CompiledScene:
     max_depth: int  # -1: no end
     rr_depth: int
     hide_emitters: bool
+    volumetric: bool  # media are seen, and boundaries that let light through unturned are no vertices of a path
+    sensor_medium: int  # index of the medium around the camera, MEDIUM_NONE
     sample_count: int  # the scene's samples per pixel, default of --spp
     vertices: np.ndarray  # (V, 3) float32
     faces: np.ndarray  # (T, 3) uint32
@@ -30,6 +32,7 @@ class CompiledScene:
     instances: np.ndarray  # (I,) structs.INSTANCE
     group_begins: np.ndarray  # (G + 1, 2) uint32: first triangle, analytic primitive of each group; their numbers
     bsdfs: np.ndarray  # (B,) structs.BSDF
+    media: np.ndarray  # (M,) structs.MEDIUM that paths can be in: none unless the integrator is volumetric
     boundaries: np.ndarray  # (t, boundaries.NODES) float32: transmittances of rough plastics over the cosine
     uvs: np.ndarray  # (V, 2) float32 where a material reads them and some shape has SHAPE_UVS, else (0, 2)
     textures: np.ndarray  # (X,) textures.TEXTURE

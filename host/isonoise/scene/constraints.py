@@ -7,6 +7,7 @@ import numpy as np
 from isonoise.scene.camera import fits_film, focal_length, is_rigid
 from isonoise.scene.materials import conductors
 from isonoise.scene.source import Place, nearest
+from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.sensors import SENSORS
 
 _EXCLUSIVE = {
@@ -148,6 +149,11 @@ def _shapegroup(group: dict, place: Place):
         place.fail("a shape of a shapegroup cannot shine, in Mitsuba 3 neither; place it outside of the group")
 
 
+def _homogeneous(medium: dict, place: Place):
+    if not colour_to_rgb(medium["sigma_t"], "unbounded").max() * medium["scale"] <= _DENSEST:
+        place.fail(f"sigma_t times scale is more than {_DENSEST:g}: 32-bit floats overflow")
+
+
 def _scene(scene: dict, place: Place):
     constant = [v for v in scene.values() if isinstance(v, dict) and v["type"] in ("constant", "envmap")]
     if len(constant) > 1:
@@ -159,6 +165,7 @@ def _scene(scene: dict, place: Place):
 
 _TRANSMITTING = ("dielectric", "thindielectric", "roughdielectric", "null", "mask")
 _WIDEST = 1e18  # the square of a tangent, 1e36, fits in 32-bit floats
+_DENSEST = 1e30  # collisions a unit of length: products with distances stay within 32-bit floats
 _SMALLEST = float(np.finfo(np.float32).tiny)
 _CHECKS = {
     "perspective": _perspective,
@@ -180,5 +187,6 @@ _CHECKS = {
     "spot": _spot,
     "mesh": _mesh,
     "shapegroup": _shapegroup,
+    "homogeneous": _homogeneous,
     "scene": _scene,
 }

@@ -31,7 +31,8 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
     BSDF_BLEND,
     BSDF_BUMP,
     BSDF_NORMAL_MAP,
-) = range(15)
+    BSDF_HG,
+) = range(16)
 (
     LIGHT_TRIANGLE,
     LIGHT_SPHERE,
@@ -44,9 +45,10 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
     LIGHT_ENVIRONMENT_MAP,
 ) = range(9)
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
-SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS = 1, 2, 4
+SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS, SHAPE_SEE_THROUGH = 1, 2, 4, 8
 BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
 BSDF_ANY_NORMAL, BSDF_NO_SHADOW = 16, 32
+BSDF_UNLIT, BSDF_SEE_THROUGH = 64, 128
 BSDF_SLOTS = 12
 """Parameters of a material; what each is, by kind, is told in `scene.bsdfs`."""
 
@@ -74,20 +76,24 @@ SHAPE = np.dtype(
         ("bsdf", "u4"),
         ("first_light", "u4"),  # light of the shape's first primitive, NONE if it does not shine
         ("first_primitive", "u4"),  # triangle index, or index of the analytic primitive
-        ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS
+        ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS | SHAPE_UVS | SHAPE_SEE_THROUGH
+        ("media", "u4"),  # within | without << 16, each MEDIUM_NONE where there is none; NONE if the shape separates none
     ]
 )
+
+MEDIUM_NONE = 0xFFFF
+"""Marks 'no medium' in the 16 bits that an index has."""
 
 TRIANGLE = np.dtype(
     [
         ("corner", "f4", 3),  # the first one
-        ("bsdf", "u4"),  # XOR LANE_BIAS, like the next two
+        ("bsdf", "u4"),  # XOR LANE_BIAS, like the next three
         ("edge1", "f4", 3),  # from the first corner to the second
         ("light", "u4"),  # NONE if it does not shine
         ("edge2", "f4", 3),  # to the third
-        ("flags", "u4"),  # SHAPE_VERTEX_NORMALS
+        ("flags", "u4"),  # of the shape
         ("normal", "f4", 3),  # unit geometric normal; zero if the triangle has no area
-        ("unused", "u4"),
+        ("media", "u4"),  # of the shape
     ]
 )
 """All that shading asks of a triangle, in one cache line; the kernels read it as four float4."""
@@ -116,9 +122,18 @@ BSDF = np.dtype(
     [
         ("kind", "u4"),
         ("flags", "u4"),  # BSDF_TWOSIDED | BSDF_GGX | ..._NONLINEAR | ..._SAMPLE_ALL | ..._ANY_NORMAL | ..._NO_SHADOW
+        # | ..._UNLIT (a phase function from which no lights are sampled) | ..._SEE_THROUGH
         ("nested", "u4", 2),  # materials that this one wraps: SIDES front, back; BLEND at weight 0, 1; else the first
         ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three
         ("textures", "u4", BSDF_SLOTS),  # that take the place of the values; NONE
+    ]
+)
+
+MEDIUM = np.dtype(
+    [
+        ("sigma_t", "f4", 3),  # extinction coefficient, per unit of length
+        ("albedo", "f4", 3),  # share of it that is scattered
+        ("phase", "u4"),  # index of the phase function among the materials
     ]
 )
 
@@ -144,5 +159,5 @@ ALIAS = np.dtype([("threshold", "f4"), ("alias", "u4")])
 CONSTANTS = {
     name: value
     for name, value in list(globals().items())
-    if isinstance(value, int) and name.split("_")[0] in ("NONE", "LANE", "CAMERA", "ANALYTIC", "BSDF", "LIGHT", "SHAPE")
+    if isinstance(value, int) and name.split("_")[0] in ("NONE", "LANE", "CAMERA", "ANALYTIC", "BSDF", "LIGHT", "SHAPE", "MEDIUM")
 }

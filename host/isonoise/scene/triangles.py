@@ -27,6 +27,7 @@ def triangle_records(scene: CompiledScene) -> np.ndarray:
     in_shape = np.arange(len(records), dtype=np.uint32) - shape["first_primitive"]
     shines = shape["first_light"] != structs.NONE
     records["light"] = np.where(shines, shape["first_light"] + in_shape, structs.NONE)
-    for index in ("bsdf", "light", "flags"):
+    records["media"] = shape["media"]
+    for index in ("bsdf", "light", "flags", "media"):
         records[index] ^= structs.LANE_BIAS
     return records

@@ -9,6 +9,7 @@ from isonoise.scene.vocabulary.bsdfs import BSDFS
 from isonoise.scene.vocabulary.common import ignored
 from isonoise.scene.vocabulary.elsewhere import ELSEWHERE
 from isonoise.scene.vocabulary.emitters import EMITTERS
+from isonoise.scene.vocabulary.media import MEDIA
 from isonoise.scene.vocabulary.sensors import FILMS, INTEGRATORS, SAMPLERS, SENSORS
 from isonoise.scene.vocabulary.shapes import SHAPES
 from isonoise.scene.vocabulary.textures import TEXTURES
@@ -24,6 +25,9 @@ _SCENE = Plugin(
         Child("emitter", most=1 << 32, types=("point", "spot", "directional", "constant", "envmap")),
         Child("bsdf", most=1 << 32),
         Child("texture", most=1 << 32),
+        Child("medium", most=1 << 32),
+        Child("phase", most=1 << 32),
+        Child("volume", most=1 << 32),
     ),
 )
 
@@ -36,6 +40,7 @@ PLUGINS: tuple[Plugin, ...] = (
     *TEXTURES,
     *SHAPES,
     *EMITTERS,
+    *MEDIA,
     _SCENE,
 )
 

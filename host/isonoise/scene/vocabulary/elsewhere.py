@@ -69,18 +69,14 @@ ELSEWHERE: dict[str, dict[str, str]] = {
     },
     "medium": {
         "heterogeneous": "only media that are the same everywhere",
-        "homogeneous": "not built yet",
     },
     "phase": {
         "blendphase": "one phase function a medium",
-        "hg": "not built yet",
-        "isotropic": "not built yet",
         "rayleigh": "hg with g = 0 is close",
         "sggx": "for volumes of fibres and flakes",
         "tabphase": "fit hg to it",
     },
     "volume": {
-        "constvolume": "write the number or <rgb> itself",
         "gridvolume": "only media that are the same everywhere",
     },
 }

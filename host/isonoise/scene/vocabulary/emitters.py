@@ -1,10 +1,11 @@
 """Emitters of the vocabulary."""
 
-from isonoise.scene.registry import UNSUPPORTED, Parameter, Plugin
+from isonoise.scene.registry import UNSUPPORTED, Child, Parameter, Plugin
 from isonoise.scene.vocabulary.common import PLACED, ignored
 
 P = Parameter
 _WEIGHT = ignored("float", "sampling_weight", why="moves samples between lights; isonoise picks them by itself")
+_CHILDREN = (Child("medium"),)  # where it stands: only tracers from the lights ask for that
 
 EMITTERS = (
     Plugin(
@@ -14,6 +15,7 @@ EMITTERS = (
             P("radiance", "radiance", 1.0, texture=True, meaning="emitted radiance, W / (m² sr)"),
             *_WEIGHT,
         ),
+        _CHILDREN,
         meaning="makes a shape shine, on the side of its normal",
     ),
     Plugin(
@@ -25,6 +27,7 @@ EMITTERS = (
             *PLACED,
             *_WEIGHT,
         ),
+        _CHILDREN,
         meaning="a point that shines the same in all directions",
     ),
     Plugin(
@@ -44,6 +47,7 @@ EMITTERS = (
             *PLACED,
             *_WEIGHT,
         ),
+        _CHILDREN,
         meaning="a point that shines into a cone around +z",
     ),
     Plugin(
@@ -55,6 +59,7 @@ EMITTERS = (
             *PLACED,
             *_WEIGHT,
         ),
+        _CHILDREN,
         meaning="parallel light from infinity, along +z",
     ),
     Plugin(
@@ -67,12 +72,14 @@ EMITTERS = (
             *PLACED,
             *_WEIGHT,
         ),
+        _CHILDREN,
         meaning="an image around the scene, sampled by its brightness",
     ),
     Plugin(
         "emitter",
         "constant",
         (P("radiance", "radiance", 1.0, meaning="radiance from all directions, W / (m² sr)"), *_WEIGHT),
+        _CHILDREN,
         meaning="the same light from all directions",
     ),
 )

@@ -9,7 +9,7 @@ _SHAPE = (
     P("flip_normals", "boolean", False, meaning="the front is the other side"),
     *ignored("float", "silhouette_sampling_weight", why="for derivatives alone"),
 )
-_CHILDREN = (Child("bsdf"), Child("emitter", types=("area",)), Child("medium", most=2))
+_CHILDREN = (Child("bsdf"), Child("emitter", types=("area",)), Child("medium", most=2, names=("interior", "exterior")))
 _FACE_NORMALS = P("face_normals", "boolean", False, meaning="flat: normals of vertices are neither read nor made")
 _MESH = (P("filename", "file", required=True, meaning="the file"), *_SHAPE, _FACE_NORMALS)
 _V = "the file's v runs downwards"

@@ -1,0 +1,87 @@
+// Media: how far a path flies before it scatters, what lies behind a surface, how much light gets through.
+#pragma once
+#include "surface.h"
+
+#if FEATURE_MEDIA
+// The medium that a ray is in once it leaves a surface. `medium`: where it came from; most surfaces separate none.
+INLINE uint medium_behind(const Surface* s, float3 direction, uint medium)
+{
+    if (s->media == NONE) return medium;
+    return dot3(direction, s->geometric_normal) > 0.0f ? s->media >> 16 : s->media & 0xFFFFu;
+}
+
+INLINE float3 transmittance(__global const Medium* medium, float distance)
+{
+    return exp(-LOAD3(0, medium->sigma_t) * LESSER(distance, FLT_MAX));  // where sigma_t is 0, infinity would make no number
+}
+
+// Whether a path scatters before the surface at `*distance`; then that gets the distance to where. The distance is drawn by one
+// colour's density of collisions, the colour by its share of the path's weight, and the weight divided by the density of all
+// three together: no colour gets more than the sum that they had (Wilkie et al., "Hero Wavelength Spectral Sampling", 2014).
+// `u`: colour, distance, distance (low bits).
+INLINE bool fly(__global const Medium* medium, float4 u, float* distance, float3* weight)
+{
+    const float3 share = *weight / (weight->x + weight->y + weight->z), sigma_t = LOAD3(0, medium->sigma_t);
+    const float sigma = u.x < share.x ? sigma_t.x : u.x < share.x + share.y ? sigma_t.y : sigma_t.z;
+    // 48 bits, so that both a thin medium and the light through a thick one are met as often as they should be
+    const float low = 0x1p-24f * u.z;
+    const float depth = u.y < 0.5f ? -log1p(-(u.y + low)) : -log((1.0f - u.y) - low);
+    const float reached = depth / sigma;
+    const bool scatters = sigma > 0.0f && reached < *distance;
+    if (scatters) *distance = reached;
+    const float3 through = transmittance(medium, *distance);
+    const float3 density = scatters ? sigma_t / sigma * through : through;
+    const float all = dot3(share, density);
+    *weight *= all > 0.0f ? (scatters ? LOAD3(0, medium->albedo) : (float3)(1.0f)) * density / all : (float3)(0.0f);
+    return scatters;
+}
+
+// Makes of the surface that a ray would meet at `ahead` the point of its medium at `distance`, which has no normal. It is
+// reckoned from the nearer end, so that in media denser than floats are fine it does not come to lie beyond the surface.
+INLINE void enter_volume(Surface* s, bool has_end, float3 origin, float3 direction, float distance, float ahead, uint phase)
+{
+    float3 position = origin + distance * direction;
+    if (has_end && distance > 0.5f * ahead)
+        position = offset_origin(s->position, s->error, s->geometric_normal, -direction) - (ahead - distance) * direction;
+    s->position = position;
+    s->error = s->geometric_normal = (float3)(0.0f);
+    s->normal = (float3)(0.0f, 0.0f, 1.0f);
+    s->bsdf = phase;
+    s->light = s->media = NONE;
+#if FEATURE_UVS
+    s->uv = s->barycentric = (float2)(0.0f);
+    s->dp_du = s->dp_dv = (float3)(0.0f);
+    s->triangle = NONE;
+#endif
+}
+
+// The nearest boundaries between media along a ray, in their order; those beyond are found by another search.
+#define MOST_BOUNDARIES 8u
+
+typedef struct {
+    float distance[MOST_BOUNDARIES];
+    uint behind[MOST_BOUNDARIES];  // the medium there
+    uint count;
+} Boundaries;
+
+INLINE void enter_boundary(Boundaries* b, float distance, uint behind)
+{
+    if (b->count == MOST_BOUNDARIES && distance >= b->distance[MOST_BOUNDARIES - 1u]) return;
+    uint place = b->count < MOST_BOUNDARIES ? b->count++ : MOST_BOUNDARIES - 1u;
+    for (; place > 0u && b->distance[place - 1u] > distance; --place) {
+        b->distance[place] = b->distance[place - 1u];
+        b->behind[place] = b->behind[place - 1u];
+    }
+    b->distance[place] = distance;
+    b->behind[place] = behind;
+}
+#endif
+
+// Where a ray that leaves a vertex towards `direction` may start: off the surface, or where it is in a volume.
+INLINE float3 leave(const Surface* s, float3 direction)
+{
+#if FEATURE_MEDIA
+    if (dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return s->position;
+#endif
+    return offset_origin(s->position, s->error, s->geometric_normal, direction);
+}

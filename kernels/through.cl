@@ -1,0 +1,207 @@
+// Stage: in place of `shadow`, where light goes through surfaces and media on its way. What arrives is added to the path's sample.
+// Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
+// shadow_radiance (w: the medium it starts in), hit (the primitive it starts on); adds to samples.
+//
+// What surfaces let through is a product: it is taken over all of them in whatever order they are met, and one that lets nothing
+// through ends the search. The medium behind a boundary holds to the next one, so these are put in order first. Summing
+// distance * (sigma before - sigma behind) would need no order, but would cancel where a thin layer of a dense medium is far away,
+// and go wrong where a scene does not name the media of both sides, which paths, that walk from one to the next, need not know.
+#include "bvh.h"
+#include "instance.h"
+#include "medium.h"
+#include "through.h"
+
+typedef struct {
+    float3 share;  // of the light that gets through the surfaces met so far
+#if FEATURE_MEDIA
+    float passed;  // boundaries up to there are done with,
+    uint medium;   // and this one is behind them
+    bool again;    // the search is another one, for more boundaries: the surfaces' share is known
+    Boundaries boundaries;
+#endif
+} Passage;
+
+#if FEATURE_MEDIA
+// Goes on to `distance`, in units of `length`, within one medium; and from boundary to boundary.
+INLINE void fly_through(Passage* p, __global const Medium* media, float distance, float length)
+{
+    if (p->medium != MEDIUM_NONE) p->share *= transmittance(media + p->medium, (distance - p->passed) * length);
+    p->passed = distance;
+}
+
+INLINE void walk(Passage* p, __global const Medium* media, float length)
+{
+    for (uint k = 0u; k < p->boundaries.count; ++k) {
+        fly_through(p, media, p->boundaries.distance[k], length);
+        p->medium = p->boundaries.behind[k];
+    }
+}
+#endif
+
+// Takes what was met into the passage. Returns whether light still goes on.
+INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s, float3 direction, float t, Passage* p)
+{
+#if FEATURE_MEDIA
+    if (s->media != NONE && t > p->passed) enter_boundary(&p->boundaries, t, medium_behind(s, direction, MEDIUM_NONE));
+    if (p->again) return true;
+#endif
+    Shading at;
+    at.bsdf = bsdfs + s->bsdf;
+    at.normal = s->normal;
+    at.wi = -unit(direction);
+    at.cos_i = dot3(at.normal, at.wi);
+#if FEATURE_TEXTURES
+    at.textures = &g->textures;
+    at.point = texture_point(s);
+#endif
+    p->share *= straight_share(&at, bsdfs);
+    return largest(p->share) > 0.0f;
+}
+
+__kernel void through(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
+                      __global const float4* triangles, __global const uint* faces,
+                      __global const float* vertex_normals,
+#if FEATURE_UVS
+                      __global const float* uvs,
+#endif
+#if FEATURE_TEXTURES
+                      __global const Texture* textures, __global const uchar4* texel_bytes,
+                      __global const float4* texel_floats, __global const float* srgb, __global const float* attributes,
+#endif
+                      __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
+                      __global const float4* shadow_origin, __global const float4* shadow_direction,
+                      __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
+                      __global float* samples
+#if FEATURE_MEDIA
+                      , __global const Medium* media, float sky_distance
+#endif
+#if FEATURE_INSTANCES
+                      , __global const Instance* instances, uint first_instance, __global const uint* instance
+#endif
+                      )
+{
+    const uint i = get_global_id(0);
+    if (i >= paths) return;
+    const float4 direction = shadow_direction[i];
+    const float t_max = direction.w;
+    if (t_max == 0.0f) return;
+    const float4 origin = shadow_origin[i];
+    uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
+    Ray ray = make_ray(origin.xyz, direction.xyz);
+#if FEATURE_INSTANCES
+    const uint start = instance[i];
+    uint inside = NONE, bottom = 0;  // the part of the stack that is of the world
+#endif
+    Geometry geometry;
+    geometry.triangles = triangles;
+    geometry.faces = faces;
+    geometry.vertex_normals = vertex_normals;
+    geometry.analytics = analytics;
+    geometry.shapes = shapes;
+#if FEATURE_UVS
+    geometry.uvs = uvs;
+#endif
+#if FEATURE_TEXTURES
+    const Textures all_textures = {textures, texel_bytes, texel_floats, srgb, attributes, faces};
+    geometry.textures = all_textures;
+#endif
+    Passage passage;
+    passage.share = (float3)(1.0f);
+#if FEATURE_MEDIA
+    passage.passed = 0.0f;
+    passage.again = false;
+    passage.boundaries.count = 0u;
+    passage.medium = as_uint(shadow_radiance[i].w);
+    const float length = SQRT(dot3(direction.xyz, direction.xyz));
+#endif
+
+    int stack[STACK_SIZE];
+    uint height = 0;
+    int reference = 0;
+    for (;;) {
+        if (reference >= 0) {
+            __global const float8* node = nodes + NODE_STRIDE * reference;
+            __global const int* children = (__global const int*)(node + 6);
+            float8 entry;
+            for (uint met = children_met(node, &ray, t_max, &entry); met; met &= met - 1u)
+                stack[height++] = children[lowest_bit(met)];
+        } else {
+            const uint leaf = (uint)(~reference);
+#if FEATURE_INSTANCES
+            if (leaf >= first_instance) {
+                inside = leaf - first_instance;
+                bottom = height;
+                skip.x = skip_inside(as_uint(hit[i].w), start, inside);
+                float3 o = origin.xyz, d = direction.xyz;
+                ray_to_object(instances + inside, &o, &d);
+                ray = make_ray(o, d);
+                reference = (int)instances[inside].root;
+                continue;
+            }
+#endif
+#if FEATURE_TRIANGLES
+            if (leaf < block_count) {
+                __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+                Lanes t, u, v;
+                for (uint met = triangles_met(block, &ray, skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
+                    const uint lane = lowest_bit(met), primitive = ((__global const uint*)(block + 9))[lane];
+                    const uint flags = as_uint(triangles[TRIANGLE_ROWS * primitive + 2u].w) ^ LANE_BIAS;
+                    if (!(flags & SHAPE_SEE_THROUGH)) return;
+#if FEATURE_INSTANCES
+                    const Surface s = instanced_surface_at(&geometry, instances, inside, primitive, origin.xyz,
+                                                           direction.xyz, t.lane[lane], u.lane[lane], v.lane[lane]);
+#else
+                    const Surface s = triangle_surface(&geometry, primitive, u.lane[lane], v.lane[lane]);
+#endif
+                    if (!pass(&geometry, bsdfs, &s, direction.xyz, t.lane[lane], &passage)) return;
+                }
+            }
+#endif
+#if FEATURE_ANALYTICS
+            if (leaf >= block_count) {
+                const uint index = leaf - block_count;
+                float3 from = ray.origin;
+                float t = 0.0f;
+                for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
+                    const float on = analytic_distance(analytics, index, from, ray.direction, skip, t_max - t);
+                    t += on;
+                    if (!(t < t_max)) break;
+                    if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;
+                    Surface s = analytic_surface(&geometry, index, from + on * ray.direction);
+                    from = leave(&s, ray.direction);
+#if FEATURE_INSTANCES
+                    s = instanced_surface_at(&geometry, instances, inside, ANALYTIC_BIT | index, origin.xyz, direction.xyz, t,
+                                             0.0f, 0.0f);
+#endif
+                    if (!pass(&geometry, bsdfs, &s, direction.xyz, t, &passage)) return;
+                }
+            }
+#endif
+        }
+#if FEATURE_INSTANCES
+        if (inside != NONE && height == bottom) {
+            inside = NONE;
+            ray = make_ray(origin.xyz, direction.xyz);
+        }
+#endif
+        if (height > 0u) {
+            reference = stack[--height];
+            continue;
+        }
+#if FEATURE_MEDIA
+        const bool more = passage.boundaries.count == MOST_BOUNDARIES;
+        walk(&passage, media, length);
+        if (more) {
+            passage.again = true;
+            passage.boundaries.count = 0u;
+            reference = 0;
+            continue;
+        }
+        const float end = t_max < INFINITY ? t_max : GREATER(sky_distance, passage.passed);
+        fly_through(&passage, media, end, length);
+#endif
+        break;
+    }
+    const uint sample = path[i].x;
+    store3(LOAD3(sample, samples) + passage.share * shadow_radiance[i].xyz, sample, samples);
+}
