@@ -90,6 +90,7 @@ INSIDE = [
         "unknown material 'bk8'; did you mean 'bk7'",
     ),
     ('<bsdf type="dielectric"><float name="int_ior" value="0"/></bsdf>', "index of refraction is a positive number"),
+    ('<bsdf type="roughplastic"><float name="int_ior" value="1.000277"/></bsdf>', "int_ior and ext_ior have to differ"),
     # structure
     ('<bsdf type="twosided"><bsdf type="dielectric"/></bsdf>', "twosided cannot hold a bsdf 'dielectric'"),
     ('<bsdf type="twosided"/>', "needs a nested bsdf"),

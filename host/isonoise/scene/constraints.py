@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from isonoise.scene.camera import fits_film, focal_length, is_rigid
+from isonoise.scene.camera import MAX_PIXELS, fits_film, focal_length, is_rigid
 from isonoise.scene.materials import conductors
 from isonoise.scene.source import Place, nearest
 from isonoise.scene.spectra import colour_to_rgb
@@ -69,6 +69,9 @@ def _thin_lens(sensor: dict, place: Place):
 def _hdrfilm(film: dict, place: Place):
     if not fits_film(film):
         place.fail("the crop window leaves the film; crop_offset plus crop size is at most width and height")
+    width, height = film.get("crop_width", film["width"]), film.get("crop_height", film["height"])
+    if width * height > MAX_PIXELS:
+        place.fail(f"the picture has {width} x {height} pixels; it may have {MAX_PIXELS:,}")
 
 
 def _conductor(bsdf: dict, place: Place):
@@ -82,6 +85,12 @@ def _dielectric(bsdf: dict, place: Place):
         place.fail("int_ior / ext_ior leaves the range of 32-bit floats")
 
 
+def _rough_boundary(bsdf: dict, place: Place):
+    _dielectric(bsdf, place)
+    if np.float32(bsdf["int_ior"] / bsdf["ext_ior"]) == 1:
+        place.fail("int_ior and ext_ior have to differ: a rough boundary between equal indices refracts nothing")
+
+
 def _pair_of_alphas(bsdf: dict, place: Place):
     if ("alpha_u" in bsdf) != ("alpha_v" in bsdf):
         place.fail("give both 'alpha_u' and 'alpha_v', or 'alpha' for both")
@@ -93,7 +102,7 @@ def _rough_conductor(bsdf: dict, place: Place):
 
 
 def _rough_dielectric(bsdf: dict, place: Place):
-    _dielectric(bsdf, place)
+    _rough_boundary(bsdf, place)
     _pair_of_alphas(bsdf, place)
 
 
@@ -177,7 +186,7 @@ _CHECKS = {
     "dielectric": _dielectric,
     "thindielectric": _dielectric,
     "plastic": _dielectric,
-    "roughplastic": _dielectric,
+    "roughplastic": _rough_boundary,
     "roughdielectric": _rough_dielectric,
     "twosided": _twosided,
     "bumpmap": _relief,
