@@ -24,6 +24,9 @@ def main(argv: list[str] | None = None) -> int:
     except UserError as error:
         print(f"isonoise: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    except MemoryError:
+        print("isonoise: there is not enough memory for this input", file=sys.stderr)
+        return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("isonoise: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT

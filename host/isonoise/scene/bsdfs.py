@@ -56,6 +56,7 @@ class Bsdfs:
         self._texture = texture
         self._records: list[np.ndarray] = []
         self._known: dict[bytes, int] = {}
+        self._met: dict[int, tuple[dict, int]] = {}  # by identity; the dict itself, so that it lives
         self._tables: list[np.ndarray] = []
 
     @property
@@ -70,6 +71,11 @@ class Bsdfs:
 
     def index(self, bsdf: dict) -> int:
         """The index of a material of the description; what it wraps is entered before it."""
+        if id(bsdf) not in self._met:  # once: references may name one object twice on every level
+            self._met[id(bsdf)] = (bsdf, self._make(bsdf))
+        return self._met[id(bsdf)][1]
+
+    def _make(self, bsdf: dict) -> int:
         record = np.zeros(1, structs.BSDF)
         record["nested"] = structs.NONE
         record["textures"] = structs.NONE

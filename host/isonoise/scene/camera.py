@@ -7,6 +7,9 @@ import numpy as np
 
 from isonoise.scene import structs
 
+MAX_PIXELS = 1 << 28
+"""Largest picture; beyond it the statistics alone need over 10 GiB, so it is most likely a slip."""
+
 _GAUSSIAN_RADIUS = 4.0  # in standard deviations, where Mitsuba 3 cuts its gaussian
 _FOCAL_LENGTH = "50mm"
 _GAUSSIAN = {"type": "gaussian", "stddev": 0.5}

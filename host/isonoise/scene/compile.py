@@ -83,14 +83,14 @@ def compile_scene(
     }
     sample_count = sensor.get("sampler", {}).get("sample_count", _SAMPLE_COUNT)
     hashed = arrays if sky is None else arrays | {"sky": sky.texels, "sky_record": sky.record}
-    return CompiledScene(
-        **arrays, **facts, environment=sky, sample_count=sample_count, hash=_hash(hashed, facts)
-    )
+    return CompiledScene(**arrays, **facts, environment=sky, sample_count=sample_count, hash=_hash(hashed, facts))
 
 
 def _sky(emitter: dict, name: str) -> Environment:
     where = f"emitter '{name}'"
-    return make_environment(read_image(emitter["filename"]), emitter.get("to_world", np.eye(4)), emitter["scale"], where)
+    return make_environment(
+        read_image(emitter["filename"]), emitter.get("to_world", np.eye(4)), emitter["scale"], where
+    )
 
 
 def _of_kind(description: dict, kind: str) -> dict[str, dict]:
@@ -194,7 +194,6 @@ class _Geometry:
             )
             having = [surface.analytic is None and len(surface.uvs) > 0 for surface in surfaces]
             self.shapes["flags"][having] |= structs.SHAPE_UVS
-
 
     def radiance_texture(self, emitter: dict) -> int:
         """The index of the texture that an area emitter's radiance is, NONE if it is plain."""

@@ -11,12 +11,14 @@ from isonoise.scene import transforms
 from isonoise.scene.meshes import Mesh, used_vertices
 from isonoise.scene.obj import read_mtl, read_obj
 from isonoise.scene.ply import read_ply
+from isonoise.scene.source import exists
 
 _GREY = (0.5, 0.5, 0.5)
 _SIZE, _FOV = 512, 35.0
 _VIEW = (0.55, 0.4, 1.0)  # from the mesh to the camera: three-quarter view from above, y up
 _KEY = (-0.6, 1.0, 0.5)  # from the mesh to the key light
 _MARGIN = 1.05
+_LIBRARIES = 100  # MTL files of one OBJ
 _DEPTH, _SAMPLES = 8, 64
 
 
@@ -67,16 +69,21 @@ def _obj_parts(path: Path) -> list[Part]:
     """One part for each material that the file uses, with MTL's diffuse colour and emission."""
     obj = read_obj(path)
     known: dict[str, dict] = {}
-    for library in obj.libraries:
+    libraries = list(dict.fromkeys(obj.libraries))
+    if len(libraries) > _LIBRARIES:
+        raise SceneError(f"{path}: it names more than {_LIBRARIES} files of materials")
+    for library in libraries:
         beside = [path.parent / library, path.parent / Path(library).name]
-        known |= next((read_mtl(file) for file in beside if file.is_file()), {})
+        known |= next((read_mtl(file) for file in beside if library and exists(file) and not file.is_dir()), {})
     parts = []
-    for index in np.unique(obj.face_material):
+    order = np.argsort(obj.face_material, kind="stable")
+    used, first = np.unique(obj.face_material[order], return_index=True)
+    for index, faces in zip(used, np.split(order, first[1:]), strict=True):
         colours = known.get(obj.materials[index], {})
         emission = colours.get("Ke")
         parts.append(
             Part(
-                compact(obj.mesh, obj.face_material == index),
+                compact(obj.mesh, faces),
                 tuple(min(value, 1.0) for value in colours.get("Kd", _GREY)),
                 tuple(emission) if emission and max(emission) > 0 else None,
             )
@@ -85,8 +92,8 @@ def _obj_parts(path: Path) -> list[Part]:
 
 
 def compact(mesh: Mesh, chosen: np.ndarray) -> Mesh:
-    """The chosen faces with the vertices that they use."""
-    if chosen.all():
+    """The chosen faces, by their numbers, with the vertices that they use."""
+    if len(chosen) == len(mesh.faces):
         return mesh
     used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
     return Mesh(mesh.vertices[used], faces.reshape(-1, 3), mesh.normals[used] if len(mesh.normals) else mesh.normals)

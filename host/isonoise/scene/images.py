@@ -12,6 +12,7 @@ from typing import NoReturn
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.scene.meshes import regular_file
 from isonoise.scene.rgbe import is_rgbe, read_rgbe, rgbe_size
 from isonoise.scene.source import Place
 
@@ -49,7 +50,8 @@ def read_image(path: str | os.PathLike) -> Image:
     """Read a file. Raises SceneError where it is missing, no such image, damaged, without pixels, or too large."""
     place = Place(str(path))
     try:
-        data = Path(path).read_bytes()
+        with regular_file(Path(path)) as file:
+            data = file.read()
     except (OSError, ValueError) as error:
         place.fail(f"the image cannot be read ({getattr(error, 'strerror', None) or error})")
     if is_rgbe(data):
@@ -57,18 +59,18 @@ def read_image(path: str | os.PathLike) -> Image:
         _check_size(width, height, 12, len(data), place)
         return Image(read_rgbe(data, place))
     if data[:4] == _EXR:
-        return Image(_read_exr(str(path), place))
+        return Image(_read_exr(str(path), len(data), place))
     formats = ("TGA",) if Path(path).suffix.lower() == ".tga" else ("PNG", "JPEG", "BMP")  # TGA has no mark of its own
     return Image(_read_encoded(data, formats, place))
 
 
-def _check_size(width: int, height: int, bytes_a_pixel: int, file_bytes: int | None, place: Place) -> None:
+def _check_size(width: int, height: int, bytes_a_pixel: int, file_bytes: int, place: Place) -> None:
     if width < 1 or height < 1:
         place.fail("the image has no pixels")
     needed = width * height * bytes_a_pixel
     if needed > _LARGEST:
         place.fail(f"the image has {width} x {height} pixels; it may take {_LARGEST >> 20} MiB, not {needed >> 20}")
-    if file_bytes is not None and width * height > _DENSEST * file_bytes:
+    if width * height > _DENSEST * file_bytes:
         place.fail(f"the image claims {width} x {height} pixels, more than {file_bytes} bytes can hold: it is cut off")
 
 
@@ -113,7 +115,7 @@ def _read_encoded(data: bytes, formats: tuple[str, ...], place: Place) -> np.nda
             fail(error)
 
 
-def _read_exr(path: str, place: Place) -> np.ndarray:
+def _read_exr(path: str, file_bytes: int, place: Place) -> np.ndarray:
     """(height, width, 1 or 3) float32 of the first part."""
     import OpenEXR
 
@@ -124,7 +126,7 @@ def _read_exr(path: str, place: Place) -> np.ndarray:
     except Exception as error:  # the library's own range from RuntimeError to KeyError
         place.fail(f"the image cannot be read ({str(error)[:200]})")
     width, height = (int(side) for side in high - low + 1)
-    _check_size(width, height, 4 * max(len(names), 3), None, place)
+    _check_size(width, height, 4 * max(len(names), 3), file_bytes, place)
     wanted = _exr_channels(names, place)
     try:
         file = OpenEXR.File(path, separate_channels=True)

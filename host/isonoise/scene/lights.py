@@ -13,7 +13,13 @@ _KINDS = {
     structs.ANALYTIC_DISK: structs.LIGHT_DISK,
     structs.ANALYTIC_CYLINDER: structs.LIGHT_CYLINDER,
 }
-_VALUES = {"area": "radiance", "constant": "radiance", "point": "intensity", "spot": "intensity", "directional": "irradiance"}
+_VALUES = {
+    "area": "radiance",
+    "constant": "radiance",
+    "point": "intensity",
+    "spot": "intensity",
+    "directional": "irradiance",
+}
 
 
 def emitted(emitter: dict) -> np.ndarray:
@@ -83,7 +89,9 @@ def pick_probabilities(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     beam = cutoff - 1.0 / lights["inverse_transition"][spot]
     factor[spot] = 2.0 * np.pi * (1.0 - 0.5 * (np.cos(beam) + np.cos(cutoff)))
     factor[lights["kind"] == structs.LIGHT_DIRECTIONAL] = np.pi * radius**2
-    factor[np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP))] = 4.0 * np.pi**2 * radius**2
+    factor[np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP))] = (
+        4.0 * np.pi**2 * radius**2
+    )
     power = factor * (lights["radiance"].astype(np.float64) @ LUMINANCE)
     largest = power.max()
     if not largest > 0:

@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.source import Place
+from isonoise.scene.source import Place, exists
 
 _NONE = np.zeros((0, 3))
 _NO_UVS = np.zeros((0, 2), np.float32)
@@ -87,7 +87,7 @@ def texture_coordinates(values: np.ndarray, flip: bool) -> np.ndarray:
 
 def regular_file(path: Path) -> BinaryIO:
     """The file, open for reading. Raises OSError, or SceneError where it is a pipe or device, which may have no end."""
-    if path.exists() and not (path.is_file() or path.is_dir()):
+    if exists(path) and not (path.is_file() or path.is_dir()):
         raise SceneError(f"{path}: is not a regular file")
     return path.open("rb")
 

@@ -140,7 +140,8 @@ class _Lines:
         uses = [(line, name) for line, key, name in self._named(b"us") if key == b"usemtl"]
         libraries = [name for _, key, name in self._named(b"mt") if key == b"mtllib"]
         names = ["", *dict.fromkeys(name for _, name in uses if name)]
-        index = np.array([0, *(names.index(name) for _, name in uses)])
+        numbers = {name: number for number, name in enumerate(names)}
+        index = np.array([0, *(numbers[name] for _, name in uses)])
         return index[np.searchsorted([line for line, _ in uses], face_lines)], names, libraries
 
     def _named(self, key: bytes):

@@ -19,6 +19,7 @@ _TYPES |= {"half": "f2", "float16": "f2", "long": "i8", "ulong": "u8"}  # Mitsub
 _UVS = (("u", "v"), ("texture_u", "texture_v"), ("s", "t"))
 _HEADER = 1 << 16  # bytes in which a header has to end
 _LIST = 1 << 16  # longest list of one face
+_LAYOUTS = 100  # that are kept
 
 
 @dataclass
@@ -163,6 +164,8 @@ class _Body:
             lengths = self.lengths(element)
             if lengths not in layouts:
                 layouts[lengths] = self.layout(element, lengths)
+            if len(layouts) > _LAYOUTS:
+                layouts = {lengths: layouts[lengths]}
             fits = (len(self.data) - self.position) // layouts[lengths].itemsize
             records = self.view(element, layouts[lengths], max(min(window, element.count - done, fits), 1))
             same = np.ones(len(records), bool)
@@ -195,7 +198,7 @@ class _Body:
                 before, self.position = self.position, position
                 length = self.view(element, np.dtype(self.type(item.count)), 1)[0]
                 self.position = before
-                if not 0 <= length <= _LIST:
+                if not 0 <= length <= _LIST or length != int(length):
                     self.place.fail(f"a list of element '{element.name}' has {length} entries")
                 lengths.append(int(length))
                 position += (

@@ -2,9 +2,13 @@
 
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from pathlib import Path
 from typing import NoReturn
 
 from isonoise.errors import SceneError
+
+_MESSAGE = 2000  # characters; files may hold names of any length
+_WORD, _CHOICES = 60, 1000  # what is compared to find the nearest name: its time grows with the square
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,8 @@ class Place:
     def fail(self, message: str) -> NoReturn:
         """Raise a SceneError that begins with this place."""
         prefix = str(self)
-        raise SceneError(f"{prefix}: {message}" if prefix else message)
+        text = f"{prefix}: {message}" if prefix else message
+        raise SceneError(text if len(text) <= _MESSAGE else text[:_MESSAGE] + " ...")
 
 
 @dataclass
@@ -51,8 +56,16 @@ def a(noun: str) -> str:
 
 
 def nearest(name: str, choices) -> str:
-    """The one of `choices` that `name` is most likely meant to be ('' if there are none at all)."""
-    ordered = sorted(choices)
-    lowered = {choice.lower(): choice for choice in ordered}
-    match = get_close_matches(name.lower(), list(lowered), n=1, cutoff=0.0)
+    """The one of `choices` that `name` is most likely meant to be ('' if there are none at all, or too many)."""
+    ordered = sorted(choices) if len(choices) <= _CHOICES else ()
+    lowered = {choice[:_WORD].lower(): choice for choice in ordered}
+    match = get_close_matches(name[:_WORD].lower(), list(lowered), n=1, cutoff=0.0)
     return lowered[match[0]] if match else ""
+
+
+def exists(path: Path) -> bool:
+    """Whether there is a file or folder of this name; False for names that none can have."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False

@@ -77,7 +77,7 @@ SHAPE = np.dtype(
         ("first_light", "u4"),  # light of the shape's first primitive, NONE if it does not shine
         ("first_primitive", "u4"),  # triangle index, or index of the analytic primitive
         ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS | SHAPE_UVS | SHAPE_SEE_THROUGH
-        ("media", "u4"),  # within | without << 16, each MEDIUM_NONE where there is none; NONE if the shape separates none
+        ("media", "u4"),  # within | without << 16, each MEDIUM_NONE if there is none; NONE if the shape separates none
     ]
 )
 
@@ -159,5 +159,6 @@ ALIAS = np.dtype([("threshold", "f4"), ("alias", "u4")])
 CONSTANTS = {
     name: value
     for name, value in list(globals().items())
-    if isinstance(value, int) and name.split("_")[0] in ("NONE", "LANE", "CAMERA", "ANALYTIC", "BSDF", "LIGHT", "SHAPE", "MEDIUM")
+    if isinstance(value, int)
+    and name.split("_")[0] in ("NONE", "LANE", "CAMERA", "ANALYTIC", "BSDF", "LIGHT", "SHAPE", "MEDIUM")
 }

@@ -65,6 +65,7 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
         normals = _EMPTY_NORMALS
     elif len(mesh.normals):
         normals = meshes.unit(transforms.normals(to_world, mesh.normals))
+        normals = np.where(np.isfinite(normals), normals, 0.0)  # of transforms at the edge of what numbers can be
         faces = _wound_like(vertices, faces, normals)
         absent = ~normals.any(axis=1)
         if absent.any():

@@ -80,7 +80,9 @@ class Textures:
     def __init__(self):
         self._records: list[np.ndarray] = []
         self._means: list[np.ndarray] = []
+        self._attributes: list[str | None] = []
         self._known: dict[bytes, int] = {}
+        self._met: dict[tuple[int, str], tuple[dict, int]] = {}  # by identity; the dict itself, so that it lives
         self._names: list[str] = []  # of the mesh attributes in use
         self._bitmaps: dict[tuple[str, bool], _Bitmap] = {}
         self._texels: dict[int, list[np.ndarray]] = {0: [], TEXTURE_FLOATS: []}
@@ -91,7 +93,14 @@ class Textures:
         `kind` says what spectra inside it are: 'reflectance', 'unbounded' or 'radiance' (see `spectra`); any other word
         is for numbers. Raises SceneError where an image cannot be read.
         """
-        record = np.zeros(1, TEXTURE)
+        if isinstance(texture, dict):
+            if (id(texture), kind) not in self._met:  # once: references may name one object twice on every level
+                self._met[id(texture), kind] = (texture, self._enter(texture, kind))
+            return self._met[id(texture), kind][1]
+        return self._enter(texture, kind)
+
+    def _enter(self, texture, kind: str) -> int:
+        record, attribute = np.zeros(1, TEXTURE), None
         if is_plain(texture):
             mean = plain_colour(texture, kind)
             record["kind"], record["colour"] = TEXTURE_COLOUR, mean
@@ -101,13 +110,15 @@ class Textures:
             record["kind"], record["to_uv"] = TEXTURE_CHECKERBOARD, _to_uv(texture)
             record["nested"] = nested = [self.index(texture[name], kind) for name in ("color0", "color1")]
             mean = 0.5 * (self._means[nested[0]] + self._means[nested[1]])
+            attribute = self._attributes[nested[0]] or self._attributes[nested[1]]
         else:
-            mean = self._mesh_attribute(record, texture)
+            mean, attribute = self._mesh_attribute(record, texture), texture["name"]
         key = record.tobytes()
         if key not in self._known:
             self._known[key] = len(self._records)
             self._records.append(record)
             self._means.append(mean)
+            self._attributes.append(attribute)
         return self._known[key]
 
     def mean(self, index: int) -> np.ndarray:
@@ -116,11 +127,7 @@ class Textures:
 
     def attribute(self, index: int) -> str | None:
         """Name of the mesh attribute that a texture, or one inside it, reads: a mesh that shows it has to have that."""
-        record = self._records[index][0]
-        if record["kind"] == TEXTURE_MESH_ATTRIBUTE:
-            return self._names[record["first"]]
-        nested = record["nested"] if record["kind"] == TEXTURE_CHECKERBOARD else ()
-        return next(filter(None, map(self.attribute, nested)), None)
+        return self._attributes[index]
 
     def arrays(self, meshes: Sequence[MeshAttributes] = ()) -> TextureArrays:
         """Everything that was collected; `meshes` are those of the scene, in the order of their vertices and faces."""

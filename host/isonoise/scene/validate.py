@@ -10,6 +10,7 @@ from isonoise.scene.constraints import check_constraints
 from isonoise.scene.registry import IGNORED, SUPPORTED, UNSUPPORTED, Child, Parameter, Plugin
 from isonoise.scene.source import Element, Place, Reference, a, nearest
 from isonoise.scene.values import check_value
+from isonoise.scene.xml_tags import DEPTH
 
 
 def normalise(root: Element) -> dict:
@@ -50,6 +51,8 @@ class _Normaliser:
             return self.done[id(element)]
         if id(element) in self.active:
             element.place.fail("refers to itself, directly or through others")
+        if len(self.active) > DEPTH:
+            element.place.fail(f"nested more than {DEPTH} levels deep through references")
         self.active.add(id(element))
         plugin = self.plugin(element, kinds)
         result = {"type": plugin.name}

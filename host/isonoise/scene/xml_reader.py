@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.source import Element, Reference, nearest
+from isonoise.scene.source import Element, Reference, exists, nearest
 from isonoise.scene.vocabulary import kinds_of
-from isonoise.scene.xml_tags import Tag, parse_tags
+from isonoise.scene.xml_tags import DEPTH, Tag, parse_tags
 from isonoise.scene.xml_upgrade import is_old, upgrade_element, upgrade_tags
 from isonoise.scene.xml_values import OPERATIONS, check_attributes, operation, value_of
 
@@ -51,6 +51,8 @@ class _Reader:
         self.aliases: dict[str, str] = {}
         self.open: list[Path] = []
         self.count = 0
+        self.depth = 0  # objects that stand inside of each other, through all files
+        self.lengths = sorted({len(name) for name in self.parameters}, reverse=True)
 
     def file(self, path: Path, folders: tuple[Path, ...]) -> Element:
         self.count += 1
@@ -67,6 +69,25 @@ class _Reader:
         self.open.pop()
         return root
 
+    def set_default(self, name: str, value: str):
+        """What -D has given stays."""
+        self.used.add(name)
+        if name not in self.parameters:
+            self.parameters[name] = value
+            if len(name) not in self.lengths:
+                self.lengths = sorted({*self.lengths, len(name)}, reverse=True)
+
+    def parameter_at(self, tag: Tag, text: str, start: int) -> str:
+        """The parameter whose name stands there, the longest as in Mitsuba 3: $spp_max is not $spp if both exist."""
+        for length in self.lengths:
+            name = text[start : start + length]
+            if len(name) == length and name in self.parameters:
+                self.used.add(name)
+                return name
+        name = re.match(r"\w*", text[start:])[0]
+        hint = nearest(name, self.parameters)
+        tag.place.fail(f"undefined parameter ${name}" + (f"; did you mean ${hint}?" if hint else ""))
+
 
 class _File:
     """Turns the tags of one file into Elements; knows where its relative file names begin."""
@@ -75,6 +96,9 @@ class _File:
         self.reader, self.folders, self.old = reader, folders, old
 
     def object(self, tag: Tag, root: bool = False) -> Element:
+        self.reader.depth += 1
+        if self.reader.depth > DEPTH:
+            tag.place.fail(f"nested more than {DEPTH} levels deep")
         self.substitute(tag)
         if tag.name not in (*_OBJECTS, "spectrum"):
             tag.place.fail(f"unknown element; did you mean {_meant(tag.name, _OBJECTS)}?")
@@ -89,6 +113,7 @@ class _File:
             self.entry(element, child, root)
         if self.old:
             upgrade_element(element)
+        self.reader.depth -= 1
         return element
 
     def entry(self, parent: Element, tag: Tag, at_root: bool):
@@ -148,8 +173,7 @@ class _File:
 
     def _default(self, parent: Element, tag: Tag, at_root: bool):
         check_attributes(tag, ("name", "value"))
-        self.reader.parameters.setdefault(tag.attributes["name"], tag.attributes["value"])
-        self.reader.used.add(tag.attributes["name"])
+        self.reader.set_default(tag.attributes["name"], tag.attributes["value"])
 
     def _path(self, parent: Element, tag: Tag, at_root: bool):
         check_attributes(tag, ("value",))
@@ -165,7 +189,7 @@ class _File:
         if "\0" in name or not name:
             tag.place.fail("a file name is needed here")
         for folder in self.folders:
-            if (folder / name).exists():
+            if exists(folder / name):
                 return folder / name
         looked = ", ".join(str(folder) for folder in self.folders)
         tag.place.fail(f"there is no '{name}' (looked in {looked})")
@@ -177,23 +201,13 @@ class _File:
                 tag.attributes[key] = self._substituted(tag, text)
 
     def _substituted(self, tag: Tag, text: str) -> str:
-        parameters = self.reader.parameters
-        # Longest first, as in Mitsuba 3: $spp_max is not $spp followed by _max where both exist.
-        names = "|".join(re.escape(name) for name in sorted(parameters, key=len, reverse=True))
-        pattern = re.compile(rf"\\\$|\$({names})" if names else r"\\\$|\$(?!)")
-
-        def value(match: re.Match) -> str:
-            if match[0] == "\\$":
-                return "\0"
-            self.reader.used.add(match[1])
-            return parameters[match[1]]
-
-        size = len(text) + sum(len(parameters[m[1]]) for m in pattern.finditer(text) if m[0] != "\\$")
-        if size > _ATTRIBUTE:
-            tag.place.fail("an attribute grows beyond a million characters by its parameters")
-        result = pattern.sub(value, text)
-        unknown = re.search(r"\$(\w*)", result)
-        if unknown:
-            hint = nearest(unknown[1], parameters)
-            tag.place.fail(f"undefined parameter ${unknown[1]}" + (f"; did you mean ${hint}?" if hint else ""))
-        return result.replace("\0", "$")
+        pieces, position, size = [], 0, 0
+        while (dollar := text.find("$", position)) >= 0:
+            escaped = dollar > position and text[dollar - 1] == "\\"
+            name = "" if escaped else self.reader.parameter_at(tag, text, dollar + 1)
+            pieces += [text[position : dollar - escaped], "$" if escaped else self.reader.parameters[name]]
+            position = dollar + 1 + len(name)
+            size += len(pieces[-1])
+            if size > _ATTRIBUTE:
+                tag.place.fail("an attribute grows beyond a million characters by its parameters")
+        return "".join([*pieces, text[position:]])

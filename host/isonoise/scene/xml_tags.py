@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from isonoise.errors import SceneError
+from isonoise.scene.meshes import regular_file
 from isonoise.scene.source import Place
 
-_DEPTH = 64  # nested elements; no scene needs more, and Python's stack holds it
+DEPTH = 64  # nested elements; no scene needs more, and Python's stack holds it
 _CHUNK = 1 << 16  # bytes; a huge file that is not XML ends within the first
 
 
@@ -32,8 +33,8 @@ class _Builder:
 
     def start(self, name, attributes):
         tag = Tag(name, dict(attributes), self.file, self.expat.CurrentLineNumber)
-        if len(self.stack) >= _DEPTH:
-            tag.place.fail(f"nested more than {_DEPTH} levels deep")
+        if len(self.stack) >= DEPTH:
+            tag.place.fail(f"nested more than {DEPTH} levels deep")
         if self.stack:
             self.stack[-1].children.append(tag)
         else:
@@ -61,7 +62,7 @@ def parse_tags(path: Path) -> Tag:
     parser = DefusedXMLParser(target=builder, forbid_dtd=True)
     builder.expat = parser.parser
     try:
-        with path.open("rb") as file:
+        with regular_file(path) as file:
             while chunk := file.read(_CHUNK):
                 parser.feed(chunk)
         return parser.close()
