@@ -134,7 +134,10 @@ INLINE bool unwrap(Shading* at, __global const Bsdf* bsdfs, const Surface* s, fl
 #if FEATURE_NORMAL_MAP
         case BSDF_NORMAL_MAP: bump(at, s); break;
 #endif
-        default: return HAS_SEE_THROUGH && wrapper->kind == BSDF_NULL;
+#if FEATURE_NULL
+        case BSDF_NULL: return true;
+#endif
+        default: return false;
         }
         at->bsdf = bsdfs + next;
     }

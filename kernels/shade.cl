@@ -132,7 +132,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     const bool in_volume = false, from_volume = false;
 #endif
 
-    if (primitive == NONE && !in_volume) {
+    if (!in_volume && primitive == NONE) {
 #if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 #if FEATURE_HIDE_EMITTERS
         if (depth == 0u) return;
@@ -153,7 +153,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     }
     if (!in_volume && dot3(s.geometric_normal, s.geometric_normal) == 0.0f) return;
 #if FEATURE_TRIANGLES
-    if (!in_volume && !from_volume && !(primitive & ANALYTIC_BIT) && in_plane(&s, origin.xyz)) return;
+    if (!(in_volume || from_volume) && !(primitive & ANALYTIC_BIT) && in_plane(&s, origin.xyz)) return;
 #endif
 #if FEATURE_MEDIA
     if (in_volume) {

@@ -21,13 +21,13 @@ from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.wavefront import KERNELS, STRUCTS
 from isonoise.renderer import Renderer
-from isonoise.scene import structs
+from isonoise.scene import structs, textures
 from isonoise.statistics import Needs
 
 FOLDER = resources.files("isonoise.kernels")
 FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
 STAGES = [name for name in FILES if name.endswith(".cl")]
-CONSTANTS = structs.CONSTANTS | build_constants(Needs(batch=2))
+CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
 
 NEEDS = {  # no scene has the one without the others
     "VERTEX_NORMALS": {"TRIANGLES"},
@@ -39,6 +39,7 @@ NEEDS = {  # no scene has the one without the others
     "DISK_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "DISKS"},
     "CYLINDER_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "CYLINDERS"},
     "NEXT_EVENT": {"DIFFUSE"},
+    "MEDIA": {"VOLPATH"},
     "BATCHES": {"MEDIAN"},
 }
 COMPANION = {  # of these a scene with the one has at least one: it stands for them where nothing else does
@@ -139,7 +140,7 @@ def test_features_are_tested_by_value(name):
         code = line.split("//")[0]
         if "FEATURE_" in code:
             directive = re.match(r"\s*#\s*(\w+)", code)
-            assert directive is None or directive[1] in ("if", "elif"), f"{name}:{number}: {line}"
+            assert directive is None or directive[1] in ("if", "elif", "define"), f"{name}:{number}: {line}"
             assert "defined" not in code, f"{name}:{number}: {line}"
 
 
@@ -182,7 +183,9 @@ MARKERS = {  # functions and variables that belong to one feature
         "AREA_LIGHTS": "sample_surface",
         "SPHERE_LIGHTS": "sample_sphere",
         "INSTANCES": "instanced_surface_at",
-        "CONSTANT_LIGHT": "sky",
+        "ENVIRONMENT_MAP": "environment_radiance",
+        "VOLPATH": "crossing",
+        "MEDIA": "fly",
         "NEXT_EVENT": "next_event",
         "RUSSIAN_ROULETTE": "survival",
     },
@@ -200,8 +203,15 @@ MARKERS = {  # functions and variables that belong to one feature
         "CYLINDERS": "cylinder_distance",
         "INSTANCES": "ray_to_object",
     },
-    "generate.cl": {"THIN_LENS": "lens", "INSTANCES": "instance"},
-    "compact.cl": {"INSTANCES": "instance"},
+    "through.cl": {
+        "TRIANGLES": "triangles_met",
+        "SPHERES": "sphere_distance",
+        "INSTANCES": "ray_to_object",
+        "MEDIA": "transmittance",
+        "THIN_DIELECTRIC": "thin_dielectric_reflectance",
+    },
+    "generate.cl": {"THIN_LENS": "lens", "INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "sensor_medium"},
+    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium"},
     "reduce.cl": {"MEDIAN": "medians", "BATCHES": "batch_sum", "POWER": "powers", "HALF": "halves"},
     "summarise.cl": {"MEDIAN": "medians", "POWER": "powers", "HALF": "halves"},
 }
@@ -209,11 +219,13 @@ MARKERS = {  # functions and variables that belong to one feature
 
 @pytest.mark.parametrize("name", STAGES)
 def test_absent_features_leave_no_code(name):
-    """With one feature off, what belongs to it is gone; and every feature that a stage mentions makes a difference."""
-    everything = preprocessed(name, all_but())
+    """With one feature off, what belongs to it is gone; and every feature that a stage mentions makes a difference,
+    among all others or alone: some share their code."""
+    everything, nothing = preprocessed(name, all_but()), preprocessed(name, only())
     for feature in mentioned(flatten(name)):
-        without = preprocessed(name, all_but(feature))
-        assert len(without.split()) < len(everything.split()), f"{name} mentions {feature} and does not use it"
+        without, alone = preprocessed(name, all_but(feature)), preprocessed(name, only(feature))
+        used = len(without.split()) < len(everything.split()) or len(alone.split()) > len(nothing.split())
+        assert used, f"{name} mentions {feature} and does not use it"
     for feature, marker in MARKERS.get(name, {}).items():
         pattern = rf"\b{marker}\b"
         assert re.search(pattern, everything), f"{marker} is no longer in {name}: mend this test"
