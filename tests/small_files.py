@@ -1,12 +1,16 @@
 """Small valid files of every format that is read, as bytes: seeds of the fuzzer, and what plugins name."""
 
 import io
+import re
 import struct
 import tempfile
 import zlib
 from pathlib import Path
 
 import numpy as np
+
+NUMBER = re.compile(rb"[-+]?[0-9]+(\.[0-9]+)?")
+"""Numbers in a text."""
 
 _POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.1], [1, 1, 1e-3]])
 _FACES = np.array([[0, 1, 2], [2, 1, 3]])
@@ -66,6 +70,12 @@ def serialized(meshes: int = 2, version: int = 4, shift: float = 0.0) -> bytes:
     return b"".join(parts) + offsets.tobytes() + struct.pack("<I", meshes)
 
 
+def serialized_head() -> bytes:
+    """Not deflated, so that what is in it can be damaged: stored blocks alone."""
+    whole, stored = serialized(1), zlib.compressobj(0)
+    return whole[:4] + stored.compress(zlib.decompress(whole[4:-12])) + stored.flush() + whole[-12:]
+
+
 def foreign(kind: str) -> bytes:
     """'stl', 'stl_ascii' or 'glb', as trimesh writes them."""
     import trimesh
@@ -88,22 +98,27 @@ def encoded(form: str, seed: int = 0, mode: str = "RGB") -> bytes:
     return file.getvalue()
 
 
+def chunk(name: bytes, data: bytes) -> bytes:
+    """One of a PNG."""
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+
 def deep_png() -> bytes:
     """16 bits a channel."""
-
-    def chunk(name: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels().astype(np.uint16) * 257)
     head = struct.pack(">2I5B", 9, 5, 16, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
-def exr(seed: int = 0) -> bytes:
+def exr(seed: int = 0, packed: bool = True) -> bytes:
     import OpenEXR
 
     planes = {name: np.ascontiguousarray(pixels(seed=seed)[..., i], np.float32) for i, name in enumerate("RGB")}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION if packed else OpenEXR.NO_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+    }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.exr"
         OpenEXR.File(header, planes).write(str(path))
@@ -120,3 +135,18 @@ def hdr(packed: bool = True) -> bytes:
         else:
             body += row.tobytes()
     return b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 5 +X 9\n" + body
+
+
+def textured_glb() -> bytes:
+    """With a material, a texture, and a node inside of another."""
+    import PIL.Image
+    import trimesh
+
+    picture = PIL.Image.fromarray(pixels())
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture, emissiveFactor=[0, 0.5, 0])
+    mesh = trimesh.Trimesh(_POINTS, _FACES, process=False)
+    mesh.visual = trimesh.visual.TextureVisuals(uv=_UVS, material=material)
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, node_name="outer", transform=np.diag([2, 1, 1, 1.0]))
+    scene.add_geometry(mesh.copy(), node_name="inner", parent_node_name="outer")
+    return scene.export(file_type="glb")

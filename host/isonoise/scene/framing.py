@@ -37,7 +37,8 @@ def frame_mesh(path: Path) -> dict:
     parts = _read(path)
     points = np.concatenate([used_vertices(part.mesh.vertices, part.mesh.faces) for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
-    radius = 0.5 * float(np.linalg.norm(high - low))
+    with np.errstate(over="ignore"):
+        radius = 0.5 * float(np.linalg.norm(high - low))
     if not (math.isfinite(radius) and radius > 0):
         raise SceneError(f"{path}: the mesh has no extent")
     center = 0.5 * (low + high)

@@ -83,17 +83,24 @@ def _read_encoded(data: bytes, formats: tuple[str, ...], place: Place) -> np.nda
     def fail(error: Exception) -> NoReturn:
         place.fail(f"the image cannot be read ({str(error)[:200] or type(error).__name__})")
 
+    def opened() -> PIL.Image.Image:
+        largest, PIL.Image.MAX_IMAGE_PIXELS = PIL.Image.MAX_IMAGE_PIXELS, None  # sizes are checked here
+        try:
+            return PIL.Image.open(io.BytesIO(data), formats=formats)
+        finally:
+            PIL.Image.MAX_IMAGE_PIXELS = largest
+
     def decoded(rawmode: str = "", mode: str = "") -> np.ndarray:
         """All pixels, from rows unpacked in another way than pillow would, or converted to another mode."""
-        with PIL.Image.open(io.BytesIO(data), formats=formats) as image:
+        with opened() as image:
             if rawmode:
                 image.tile = [(*tile[:3], rawmode) for tile in image.tile]
             return np.asarray(image.convert(mode) if mode else image)
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of sizes that are checked here, and of metadata that is not read
+        warnings.simplefilter("ignore")  # of metadata that is not read
         try:
-            with PIL.Image.open(io.BytesIO(data), formats=formats) as image:
+            with opened() as image:
                 mode, (width, height), tiles = image.mode, image.size, image.tile
         except PIL.UnidentifiedImageError:
             place.fail("not an image that can be read: PNG, JPEG, BMP, TGA, OpenEXR or Radiance HDR")

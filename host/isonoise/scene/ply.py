@@ -177,7 +177,8 @@ class _Body:
             done += good
             if indices:
                 polygons = records[indices][:good]
-                faces.append(_fans(polygons.astype(np.int64), self.place))
+                with np.errstate(invalid="ignore"):  # what is no number names no vertex
+                    faces.append(_fans(polygons.astype(np.int64), self.place))
             for name, of_run in parts.items():
                 columns = [records[fields[i]][:good] for i in attributes[name]]
                 values = attribute_values(columns, [element.properties[i].type for i in attributes[name]])

@@ -29,6 +29,7 @@ class _Normaliser:
     def __init__(self, root: Element):
         self.ids: dict[str, Element] = {}
         self.done: dict[int, dict] = {}
+        self.heights: dict[int, int] = {}  # levels of objects in those that are done, their own included
         self.active: set[int] = set()
         self._collect_ids(root)
         for alias, name in root.aliases.items():
@@ -51,21 +52,29 @@ class _Normaliser:
             return self.done[id(element)]
         if id(element) in self.active:
             element.place.fail("refers to itself, directly or through others")
-        if len(self.active) > DEPTH:
-            element.place.fail(f"nested more than {DEPTH} levels deep through references")
         self.active.add(id(element))
         plugin = self.plugin(element, kinds)
         result = {"type": plugin.name}
         held: Counter[str] = Counter()  # nested objects by kind
+        height = 1
         for name, value, place in element.entries:
             if isinstance(value, (Element, Reference)):
+                self.check_depth(len(self.active), place)  # on the way down, and on the way up where much is done
                 self.child(plugin, result, held, name, value, place)
+                height = max(height, 1 + self.heights.get(id(self.target(value)), 0))
+                self.check_depth(height, place)
             else:
                 self.parameter(plugin, result, name, value, place)
         self.complete(plugin, result, held, element.place)
         self.active.discard(id(element))
         self.done[id(element)] = result
+        self.heights[id(element)] = height
         return result
+
+    @staticmethod
+    def check_depth(levels: int, place: Place):
+        if levels > DEPTH:
+            place.fail(f"nested more than {DEPTH} levels deep through references")
 
     def plugin(self, element: Element, kinds: tuple[str, ...]) -> Plugin:
         kind = self.kind(element, kinds)
@@ -97,14 +106,16 @@ class _Normaliser:
         names = [p.name for p in vocabulary.PLUGINS if p.kind in kinds]
         element.place.fail(f"unknown type '{element.type}'; did you mean '{nearest(element.type, names)}'?")
 
+    def target(self, value: Element | Reference) -> Element | None:
+        """The object itself, or the one that a reference names."""
+        return self.ids.get(value.id) if isinstance(value, Reference) else value
+
     def child(self, plugin: Plugin, result: dict, held: Counter[str], name: str, value, place: Place):
         """Enter a nested object, or the one that a reference names, into its parent."""
-        element = value
-        if isinstance(value, Reference):
-            element = self.ids.get(value.id)
-            if element is None:
-                hint = nearest(value.id, self.ids)
-                place.fail(f"nothing has the id '{value.id}'" + (f"; did you mean '{hint}'?" if hint else ""))
+        element = self.target(value)
+        if element is None:
+            hint = nearest(value.id, self.ids)
+            place.fail(f"nothing has the id '{value.id}'" + (f"; did you mean '{hint}'?" if hint else ""))
         kinds = tuple(child.kind for child in plugin.children)
         kind = self.kind(element, kinds)
         child = plugin.child(kind)

@@ -147,5 +147,5 @@ def _bounds(kind: str, channels, place: Place):
 
 
 def _shown(value) -> str:
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:77] + "..."

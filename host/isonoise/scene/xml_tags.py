@@ -22,7 +22,8 @@ class Tag:
     @property
     def place(self) -> Place:
         kept = " ".join(f'{k}="{v[:60]}"' for k, v in self.attributes.items() if k in ("type", "name", "id"))
-        return Place(self.file, self.line, f"<{self.name} {kept}>" if kept else f"<{self.name}>")
+        name = self.name[:60]
+        return Place(self.file, self.line, f"<{name} {kept}>" if kept else f"<{name}>")
 
 
 class _Builder:
