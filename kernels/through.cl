@@ -73,7 +73,7 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
                       __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
                       __global float* samples
 #if FEATURE_MEDIA
-                      , __global const Medium* media, float sky_distance
+                      , __global const Medium* media, float4 scene_sphere
 #endif
 #if FEATURE_INSTANCES
                       , __global const Instance* instances, uint first_instance, __global const uint* instance
@@ -197,7 +197,11 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
             reference = 0;
             continue;
         }
-        const float end = t_max < INFINITY ? t_max : GREATER(sky_distance, passage.passed);
+        float end = t_max;
+        if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
+            const float3 arm = origin.xyz - scene_sphere.xyz;
+            end = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
+        }
         fly_through(&passage, media, end, length);
 #endif
         break;

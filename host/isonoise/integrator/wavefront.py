@@ -68,7 +68,7 @@ KERNELS = {
         "through.cl",
         "paths nodes blocks block_count triangles faces vertex_normals UVS:uvs TEXTURES:textures TEXTURES:texel_bytes "
         "TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs shadow_origin "
-        "shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:sky_distance "
+        "shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "count_alive": ("compact.cl", "alive paths block_size block_alive"),
@@ -165,8 +165,9 @@ class Wavefront:
             "bsdfs": table(scene.bsdfs, "the materials"),
             "media": table(scene.media, "the media"),
             "sensor_medium": np.uint32(scene.sensor_medium),
-            # what Mitsuba 3 gives lights that are infinitely far away, for media without a boundary before them
-            "sky_distance": np.float32(np.linalg.norm(scene.bounds[1].astype(float) - scene.bounds[0])),
+            "scene_sphere": np.append(scene.bounds.mean(axis=0), 0.5 * np.linalg.norm(np.ptp(scene.bounds, axis=0))).astype(
+                np.float32
+            ),
             "boundaries": table(scene.boundaries, "the tables of rough plastics"),
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),
