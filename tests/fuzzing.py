@@ -5,6 +5,7 @@ of them. An input passes if it loads, into finite numbers, or is refused with a 
 
 import json
 import random
+import re
 import resource
 import signal
 import sys
@@ -120,6 +121,7 @@ NASTY += [
     "g",
 ]
 NASTY += [":", "400:1", "400:1,400:2", "1e30", "-0.0", "0x10", "1_0", "65536", "1" * 400, "0 0 0 0 0 0 0 0 0"]
+EXTREMES = ["0", "1", "-1", "0.5", "1e-30", "1e30", "1e17", "-1e18", "3e38", "1e-38", "89.9999", "2", "1e-6", "1e6"]
 TAGS = ["float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform", "ref", "include"]
 TAGS += ["alias", "default", "path", "lookat", "matrix", "translate", "rotate", "scale", "scene", *support.KINDS]
 NAMES = sorted({parameter.name for plugin in PLUGINS for parameter in plugin.parameters} | {"interior", "exterior", ""})
@@ -262,7 +264,7 @@ def mutate_xml(text: str, rng: random.Random) -> bytes:
             break
         nodes = list(root.iter())
         node, other = rng.choice(nodes), rng.choice(nodes)
-        match rng.randrange(12):
+        match rng.randrange(16):
             case 0 | 1 | 2 if node.attrib:
                 node.set(rng.choice(sorted(node.attrib)), rng.choice(NASTY))
             case 3 if node.attrib:
@@ -283,6 +285,12 @@ def mutate_xml(text: str, rng: random.Random) -> bytes:
             case 10:
                 identifier = rng.choice([n.get("id") for n in nodes if n.get("id")] or ["a"])
                 ElementTree.SubElement(node, "ref", id=identifier, name=rng.choice(NAMES))
+            case 12 | 13 | 14 | 15 if node.tag not in ("string", "scene"):
+                for key in set(node.attrib) & {"value", "x", "y", "z", "angle", "origin"}:
+                    node.set(
+                        key,
+                        re.sub(r"[-+.\de]+", lambda _: rng.choice(EXTREMES), node.get(key), count=rng.choice((0, 1))),
+                    )
             case 11:
                 inner = ElementTree.fromstring(ElementTree.tostring(node))
                 for _ in range(rng.choice((1, 3, 70, 300))):
@@ -310,7 +318,7 @@ class Target:
 def compiled(path: Path) -> None:
     """A scene or bare mesh, all the way to what the device gets."""
     scene = compile_scene(load(path))
-    for name, array in vars(scene).items():
+    for name, array in [*vars(scene).items(), *(vars(scene.environment).items() if scene.environment else ())]:
         if isinstance(array, np.ndarray):
             fields = [array[field] for field in array.dtype.names] if array.dtype.names else [array]
             for field in fields:

@@ -26,7 +26,7 @@ class Place:
     def fail(self, message: str) -> NoReturn:
         """Raise a SceneError that begins with this place."""
         prefix = str(self)
-        text = f"{prefix}: {message}" if prefix else message
+        text = (f"{prefix}: {message}" if prefix else message).replace("\n", " ")
         raise SceneError(text if len(text) <= _MESSAGE else text[:_MESSAGE] + " ...")
 
 
