@@ -32,6 +32,19 @@ INLINE bool bsdf_is_smooth(const Shading* at)
 #endif
 }
 
+// From where light counts: the normal, its w 0; or (0, 0, 0, 1) if from all sides.
+INLINE float4 lit_side(const Shading* at)
+{
+    bool from_all = false;
+    switch (at->bsdf->kind) {
+    case BSDF_HG:
+    case BSDF_ROUGH_DIELECTRIC: from_all = true; break;
+    case BSDF_PRINCIPLED: from_all = at->bsdf->values[12] > 0.0f || at->bsdf->textures[4] != NONE; break;  // spec_trans
+    default: break;
+    }
+    return from_all ? (float4)(0.0f, 0.0f, 0.0f, 1.0f) : (float4)(at->normal, 0.0f);
+}
+
 #if FEATURE_NEXT_EVENT
 // bsdf * |cos| for light from `wo`, and the pdf with which `bsdf_sample` finds it.
 INLINE float3 bsdf_eval(const Shading* at, float3 wo, float* pdf)

@@ -40,6 +40,9 @@ __kernel void move_paths(__global const uchar* alive, uint paths, uint block_siz
 #if FEATURE_MEDIA
                          , __global const uint* medium, __global uint* next_medium
 #endif
+#if FEATURE_LIGHT_TREE
+                         , __global const float4* lit, __global float4* next_lit
+#endif
                          )
 {
     const uint block = get_global_id(0);
@@ -61,6 +64,9 @@ __kernel void move_paths(__global const uchar* alive, uint paths, uint block_siz
 #endif
 #if FEATURE_MEDIA
         next_medium[to] = medium[i];
+#endif
+#if FEATURE_LIGHT_TREE
+        next_lit[to] = lit[i];
 #endif
         ++to;
     }

@@ -1,5 +1,6 @@
 // Lights: picking one, sampling a point on it, and the density of that for a direction that was found otherwise.
 #pragma once
+#include "light_tree.h"
 #include "surface.h"
 
 typedef struct {
@@ -27,7 +28,17 @@ INLINE bool sampled_by_cone(const Geometry* g, __global const Analytic* sphere, 
 }
 #endif
 
-// Density with which `sample_light` would have found the point at `distance` along `direction` on this light.
+// Probability with which `sample_light` would have picked a light for a point and the side that is lit there (see `lit_side`).
+INLINE float pick_probability(const Geometry* g, __global const Light* lights, uint light, float3 point, float4 lit)
+{
+#if FEATURE_LIGHT_TREE
+    return light_tree_probability(&g->light_tree, light, point, lit);
+#else
+    return lights[light].pick_probability;
+#endif
+}
+
+// Density with which `sample_light` would have found the point at `distance` along `direction` on this light, had it picked it.
 INLINE float light_pdf(const Geometry* g, __global const Light* light, float3 reference, float3 direction, float distance,
                        float3 normal)
 {
@@ -42,9 +53,10 @@ INLINE float light_pdf(const Geometry* g, __global const Light* light, float3 re
             density = 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2);
     }
 #endif
-    return density * light->pick_probability;
+    return density;
 }
 
+#if !FEATURE_LIGHT_TREE
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
 INLINE uint pick_light(__global const Alias* table, uint count, float u_high, float u_low)
 {
@@ -53,6 +65,7 @@ INLINE uint pick_light(__global const Alias* table, uint count, float u_high, fl
     const float fraction = (float)(scaled & 0xFFFFFFu) * 0x1p-24f;
     return fraction < table[index].threshold ? index : table[index].alias;
 }
+#endif
 
 #if FEATURE_SPHERE_LIGHTS
 // Uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small cones), else over its area.
@@ -149,7 +162,7 @@ INLINE float spot_falloff(__global const Light* light, float3 direction)
 #endif
 
 #if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
-// Radiance that arrives from beyond the scene, and the density with which `sample_light` would have found it.
+// Radiance that arrives from beyond the scene, and the density with which `sample_light` would have found it, had it picked it.
 INLINE float3 sky_radiance(const Geometry* g, __global const Light* sky, float3 direction, float* pdf)
 {
     float3 radiance = LOAD3(0, sky->radiance);
@@ -158,19 +171,23 @@ INLINE float3 sky_radiance(const Geometry* g, __global const Light* sky, float3 
     if (!FEATURE_CONSTANT_LIGHT || sky->kind == LIGHT_ENVIRONMENT_MAP)
         radiance = environment_radiance(&g->environment, direction, pdf);
 #endif
-    *pdf *= sky->pick_probability;
     return radiance;
 }
 #endif
 
-// One light, and one point on it, for the surface point `reference`. `u`: pick, position x, position y, pick (low bits).
+// One light, and one point on it, for the point `reference` and the side that is lit there. `u`: pick, position x,
+// position y, pick (low bits).
 INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
-                                float3 reference, float4 u)
+                                float3 reference, float4 lit, float4 u)
 {
-    __global const Light* light = lights + pick_light(table, count, u.x, u.w);
     LightSample sample;
-    sample.radiance = LOAD3(0, light->radiance);
+#if FEATURE_LIGHT_TREE
+    __global const Light* light = lights + pick_from_tree(&g->light_tree, reference, lit, u.x, u.w, &sample.pdf);
+#else
+    __global const Light* light = lights + pick_light(table, count, u.x, u.w);
     sample.pdf = light->pick_probability;
+#endif
+    sample.radiance = LOAD3(0, light->radiance);
     sample.normal = sample.error = (float3)(0.0f);
     sample.primitive = NONE;
     sample.is_delta = sample.is_infinite = false;

@@ -29,7 +29,7 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
                        uint light_count, const Surface* s, const Shading* at, float4 u, float3 weight, uint i,
                        __global float4* shadow_origin, __global float4* shadow_direction, __global float4* shadow_radiance)
 {
-    const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, u);
+    const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, lit_side(at), u);
     if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
     float bsdf_pdf;
     const float3 scattered = bsdf_eval(at, light.direction, &bsdf_pdf);
@@ -81,6 +81,9 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #if FEATURE_MEDIA
                     , __global const Medium* media, __global uint* medium
 #endif
+#if FEATURE_LIGHT_TREE
+                    , __global const float8* light_nodes, __global const uint* light_places, __global float4* lit
+#endif
                     )
 {
     const uint i = get_global_id(0);
@@ -104,6 +107,10 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     geometry.environment.rows = environment_rows;
     geometry.environment.columns = environment_columns;
 #endif
+#if FEATURE_LIGHT_TREE
+    const LightTree light_tree = {light_nodes, light_places, light_count};
+    geometry.light_tree = light_tree;
+#endif
 #if FEATURE_TEXTURES
     const Textures all_textures = {textures, texel_bytes, texel_floats, srgb, attributes, faces};
     geometry.textures = all_textures;
@@ -122,6 +129,11 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     const float3 last_vertex = origin.xyz;
     const uint event = depth;
 #endif
+#if FEATURE_LIGHT_TREE
+    const float4 was_lit = lit[i];  // at the last vertex
+#else
+    const float4 was_lit = (float4)(0.0f);
+#endif
 #if FEATURE_MEDIA
     const uint within = medium[i];
     float flown = h.x;
@@ -139,6 +151,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
         float pdf;
         const float3 radiance = sky_radiance(&geometry, lights + environment_light, direction.xyz, &pdf);
+        pdf *= pick_probability(&geometry, lights, environment_light, last_vertex, was_lit);
         store3(LOAD3(state.x, samples) + weight * radiance * mis_weight(direction.w, pdf), state.x, samples);
 #endif
         return;
@@ -178,7 +191,8 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
         if (dot3(s.normal, direction.xyz) < 0.0f) {
             __global const Light* light = lights + s.light;
-            const float pdf = light_pdf(&geometry, light, last_vertex, direction.xyz, since_vertex, s.normal);
+            const float pdf = pick_probability(&geometry, lights, s.light, last_vertex, was_lit) *
+                              light_pdf(&geometry, light, last_vertex, direction.xyz, since_vertex, s.normal);
             const float3 emitted = weight * emitted_radiance(&geometry, light, &s) * mis_weight(direction.w, pdf);
             store3(LOAD3(state.x, samples) + emitted, state.x, samples);
         }
@@ -264,6 +278,9 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
 #if FEATURE_MEDIA
     medium[i] = medium_behind(&s, next.direction, within);
+#endif
+#if FEATURE_LIGHT_TREE
+    if (!straight) lit[i] = lit_side(&at);
 #endif
     alive[i] = 1;
 }

@@ -2,6 +2,7 @@
 #pragma once
 #include "instance.h"
 #include "environment.h"
+#include "light_tree.h"
 #include "texture.h"
 #include "vectors.h"
 
@@ -41,6 +42,9 @@ typedef struct {
     __global const Shape* shapes;
 #if FEATURE_ENVIRONMENT_MAP
     EnvironmentMap environment;
+#endif
+#if FEATURE_LIGHT_TREE
+    LightTree light_tree;
 #endif
 #if FEATURE_TEXTURES
     Textures textures;

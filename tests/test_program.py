@@ -40,6 +40,7 @@ NEEDS = {  # no scene has the one without the others
     "CYLINDER_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "CYLINDERS"},
     "NEXT_EVENT": {"DIFFUSE"},
     "MEDIA": {"VOLPATH"},
+    "LIGHT_TREE": {"NEXT_EVENT", "DIFFUSE"},
     "BATCHES": {"MEDIAN"},
 }
 COMPANION = {  # of these a scene with the one has at least one: it stands for them where nothing else does
@@ -187,6 +188,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "VOLPATH": "crossing",
         "MEDIA": "fly",
         "NEXT_EVENT": "next_event",
+        "LIGHT_TREE": "pick_from_tree",
         "RUSSIAN_ROULETTE": "survival",
     },
     "intersect.cl": {
@@ -211,7 +213,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "THIN_DIELECTRIC": "thin_dielectric_reflectance",
     },
     "generate.cl": {"THIN_LENS": "lens", "INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "sensor_medium"},
-    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium"},
+    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium", "LIGHT_TREE": "lit"},
     "reduce.cl": {"MEDIAN": "medians", "BATCHES": "batch_sum", "POWER": "powers", "HALF": "halves"},
     "summarise.cl": {"MEDIAN": "medians", "POWER": "powers", "HALF": "halves"},
 }

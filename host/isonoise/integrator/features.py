@@ -10,6 +10,7 @@ import numpy as np
 from isonoise.scene import structs, textures
 from isonoise.scene.bsdfs import reads_uvs
 from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.light_tree import pays
 from isonoise.statistics import NOTHING_MORE, Needs
 
 
@@ -74,6 +75,9 @@ FEATURES = {
     "DIRECTIONAL_LIGHTS": Feature("directional lights", "sampling code in shade"),
     "CONSTANT_LIGHT": Feature("constant environment", "sampling code and radiance of missed rays in shade"),
     "ENVIRONMENT_MAP": Feature("environment map", "16 bytes a texel, code in shade"),
+    "LIGHT_TREE": Feature(
+        "many lights, picked by what they could send to a point", "about 100 bytes a light, 32 a path, code in shade"
+    ),
     "NEXT_EVENT": Feature("next-event estimation", "shadow stage, 48 bytes a path"),
     "RUSSIAN_ROULETTE": Feature("russian roulette", "code in shade"),
     "HIDE_EMITTERS": Feature("lights hidden from the camera", "code in shade"),
@@ -108,6 +112,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
     surface_lights = {structs.LIGHT_TRIANGLE, structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER}
     rough = np.isin(scene.bsdfs["kind"], _ROUGH)
     endless = scene.max_depth < 0
+    next_event = bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1)
     return {
         "TRIANGLES": len(scene.faces) > 0,
         "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
@@ -151,7 +156,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "DIRECTIONAL_LIGHTS": structs.LIGHT_DIRECTIONAL in light,
         "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
         "ENVIRONMENT_MAP": structs.LIGHT_ENVIRONMENT_MAP in light,
-        "NEXT_EVENT": bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1),
+        "LIGHT_TREE": next_event and pays(scene.lights),
+        "NEXT_EVENT": next_event,
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,
         "THIN_LENS": bool(scene.camera["kind"][0] == structs.CAMERA_THIN_LENS),

@@ -18,6 +18,7 @@ from isonoise.integrator.stages import Stages, present
 from isonoise.scene import environment, structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.light_tree import build_light_tree
 from isonoise.scene.triangles import triangle_records
 from isonoise.statistics import NOTHING_MORE, Needs
 
@@ -57,7 +58,8 @@ KERNELS = {
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
         "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
-        "VOLPATH:crossing MEDIA:media MEDIA:medium",
+        "VOLPATH:crossing MEDIA:media MEDIA:medium "
+        "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_TREE:lit",
     ),
     "shadow": (
         "shadow.cl",
@@ -77,7 +79,8 @@ KERNELS = {
         "compact.cl",
         "alive paths block_size block_alive ray_origin ray_direction throughput path "
         "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
-        "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium",
+        "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium "
+        "LIGHT_TREE:lit LIGHT_TREE:next_lit",
     ),
     "reduce": (
         "reduce.cl",
@@ -93,7 +96,7 @@ KERNELS = {
 
 PATH_STATE = {
     **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
-    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4},
+    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},
 }
 """Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
 
@@ -173,6 +176,7 @@ class Wavefront:
             "light_alias": table(scene.light_alias, "the light table"),
             "light_count": np.uint32(len(scene.lights)),
             **self._environment(),
+            **self._light_tree(),
             "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
@@ -205,6 +209,16 @@ class Wavefront:
             "environment_texels": device.buffer(sky.texels, "the environment map"),
             "environment_rows": device.buffer(sky.rows, "the environment map"),
             "environment_columns": device.buffer(sky.columns, "the environment map"),
+        }
+
+    def _light_tree(self) -> dict[str, object]:
+        """The buffers of the tree over the lights, if there is one."""
+        if not self.features["LIGHT_TREE"]:
+            return {}
+        tree = build_light_tree(self.scene)
+        return {
+            "light_nodes": self.device.buffer(tree.nodes, "the light tree"),
+            "light_places": self.device.buffer(tree.places, "the light tree"),
         }
 
     def warm_up(self) -> None:

@@ -81,13 +81,11 @@ def pick_probabilities(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     Power is pi A L for a surface, 4 pi I for a point, that of the cone for a spot; directional and constant light count what enters the sphere
     around the scene: pi r^2 E and 4 pi^2 r^2 L (as pbrt's and Mitsuba's power light samplers do). All zero is uniform.
     """
-    radius = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
+    radius = bounding_radius(bounds)
     factor = np.pi * lights["area"].astype(np.float64)
     factor[lights["kind"] == structs.LIGHT_POINT] = 4.0 * np.pi
     spot = lights["kind"] == structs.LIGHT_SPOT
-    cutoff = lights["cutoff"][spot].astype(np.float64)
-    beam = cutoff - 1.0 / lights["inverse_transition"][spot]
-    factor[spot] = 2.0 * np.pi * (1.0 - 0.5 * (np.cos(beam) + np.cos(cutoff)))
+    factor[spot] = spot_solid_angle(lights[spot])
     factor[lights["kind"] == structs.LIGHT_DIRECTIONAL] = np.pi * radius**2
     factor[np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP))] = (
         4.0 * np.pi**2 * radius**2
@@ -98,6 +96,18 @@ def pick_probabilities(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
         return np.full(len(lights), 1.0 / len(lights))
     power /= largest  # the sum of a million powers of 1e38 is still a number
     return power / power.sum()
+
+
+def bounding_radius(bounds: np.ndarray) -> float:
+    """Radius of the sphere around a box (2, 3); 1 if it is a point."""
+    return 0.5 * float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
+
+
+def spot_solid_angle(spots: np.ndarray) -> np.ndarray:
+    """Solid angle (n,) float64 that has the power of spots of intensity 1: the mean of that of the beam and all."""
+    cutoff = spots["cutoff"].astype(np.float64)
+    beam = cutoff - 1.0 / spots["inverse_transition"]
+    return 2.0 * np.pi * (1.0 - 0.5 * (np.cos(beam) + np.cos(cutoff)))
 
 
 def alias_table(probabilities: np.ndarray) -> np.ndarray:

@@ -1,0 +1,484 @@
+"""The tree by which one of many lights is picked: bounds, probabilities, picks, and pictures with and without it.
+
+Chi-square statistics and z-values are compared as standard normal deviates at Z = 5: 6e-7 for each of about 30, so
+false alarms are 1e-5 for the file under other seeds; of the comparison with Mitsuba see tests/references.py.
+"""
+
+import numpy as np
+import pytest
+import scalar_mitsuba
+import trimesh
+from small_scene import lamp_over_floor
+
+import isonoise
+from isonoise.device.opencl import Device
+from isonoise.device.program import declare_struct, flatten
+from isonoise.integrator.wavefront import STRUCTS
+from isonoise.scene import compile_scene, emission, light_tree, load, structs, textures
+from isonoise.scene.light_tree import ROWS, WIDTH, build_light_tree
+
+Z = 5.0
+BATCHES = 12
+BY_SHARE = 2.0**-10  # SHARE_BY_INTENSITY in kernels/light_tree.h
+KERNELS = """
+__kernel void node_probabilities(__global const float8* nodes, __global const uint* places, uint lights,
+                                 __global const float4* points, __global const float4* normals,
+                                 __global const uint* which, __global float8* out, uint n)
+{
+    const uint i = get_global_id(0);
+    if (i < n) out[i] = light_node_probabilities(nodes + LIGHT_NODE_ROWS * which[i], points[i].xyz, normals[i]);
+}
+
+__kernel void probability(__global const float8* nodes, __global const uint* places, uint lights,
+                          __global const float4* points, __global const float4* normals,
+                          __global const uint* which, __global float* out, uint n)
+{
+    const uint i = get_global_id(0);
+    const LightTree tree = {nodes, places, lights};
+    if (i < n) out[i] = light_tree_probability(&tree, which[i], points[i].xyz, normals[i]);
+}
+
+__kernel void pick(__global const float8* nodes, __global const uint* places, uint lights,
+                   __global const float4* points, __global const float4* normals,
+                   __global const uint2* u, __global float2* out, uint n)
+{
+    const uint i = get_global_id(0);
+    const LightTree tree = {nodes, places, lights};
+    if (i >= n) return;
+    float p;
+    const uint light = pick_from_tree(&tree, points[i].xyz, normals[i], u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p);
+    out[i] = (float2)(as_float(light), p);
+}
+"""
+
+
+class OnDevice:
+    """The kernels above, run on a tree."""
+
+    def __init__(self):
+        self.device = Device()
+        constants = structs.CONSTANTS | textures.CONSTANTS
+        text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, dtype) for name, dtype in STRUCTS.items())]
+        text += [f"#define {name} {value}u" for name, value in constants.items()]
+        text += [flatten("light_tree.h"), KERNELS]
+        self.kernels = self.device.build("\n".join(text), ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=1"))
+
+    def run(self, kernel, tree, lights, points, normals, what, row):
+        n = len(points)
+        given = (tree.nodes, tree.places, np.uint32(lights), _four(points, 0), normals.astype(np.float32), what)
+        out = self.device.buffer(4 * row * n, "results")
+        buffers = [self.device.buffer(a, "arguments") if a.ndim else a for a in given]
+        self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
+        return self.device.read(out, np.float32, row * n).reshape(n, row)
+
+    def probability(self, tree, lights, points, normals, which) -> np.ndarray:
+        which = np.asarray(which, np.uint32)
+        return self.run("probability", tree, lights, points, normals, which, 1)[:, 0].astype(np.float64)
+
+    def pick(self, tree, lights, point, normal, count, seed):
+        """Lights picked and their stated probabilities, for one point."""
+        u = np.random.default_rng(seed).integers(0, 2**24, (count, 2)).astype(np.uint32)
+        points, normals = (np.tile(v, (count, 1)) for v in (point, normal))
+        out = self.run("pick", tree, lights, points, normals, u, 2)
+        return out[:, 0].copy().view(np.uint32), out[:, 1].astype(np.float64)
+
+
+def _four(v: np.ndarray, w: float) -> np.ndarray:
+    return np.concatenate([v, np.full((len(v), 1), w)], axis=1).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def device():
+    return OnDevice()
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def _placed(rng, scale: float) -> np.ndarray:
+    """A random rotation, size and place."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * scale * rng.uniform(0.3, 1.0)
+    matrix[:3, 3] = rng.uniform(-4, 4, 3)
+    return matrix
+
+
+def mixed_lights(count: int = 60, seed: int = 5, beyond: bool = True) -> dict:
+    """Lights of every kind among a room's worth of places, some of them dark, some of smooth meshes."""
+    rng = np.random.default_rng(seed)
+    scene, kinds = {}, ("rectangle", "smooth", "sphere", "disk", "cylinder", "point", "spot", "flipped")
+    for index in range(count):
+        kind = kinds[index % len(kinds)]
+        colour = {"type": "rgb", "value": (rng.lognormal(0, 1) * rng.uniform(0.2, 1.0, 3)).tolist()}
+        matrix = _placed(rng, 0.5)
+        shape = {"to_world": matrix, "emitter": {"type": "area", "radiance": colour}}
+        if kind == "point":
+            light = {"type": "point", "position": matrix[:3, 3], "intensity": colour}
+        elif kind == "spot":
+            rigid = matrix.copy()
+            rigid[:3, :3] = np.linalg.qr(matrix[:3, :3])[0]
+            light = {"type": "spot", "to_world": rigid, "intensity": colour, "cutoff_angle": float(rng.uniform(5, 60))}
+        elif kind == "smooth":
+            corners = rng.normal(size=(4, 3)) * 0.3 + matrix[:3, 3]
+            light = {"type": "mesh", "vertices": corners, "faces": np.array([[0, 1, 2], [2, 1, 3]]), **shape}
+            light.pop("to_world")
+        elif kind in ("sphere", "flipped"):
+            light = {"type": "sphere", "center": matrix[:3, 3], "radius": float(rng.uniform(0.05, 0.3)), **shape}
+            light.pop("to_world")
+            light["flip_normals"] = kind == "flipped"
+        else:
+            light = {"type": kind, **shape}
+        scene[f"light{index}"] = light
+    scene["dark"] = {"type": "disk", "emitter": {"type": "area", "radiance": 0.0}}
+    if beyond:
+        scene["sun"] = {"type": "directional", "direction": [0.3, -0.2, -1.0], "irradiance": 0.05}
+        scene["sky"] = {"type": "constant", "radiance": 0.02}
+    return scene
+
+
+def compiled(**objects):
+    return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, **objects}))
+
+
+def some_points(rng, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points among the lights, and normals: every fourth is none."""
+    points, normals = rng.uniform(-5, 5, (count, 3)), _four(_unit(rng.normal(size=(count, 3))), 0)
+    normals[::4] = (0, 0, 0, 1)
+    return points.astype(np.float32), normals
+
+
+def reference_weights(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """float64: the bounds times the shares, as the paper has them with the mean of bound and middle."""
+    node = node.astype(np.float64)
+    arm = node[0:3] - point.astype(np.float64)[:, None]
+    distance2 = (arm**2).sum(axis=0)
+    distance, radius = np.sqrt(distance2), node[3]
+    apparent = radius / distance
+    theta = np.arccos(np.clip(-(node[5:8] * arm).sum(axis=0) / distance, -1, 1))
+    spread = np.arctan2(node[9], node[8])
+    emission_cosine = np.cos(np.maximum(theta - spread, 0))
+    incidence = (normal[:3, None] * arm).sum(axis=0) / distance + normal[3]
+
+    def likely(cosine):
+        return 0.5 * (np.clip(cosine + apparent, 0, 1) + np.clip(cosine, 0, 1))
+
+    shines = emission_cosine + apparent > node[10]
+    return shines * node[4] * likely(emission_cosine) * likely(incidence) / np.maximum(distance2, radius**2 / 4)
+
+
+def reference_probabilities(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    weights = reference_weights(node, point, normal)
+    share, total = node[4].astype(np.float64), weights.sum()
+    return share if total == 0 else (1 - BY_SHARE) * weights / total + BY_SHARE * share
+
+
+# The tree.
+
+
+@pytest.mark.parametrize("count", [1, 2, 8, 9, 60, 500])
+@pytest.mark.parametrize("beyond", [False, True])
+def test_every_light_with_power_has_one_place(count, beyond):
+    scene = compiled(**mixed_lights(count, beyond=beyond))
+    tree, lights = build_light_tree(scene), len(scene.lights)
+    references = tree.nodes[:, 11].view(np.int32)
+    used = tree.nodes[:, 4] > 0
+    np.testing.assert_allclose(tree.nodes[:, 4].sum(axis=1), 1.0, atol=1e-6)
+    leaves = ~references[used & (references < 0)]
+    assert sorted(leaves) == np.flatnonzero(scene.lights["pick_probability"] > 0).tolist()
+    inner = references[used & (references >= 0)]
+    assert sorted(inner) == list(range(1, len(tree.nodes)))
+    for child in np.concatenate([leaves, lights + inner]):
+        node, slot = divmod(int(tree.places[child]), WIDTH)
+        assert references[node, slot] == (child - lights if child >= lights else ~child)
+    assert tree.places[lights] == structs.NONE
+    dark = np.flatnonzero(scene.lights["pick_probability"] == 0)
+    assert len(dark) == 1
+    assert tree.places[dark].tolist() == [structs.NONE]
+
+
+def _below(tree, node: int) -> list[int]:
+    references = tree.nodes[node, 11].view(np.int32)
+    return [light for slot in np.flatnonzero(tree.nodes[node, 4] > 0) for light in _under(tree, references[slot])]
+
+
+def _under(tree, reference: int) -> list[int]:
+    return [~reference] if reference < 0 else _below(tree, reference)
+
+
+def _shines_from(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of a light, the normals by which it shines there (zero: to all sides), and the cosine from which on."""
+    zero, half = np.zeros((count, 3)), np.zeros(count)
+    if light["kind"] == structs.LIGHT_POINT:
+        return np.tile(light["position"], (count, 1)), zero, half
+    if light["kind"] == structs.LIGHT_SPOT:
+        axis = np.tile(light["axis"], (count, 1))
+        return np.tile(light["position"], (count, 1)), axis, np.full(count, np.cos(light["cutoff"]))
+    if light["kind"] == structs.LIGHT_TRIANGLE:
+        face, weights = scene.faces[light["primitive"]], rng.dirichlet(np.ones(3), count)
+        corners = scene.vertices[face].astype(np.float64)
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        normals = np.tile(normal, (count, 1))
+        shape = scene.shapes[scene.triangle_shape[light["primitive"]]]
+        if shape["flags"] & structs.SHAPE_VERTEX_NORMALS:
+            normals = weights @ scene.vertex_normals[face]
+        return weights @ corners, _unit(normals), half
+    record = scene.analytics[light["primitive"]]
+    flip = -1.0 if scene.shapes["flags"][record["shape"]] & structs.SHAPE_FLIP_NORMALS else 1.0
+    if light["kind"] == structs.LIGHT_SPHERE:
+        out = _unit(rng.normal(size=(count, 3)))
+        return record["center"] + record["radius"] * out, flip * out, half
+    matrix, inverse = (record[name].reshape(3, 4).astype(np.float64) for name in ("to_world", "to_object"))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    around = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
+    if light["kind"] == structs.LIGHT_DISK:
+        on, normal = around * rng.uniform(0, 1, (count, 1)), np.tile([0.0, 0.0, 1.0], (count, 1))
+    else:
+        on, normal = around + np.outer(rng.uniform(0, 1, count), [0, 0, 1]), around
+    return on @ matrix[:, :3].T + matrix[:, 3], flip * _unit(normal @ inverse[:, :3]), half
+
+
+def test_bounds_miss_no_light_that_arrives():
+    """At every node above a light, its weight is positive where a point of it can be seen to shine."""
+    rng = np.random.default_rng(11)
+    scene = compiled(**mixed_lights(64, beyond=False))
+    tree = build_light_tree(scene)
+    points, normals = some_points(rng, 150)
+    references = tree.nodes[:, 11].view(np.int32)
+    checked = 0
+    for node, slot in zip(*np.nonzero(tree.nodes[:, 4] > 0), strict=True):
+        below = rng.permutation(_under(tree, references[node, slot]))[:4]
+        for light in below:
+            on, shining, least = _shines_from(scene, scene.lights[light], rng, len(points))
+            arm = on - points
+            distance = np.linalg.norm(arm, axis=1)
+            # leaves room for the rounding of the records to 32 bits
+            leaves = (-(shining * arm).sum(axis=1) > (least + 1e-4) * distance) | ~shining.any(axis=1)
+            arrives = ((normals[:, :3] * arm).sum(axis=1) > 1e-4 * distance) | (normals[:, 3] == 1)
+            for index in np.flatnonzero(leaves & arrives):
+                assert reference_weights(tree.nodes[node], points[index], normals[index])[slot] > 0
+                checked += 1
+    assert checked > 5000
+
+
+def test_intensity_is_the_largest_that_a_light_has():
+    """Closed forms: of what is flat A L, of a sphere pi r^2 L, of a cylinder 2 r h L, of points theirs."""
+    scene = compiled(
+        quad={"type": "rectangle", "emitter": {"type": "area", "radiance": 3.0}},
+        ball={"type": "sphere", "radius": 0.5, "emitter": {"type": "area", "radiance": 5.0}},
+        disk={"type": "disk", "emitter": {"type": "area", "radiance": 7.0}},
+        tube={"type": "cylinder", "radius": 0.5, "p1": [0, 0, 2.0], "emitter": {"type": "area", "radiance": 11.0}},
+        point={"type": "point", "intensity": 13.0},
+        spot={"type": "spot", "intensity": 17.0, "cutoff_angle": 30.0},
+    )
+    expected = np.array([2 * 3.0, 2 * 3.0, np.pi / 4 * 5.0, np.pi * 7.0, 2 * 0.5 * 2 * 11.0, 13.0, 17.0])
+    intensity = emission.emission_of(scene, scene.lights).intensity
+    np.testing.assert_allclose(intensity / intensity[0], expected / expected[0], rtol=1e-5)
+
+
+# Probabilities and picks.
+
+
+def test_probabilities_of_a_node_are_those_of_float64(device):
+    rng = np.random.default_rng(3)
+    scene = compiled(**mixed_lights(200))
+    tree = build_light_tree(scene)
+    points, normals = some_points(rng, 4000)
+    which = rng.integers(0, len(tree.nodes), len(points)).astype(np.uint32)
+    found = device.run("node_probabilities", tree, len(scene.lights), points, normals, which, 8)
+    expected = np.stack(
+        [reference_probabilities(tree.nodes[w], p, n) for w, p, n in zip(which, points, normals, strict=True)]
+    )
+    # the cosine of a sum of angles loses what its terms cancel: absolute, in units of the whole
+    np.testing.assert_allclose(found, expected, rtol=2e-5, atol=2e-6)
+
+
+def test_probabilities_of_all_lights_sum_to_one(device):
+    rng = np.random.default_rng(4)
+    scene = compiled(**mixed_lights(90))
+    tree, lights = build_light_tree(scene), len(scene.lights)
+    points, normals = some_points(rng, 64)
+    found = device.probability(
+        tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), 64)
+    ).reshape(64, lights)
+    np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-5)
+    power = scene.lights["pick_probability"]
+    assert ((found > 0) == (power > 0)).all()
+
+
+def _deviate(counts: np.ndarray, expected: np.ndarray) -> float:
+    """Chi-square of counts, rare ones put together, as a standard normal deviate (Wilson and Hilferty)."""
+    order = np.argsort(expected)
+    cells = np.minimum(np.cumsum(expected[order]) // 10, np.cumsum(expected[order] >= 10) + 1e9).astype(int)
+    cells = np.unique(cells, return_inverse=True)[1]
+    observed, wanted = np.bincount(cells, counts[order]), np.bincount(cells, expected[order])
+    chi2, freedom = ((observed - wanted) ** 2 / wanted).sum(), len(wanted) - 1
+    return ((chi2 / freedom) ** (1 / 3) - (1 - 2 / (9 * freedom))) / np.sqrt(2 / (9 * freedom))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_picks_have_the_stated_probabilities(device, seed):
+    rng = np.random.default_rng(seed)
+    scene = compiled(**mixed_lights(90))
+    tree, lights, count = build_light_tree(scene), len(scene.lights), 1 << 18
+    points, normals = some_points(rng, 2)
+    point, normal = points[seed % 2], normals[seed % 2]
+    picked, stated = device.pick(tree, lights, point, normal, count, seed)
+    expected = device.probability(
+        tree, lights, np.tile(point, (lights, 1)), np.tile(normal, (lights, 1)), range(lights)
+    )
+    np.testing.assert_allclose(stated, expected[picked], rtol=1e-6)
+    assert abs(_deviate(np.bincount(picked, minlength=lights), count * expected)) < Z
+
+
+def grid_of_triangles(side: int) -> dict:
+    """2 side^2 triangles of a square, which shine upwards."""
+    x, y = np.meshgrid(np.linspace(-1, 1, side + 1), np.linspace(-1, 1, side + 1), indexing="ij")
+    first = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    faces = np.stack([[first, first + side + 1, first + side + 2], [first, first + side + 2, first + 1]]).reshape(
+        2, 3, -1
+    )
+    return {
+        "type": "mesh",
+        "vertices": np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1),
+        "faces": faces.transpose(2, 0, 1).reshape(-1, 3),
+        "face_normals": True,
+        "emitter": {"type": "area", "radiance": 1.0},
+    }
+
+
+def test_a_hundred_thousand_lights_are_picked_evenly(device):
+    """From afar all are alike: every one of 131,072 shall come with its probability, by the last of the 48 bits."""
+    scene = compiled(lamp=grid_of_triangles(256))
+    tree, lights, count = build_light_tree(scene), len(scene.lights), 1 << 21
+    point, normal = np.array([0.0, 0.0, 1e4]), np.array([0, 0, -1.0, 0])
+    picked, stated = device.pick(tree, lights, point, normal, count, seed=1)
+    assert lights == 131072
+    np.testing.assert_allclose(stated * lights, 1.0, rtol=0.01)
+    assert abs(_deviate(np.bincount(picked, minlength=lights), np.full(lights, count / lights))) < Z
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 1e6, 1e15])
+def test_scale_and_place_change_no_probability(device, scale):
+    scene = compiled(**mixed_lights(40, beyond=False))
+    tree, lights = build_light_tree(scene), len(scene.lights)
+    tree.nodes[:, :4] *= np.float32(scale)
+    points, normals = some_points(np.random.default_rng(8), 32)
+    of = (np.repeat(normals, lights, 0), np.tile(np.arange(lights), 32))
+    scaled = device.probability(tree, lights, np.repeat(points * np.float32(scale), lights, 0), *of)
+    tree.nodes[:, :4] /= np.float32(scale)
+    np.testing.assert_allclose(
+        scaled, device.probability(tree, lights, np.repeat(points, lights, 0), *of), rtol=2e-4, atol=1e-6
+    )
+
+
+def test_points_on_and_in_lights_and_behind_all(device):
+    """Where no weight is left the shares decide; nothing is ever not a number."""
+    quads = {
+        f"quad{i}": {"type": "rectangle", "emitter": {"type": "area", "radiance": float(1 + i % 3)}} for i in range(10)
+    }  # coincident: 20 triangles in one place
+    lamps = {f"lamp{i}": {"type": "point", "position": [1.0, 0, 0], "intensity": 2.0} for i in range(10)}
+    scene = compiled(**quads, **lamps)
+    tree, lights = build_light_tree(scene), len(scene.lights)
+    points = np.array([[0, 0, 0], [1.0, 0, 0], [0.3, 0.3, 0.0], [0, 0, -5.0], [0, 0, 5.0], [1e17, 0, 0]])
+    normals = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, -1, 0], [0, 0, -1, 0], [0, 0, 1, 0], [-1, 0, 0, 0]])
+    count = len(points)
+    found = device.probability(
+        tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), count)
+    ).reshape(count, lights)
+    assert np.isfinite(found).all()
+    assert (found > 0).all()
+    np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-5)
+
+
+# Pictures.
+
+
+def room(count: int) -> dict:
+    """Lights of every kind around a floor, a ball of rough glass and one of plastic."""
+    scene = lamp_over_floor(max_depth=4, width=12, height=9)
+    scene.pop("lamp")
+    wide = np.diag([6.0, 6.0, 1.0, 1.0])
+    wide[2, 3] = -1.0
+    scene["floor"]["to_world"] = wide
+    scene["glass"] = {"type": "sphere", "radius": 0.6, "bsdf": {"type": "roughdielectric", "alpha": 0.3}}
+    scene["ball"] = {
+        "type": "sphere",
+        "center": [1.3, 0.4, -0.4],
+        "radius": 0.5,
+        "bsdf": {"type": "roughplastic", "alpha": 0.2},
+    }
+    return scene | mixed_lights(count, seed=9)
+
+
+def test_pictures_with_and_without_the_tree_agree(monkeypatch):
+    """Means of blocks of 3 x 3 pixels over independent renders: z-values of each, and of the image."""
+    images = {}
+    for fewest in (10**9, 1):
+        monkeypatch.setattr(light_tree, "FEWEST", fewest)
+        images[fewest] = np.stack(
+            [
+                isonoise.render(room(48), spp=64, strategy="uniform:wave_spp=64", seed=seed).statistics.mean
+                for seed in range(BATCHES)
+            ]
+        )
+    without, with_tree = (
+        i.reshape(BATCHES, 3, 3, 4, 3).mean(axis=(2, 4)).reshape(BATCHES, -1) for i in images.values()
+    )
+    for a, b in ((without, with_tree), (without.mean(axis=1), with_tree.mean(axis=1))):
+        se = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / BATCHES)
+        # 2.1: Student's t, 11 degrees of freedom at least
+        assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 2.1 * Z * se).all()
+
+
+def test_less_noise_where_lights_are_spread(monkeypatch):
+    """300 lamps over a long floor: without the tree most samples go to lamps that are far away."""
+    scene = lamp_over_floor(max_depth=2)
+    scene.pop("lamp")
+    scene["floor"]["to_world"] = np.diag([20.0, 20.0, 1.0, 1.0])
+    for index, (x, y) in enumerate(np.random.default_rng(2).uniform(-20, 20, (300, 2))):
+        scene[f"lamp{index}"] = {"type": "point", "position": [x, y, 1.0], "intensity": 1.0}
+    variance = {}
+    for fewest in (10**9, 1):
+        monkeypatch.setattr(light_tree, "FEWEST", fewest)
+        variance[fewest] = isonoise.render(scene, spp=256, strategy="uniform").statistics.variance.mean()
+    assert variance[1] < 0.1 * variance[10**9]
+
+
+def test_against_mitsuba(monkeypatch, tmp_path):
+    monkeypatch.setattr(light_tree, "FEWEST", 1)
+    scene = room(24)
+    for name, shape in scene.items():
+        if isinstance(shape, dict) and shape["type"] == "mesh":
+            scene[name] = {"type": "ply", "filename": str(tmp_path / f"{name}.ply"), "emitter": shape["emitter"]}
+            trimesh.Trimesh(shape["vertices"], shape["faces"], process=False).export(scene[name]["filename"])
+    scalar_mitsuba.assert_same_picture(scene, tmp_path, spp=64)
+
+
+def test_few_lights_keep_the_alias_table():
+    from isonoise.integrator.features import features
+
+    few = compiled(floor={"type": "rectangle"}, lamp={"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}})
+    many = compiled(floor={"type": "rectangle"}, lamp=grid_of_triangles(32))
+    assert not features(few)["LIGHT_TREE"]
+    assert features(many)["LIGHT_TREE"]
+    dark = compiled(lamp=grid_of_triangles(32) | {"bsdf": {"type": "dielectric"}})
+    assert not features(dark)["LIGHT_TREE"]  # nothing in it is lit by next-event estimation
+
+
+@pytest.mark.long
+def test_a_million_lights():
+    """Built in seconds; no path from the root is long."""
+    import time
+
+    scene = compiled(lamp=grid_of_triangles(708))
+    begun = time.perf_counter()
+    tree = build_light_tree(scene)
+    assert time.perf_counter() - begun < 60
+    assert tree.nodes.shape[1:] == (ROWS, WIDTH)
+    lights, depth = len(scene.lights), 0
+    place = tree.places[:lights]
+    while (place != structs.NONE).any():
+        place = tree.places[lights + place[place != structs.NONE] // WIDTH]
+        depth += 1
+    assert depth < 12
