@@ -318,7 +318,7 @@ class Target:
 def compiled(path: Path) -> None:
     """A scene or bare mesh, all the way to what the device gets."""
     scene = compile_scene(load(path))
-    for name, array in [*vars(scene).items(), *(vars(scene.environment).items() if scene.environment else ())]:
+    for name, array in vars(scene).items():
         if isinstance(array, np.ndarray):
             fields = [array[field] for field in array.dtype.names] if array.dtype.names else [array]
             for field in fields:
