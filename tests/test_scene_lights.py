@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from records import slot
 
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.lights import alias_table, picked
@@ -165,6 +166,6 @@ def test_what_shines_and_names_no_material_reflects_nothing():
     lamp = {"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}}
     scene = compile_scene(_scene(lamp=lamp, ball={"type": "sphere"}))
     lit = scene.shapes["first_light"] != structs.NONE
-    reflectance = scene.bsdfs["reflectance"][scene.shapes["bsdf"]]
+    reflectance = slot(scene.bsdfs, 0)[scene.shapes["bsdf"]]
     assert (reflectance[lit] == 0).all()
     assert (reflectance[~lit] == 0.5).all()
