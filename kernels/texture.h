@@ -150,7 +150,7 @@ INLINE __global const Texture* texture_shown(const Textures* textures, uint text
 }
 
 // Linear RGB.
-INLINE float3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
+OUTLINE float3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, false);
 #if FEATURE_BITMAPS
@@ -163,7 +163,7 @@ INLINE float3 texture_rgb(const Textures* textures, uint texture, const TextureP
 }
 
 // A number: the luminance, of plain colours the mean.
-INLINE float texture_number(const Textures* textures, uint texture, const TexturePoint* at)
+OUTLINE float texture_number(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, true);
 #if FEATURE_BITMAPS
@@ -176,7 +176,7 @@ INLINE float texture_number(const Textures* textures, uint texture, const Textur
 }
 
 // Slope of the number along u and v. Only bitmaps have one: what else there is is constant in pieces, or not along u and v.
-INLINE float2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
+OUTLINE float2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, true);
 #if FEATURE_BITMAPS
