@@ -6,14 +6,18 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.commands import EXIT_DONE
-from isonoise.scene import structs
+from isonoise.scene import structs, textures
+from isonoise.scene.bsdfs import KINDS
 from isonoise.scene.compiled import CompiledScene
 
 SHAPES = {structs.ANALYTIC_SPHERE: "spheres", structs.ANALYTIC_DISK: "disks", structs.ANALYTIC_CYLINDER: "cylinders"}
-MATERIALS = {
-    structs.BSDF_DIFFUSE: "diffuse",
-    structs.BSDF_DIELECTRIC: "dielectric",
-    structs.BSDF_CONDUCTOR: "conductor",
+MATERIALS = {kind: name for name, kind in KINDS.items()}
+MATERIALS |= {structs.BSDF_SIDES: "twosided", structs.BSDF_HG: "phase functions"}
+TEXTURES = {
+    textures.TEXTURE_COLOUR: "plain",
+    textures.TEXTURE_BITMAP: "bitmap",
+    textures.TEXTURE_CHECKERBOARD: "checkerboard",
+    textures.TEXTURE_MESH_ATTRIBUTE: "mesh_attribute",
 }
 LIGHTS = {
     structs.LIGHT_TRIANGLE: "triangles",
@@ -21,8 +25,10 @@ LIGHTS = {
     structs.LIGHT_DISK: "disks",
     structs.LIGHT_CYLINDER: "cylinders",
     structs.LIGHT_POINT: "point",
+    structs.LIGHT_SPOT: "spot",
     structs.LIGHT_DIRECTIONAL: "directional",
     structs.LIGHT_CONSTANT: "constant",
+    structs.LIGHT_ENVIRONMENT_MAP: "envmap",
 }
 
 
@@ -51,7 +57,7 @@ def _scene(source: str, parameters: dict[str, str]) -> None:
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 
     scene = compile_scene(load(source, parameters))
-    for name, value in _facts(scene).items():
+    for name, value in facts(scene).items():
         print(f"{name:12} {value}")
     used = features(scene, make_strategy(DEFAULT_STRATEGY).needs)
     width = max(map(len, used))
@@ -63,7 +69,7 @@ def _scene(source: str, parameters: dict[str, str]) -> None:
         print(f"  {name:{width}}  {FEATURES[name].meaning}: saves {FEATURES[name].cost}")
 
 
-def _facts(scene: CompiledScene) -> dict[str, str]:
+def facts(scene: CompiledScene) -> dict[str, str]:
     """What a person wants to know about a scene, line by line."""
     depth = "no end" if scene.max_depth < 0 else str(scene.max_depth)
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in scene.bounds)
@@ -76,6 +82,8 @@ def _facts(scene: CompiledScene) -> dict[str, str]:
         if len(scene.instances)
         else "none",
         "materials": _counts(MATERIALS, scene.bsdfs["kind"]),
+        "textures": _counts(TEXTURES, scene.textures["kind"]),
+        "media": f"{len(scene.media):,}" if len(scene.media) else "none",
         "lights": _counts(LIGHTS, scene.lights["kind"]),
         "bounds": f"({low}) to ({high})",
         "hash": scene.hash,
