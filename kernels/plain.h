@@ -5,9 +5,6 @@
 // Functions of a few lines become part of their caller, so that results travel in registers.
 #define INLINE static inline __attribute__((always_inline))
 
-// Long functions that are called from many places: a copy at each of them would keep the compiler busy for a minute.
-#define CALLED static __attribute__((noinline))
-
 // Long functions of many callers stay functions: with textures in a dozen parameters of each of three materials `shade` took
 // PoCL 46 s to compile, and takes 5.
 #define OUTLINE static __attribute__((noinline))
