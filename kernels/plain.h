@@ -7,7 +7,7 @@
 
 // Long functions of many callers stay functions: with textures in a dozen parameters of each of three materials `shade` took
 // PoCL 46 s to compile, and takes 5.
-#define OUTLINE static __attribute__((noinline))
+#define OUTLINE static __attribute__((noinline, unused))
 
 // Plain comparisons: one instruction where fmin and fmax need three for their NaN rules.
 #define LESSER(a, b) ((a) < (b) ? (a) : (b))
