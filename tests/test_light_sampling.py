@@ -1,0 +1,391 @@
+"""Emitters on the device: samples against their density, irradiance against quadrature in float64 and Mitsuba 3.
+
+What is a mean of samples may be off by Z standard errors; chi-square statistics are compared as standard normal
+deviates at Z, one-sided. About 100 comparisons at 3e-7 each: false alarms are 3e-5 for the file under other seeds.
+Environment maps have a file of their own.
+"""
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_environment import normal_deviate
+
+from isonoise.device import program
+from isonoise.device.opencl import Device
+from isonoise.integrator.features import FEATURES
+from isonoise.integrator.wavefront import STRUCTS
+from isonoise.scene import compile_scene, load, structs, textures
+from isonoise.scene.images import srgb_to_linear
+from isonoise.scene.triangles import triangle_records
+
+Z = 5.0
+SAMPLES, BINS, GRID = 2**16, 12, 240
+GEOMETRY = """__global const float4* triangles, __global const uint* faces, __global const float* uvs,
+                      __global const Analytic* analytics, __global const Shape* shapes,
+                      __global const Texture* textures, __global const uchar4* bytes, __global const float* srgb,
+                      __global const Light* lights"""
+KERNEL = f"""
+#include "light.h"
+
+Geometry geometry({GEOMETRY})
+{{
+    Geometry g;
+    g.triangles = triangles;
+    g.faces = faces;
+    g.vertex_normals = NULL;
+    g.uvs = uvs;
+    g.analytics = analytics;
+    g.shapes = shapes;
+    const Textures all = {{textures, bytes, NULL, srgb, NULL, faces}};
+    g.textures = all;
+    return g;
+}}
+
+__kernel void sample({GEOMETRY},
+                     __global const Alias* table, uint count, __global const float* reference, __global const float4* u,
+                     __global float* out, uint n)
+{{
+    const uint i = get_global_id(0);
+    if (i >= n) return;
+    const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    const LightSample light = sample_light(&g, lights, table, count, LOAD3(i, reference), (float4)(0.0f), u[i]);
+    store3(light.direction, 0, out + 16 * i);
+    store3(light.radiance, 1, out + 16 * i);
+    store3(light.position, 2, out + 16 * i);
+    store3(light.normal, 3, out + 16 * i);
+    out[16 * i + 12] = light.pdf;
+    out[16 * i + 13] = light.is_delta;
+    out[16 * i + 14] = light.is_infinite;
+    out[16 * i + 15] = as_float(light.primitive);
+}}
+
+__kernel void density({GEOMETRY},
+                      uint index, __global const float* reference, __global const float* position,
+                      __global const float* normal, __global float* out, uint n)
+{{
+    const uint i = get_global_id(0);
+    if (i >= n) return;
+    const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    const float3 from = LOAD3(i, reference), arm = LOAD3(i, position) - from;
+    out[i] = light_pdf(&g, lights + index, from, unit(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
+}}
+"""
+
+
+def transform(scale, seed: int = 1, offset=(0.3, -0.2, 0.5)) -> np.ndarray:
+    """Scale, then turn at random, then move."""
+    q = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+    q[2] *= np.linalg.det(q)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = q * np.broadcast_to(scale, 3), offset
+    return matrix
+
+
+PATCHES = """
+v 0 0 0
+v 2 0.2 0
+v 0.3 1 0.5
+v 2 2 1
+vt 0.1 0.2
+vt 0.9 0.1
+vt 0.2 0.8
+vt 0.7 0.9
+f 1/1 2/2 3/3
+f 3/3 2/2 4/4
+"""
+SHAPES = {  # and the places from which they are seen
+    "rectangle": ({"type": "rectangle", "to_world": transform((1.0, 0.4, 1.0))}, [(0.5, 1.0, 1.5), (0.3, -0.2, 0.8)]),
+    "patches": ({"type": "obj", "face_normals": True}, [(1.0, 1.0, 2.0), (1.0, 0.6, 0.6)]),
+    "cube": ({"type": "cube", "to_world": transform((0.5, 1.0, 0.3))}, [(2.0, 1.0, 2.0)]),
+    "sphere": (
+        {"type": "sphere", "to_world": transform(0.7)},
+        [(2.0, 1.0, -1.0), (0.3, -0.2, 1.21), (50.0, 20.0, 9.0)],
+    ),
+    "sphere from within": (
+        {"type": "sphere", "radius": 2.0, "flip_normals": True},
+        [(0.3, 0.1, -1.0), (0.0, 1.9, 0.1)],
+    ),
+    "disk": ({"type": "disk", "to_world": transform((1.5, 0.5, 1.0))}, [(0.5, 1.0, 1.5), (0.3, -0.2, 0.9)]),
+    "cylinder": (
+        {"type": "cylinder", "p0": [0.0, 0.0, -1.0], "p1": [0.0, 0.5, 1.0], "radius": 0.4},
+        [(2.0, 1.0, 0.3), (0.0, -0.5, 0.0)],
+    ),
+    "cylinder from within": (
+        {"type": "cylinder", "p0": [0.0, 0.0, -1.0], "p1": [0.0, 0.0, 1.0], "flip_normals": True},
+        [(0.2, 0.1, -0.5)],
+    ),
+}
+VIEWS = [(name, number) for name, (_, views) in SHAPES.items() for number in range(len(views))]
+RGB = {"type": "rgb", "value": [3.0, 1.0, 0.5]}
+
+
+class Lit:
+    """The emitters of a scene on the device."""
+
+    def __init__(self, device: Device, kernels, **objects):
+        self.device, self.kernels = device, kernels
+        self.scene = scene = compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, **objects}))
+        arrays = (triangle_records(scene), scene.faces, scene.uvs, scene.analytics, scene.shapes)
+        arrays += (scene.textures, scene.texel_bytes, textures.SRGB, scene.lights)
+        self.buffers = tuple(device.buffer(a, "the scene") if a.size else None for a in arrays)
+        self.table = device.buffer(scene.light_alias, "the lights"), np.uint32(len(scene.lights))
+
+    def _run(self, kernel: str, first, arrays, columns: int) -> np.ndarray:
+        n = len(arrays[0])
+        out = self.device.buffer(np.zeros(columns * n, np.float32), "results")
+        inputs = [self.device.buffer(np.ascontiguousarray(a, np.float32), "inputs") for a in arrays]
+        self.device.launch(self.kernels[kernel], n, (*self.buffers, *first, *inputs, out, np.uint32(n)))
+        return self.device.read(out, np.float32, columns * n).reshape(n, columns)
+
+    def sample(self, reference, count: int = SAMPLES) -> dict[str, np.ndarray]:
+        """Samples as seen from places (3,) or (count, 3); radiance in the units of the scene."""
+        u = np.random.default_rng(2).integers(0, 2**24, (count, 4)) / 2**24
+        out = self._run("sample", self.table, (np.broadcast_to(reference, (count, 3)), u), 16)
+        names = ("direction", "radiance", "position", "normal")
+        found = {name: out[:, 3 * i : 3 * i + 3].astype(np.float64) for i, name in enumerate(names)}
+        found["radiance"] /= self.scene.radiance_scale
+        found["primitive"] = np.ascontiguousarray(out[:, 15]).view(np.uint32)
+        return found | {"pdf": out[:, 12].astype(np.float64), "delta": out[:, 13] != 0, "infinite": out[:, 14] != 0}
+
+    def density(self, light: int, reference, position, normal) -> np.ndarray:
+        """Solid angle density, times the probability of the light."""
+        places = np.broadcast_to(reference, position.shape)
+        found = self._run("density", (np.uint32(light),), (places, position, normal), 1)[:, 0].astype(np.float64)
+        return found * self.scene.lights["pick_probability"][light]
+
+
+@pytest.fixture(scope="module")
+def lit():
+    device, source = Device(), program.kernel_source
+    on = {"AREA_LIGHTS", "TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS", "POINT_LIGHTS"}
+    on |= {"SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS"}
+    on |= {"CYLINDERS", "TEXTURES", "BITMAPS", "UVS"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
+        constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}
+        kernels = device.build(*program.stage_source("lights.cl", STRUCTS, constants, features))
+    return lambda **objects: Lit(device, kernels, **objects)
+
+
+@pytest.fixture(scope="module")
+def pixels():
+    return np.random.default_rng(3).integers(0, 256, (8, 8, 3), dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory, pixels):
+    path = tmp_path_factory.mktemp("images") / "radiance.png"
+    Image.fromarray(pixels).save(path)
+    return {"type": "bitmap", "filename": str(path), "filter_type": "nearest"}
+
+
+class Patch:
+    """A part of a light that is picked as one, over the unit square: places, texture coordinates."""
+
+    def __init__(self, scene, light: int):
+        self.scene, self.record = scene, scene.lights[light]
+        self.shape = (
+            None if self.record["kind"] == structs.LIGHT_TRIANGLE else scene.analytics[self.record["primitive"]]
+        )
+
+    @property
+    def primitive(self) -> int:
+        return int(self.record["primitive"]) | (0 if self.shape is None else 1 << 31)
+
+    def at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) and uv (n, 2)."""
+        if self.shape is None:
+            face = self.scene.faces[self.record["primitive"]]
+            weights = np.stack([1 - x, x * (1 - y), x * y], axis=1)
+            return weights @ self.scene.vertices[face].astype(float), weights @ self.scene.uvs[face].astype(float)
+        m = self.shape["to_world"].reshape(3, 4).astype(float)
+        turn = 2 * np.pi * (y if self.shape["kind"] == structs.ANALYTIC_DISK else x)
+        around = np.stack([np.cos(turn), np.sin(turn)])
+        if self.shape["kind"] == structs.ANALYTIC_SPHERE:
+            local = np.stack([*(np.sin(np.pi * y) * around), np.cos(np.pi * y)], axis=1)
+        elif self.shape["kind"] == structs.ANALYTIC_DISK:
+            local = np.stack([*(x * around), 0 * x], axis=1)
+        else:
+            local = np.stack([*around, y], axis=1)
+        return local @ m[:, :3].T + m[:, 3], np.stack([x, y], axis=1)
+
+    def of(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse of `at`."""
+        if self.shape is None:
+            a, b, c = self.scene.vertices[self.scene.faces[self.record["primitive"]]].astype(float)
+            second, third = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), (position - a).T, rcond=None)[0]
+            return second + third, third / (second + third)
+        m = self.shape["to_world"].reshape(3, 4).astype(float)
+        local = np.linalg.solve(m[:, :3], (position - m[:, 3]).T)
+        turn = np.arctan2(local[1], local[0]) / (2 * np.pi) % 1
+        if self.shape["kind"] == structs.ANALYTIC_SPHERE:
+            return turn, np.arctan2(np.hypot(local[0], local[1]), local[2]) / np.pi
+        return (np.hypot(local[0], local[1]), turn) if self.shape["kind"] == structs.ANALYTIC_DISK else (turn, local[2])
+
+    def grid(self, reference: np.ndarray, flipped: bool) -> dict[str, np.ndarray]:
+        """Places all over it, what solid angle stands for each, 0 where it faces away, and the normal."""
+        steps = (np.arange(GRID) + 0.5) / GRID
+        x, y = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+        (position, uv), h = self.at(x, y), 1e-5
+        along = (self.at(x + h, y)[0] - self.at(x - h, y)[0]) / (2 * h)
+        across = (self.at(x, y + h)[0] - self.at(x, y - h)[0]) / (2 * h)
+        element = np.cross(along, across) / GRID**2
+        outward = -1 if self.shape is not None and self.shape["kind"] == structs.ANALYTIC_SPHERE else 1
+        element *= -outward if flipped else outward
+        arm = position - reference
+        distance = np.linalg.norm(arm, axis=1)
+        solid = np.maximum(-(element * arm).sum(axis=1), 0) / distance**3
+        size = np.maximum(np.linalg.norm(element, axis=1, keepdims=True), 1e-300)
+        return {
+            "position": position,
+            "uv": uv,
+            "normal": element / size,
+            "solid": solid,
+            "direction": arm / distance[:, None],
+        }
+
+
+@pytest.mark.parametrize(("name", "view"), VIEWS)
+def test_surfaces(lit, image, pixels, name, view, tmp_path):
+    """What is sampled follows the density that the light has for a direction that was found otherwise. The mean over
+    that density is the irradiance of planes that face along the axes. The radiance is a picture: it has to hang right.
+    The midpoint rule is off by 1e-3 at most, where the light turns away in the middle of a cell."""
+    shape, views = SHAPES[name]
+    reference = np.array(views[view])
+    if shape["type"] == "obj":
+        shape = shape | {"filename": str(tmp_path / "patches.obj")}
+        (tmp_path / "patches.obj").write_text(PATCHES)
+    on = lit(lamp=shape | {"emitter": {"type": "area", "radiance": image}})
+    found, flipped = on.sample(reference), shape.get("flip_normals", False)
+    used = (found["pdf"] > 0) & (found["radiance"].max(axis=1) > 0)
+    assert not found["delta"].any()
+    assert not found["infinite"].any()
+    linear, expected, masses, counts = srgb_to_linear(pixels / 255), 0.0, [], []
+    for light in range(len(on.scene.lights)):
+        patch = Patch(on.scene, light)
+        grid = patch.grid(reference, flipped)
+        mass = grid["solid"] * on.density(light, reference, grid["position"], grid["normal"])
+        masses.append(mass.reshape(BINS, GRID // BINS, BINS, -1).sum(axis=(1, 3)).ravel())
+        texel = np.minimum((8 * grid["uv"]).astype(int), 7)
+        radiance = linear[texel[:, 1], texel[:, 0]] * grid["solid"][:, None]
+        expected = (
+            expected + np.maximum(np.concatenate([grid["direction"], -grid["direction"]], axis=1), 0).T @ radiance
+        )
+        here = used & (found["primitive"] == patch.primitive)
+        x, y = (np.clip((BINS * a).astype(int), 0, BINS - 1) for a in patch.of(found["position"][here]))
+        counts.append(np.bincount(x * BINS + y, minlength=BINS**2))
+        again = on.density(light, reference, found["position"][here], found["normal"][here])
+        np.testing.assert_allclose(found["pdf"][here], again, rtol=2e-4)
+    masses, counts = np.concatenate(masses), np.concatenate(counts)
+    assert counts.sum() == used.sum()
+    assert abs(masses.sum() - used.mean()) < Z * np.sqrt(0.25 / SAMPLES) + 1e-3
+    assert normal_deviate(counts.astype(float), used.sum() * masses / masses.sum()) < Z
+    faced = np.maximum(np.concatenate([found["direction"], -found["direction"]], axis=1), 0)
+    weight = np.where(used, 1 / np.where(used, found["pdf"], 1), 0)
+    estimate = faced[:, :, None] * (found["radiance"] * weight[:, None])[:, None, :]
+    se = estimate.std(axis=0) / np.sqrt(SAMPLES)
+    assert (np.abs(estimate.mean(axis=0) - expected) <= Z * se + 1e-3 * expected.max()).all(), (
+        estimate.mean(axis=0),
+        expected,
+    )
+
+
+# Emitters without a surface.
+
+
+def places(count: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, 3)) * 3
+
+
+@pytest.fixture(scope="module")
+def mitsuba():
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    return mi
+
+
+SPOTS = [
+    {},
+    {"cutoff_angle": 60.0, "beam_width": 10.0},
+    {"cutoff_angle": 80.0, "beam_width": 79.9},
+    {"cutoff_angle": 5.0},
+    {"cutoff_angle": 30.0, "beam_width": 0.0},
+]
+POINTS = [
+    {"type": "point", "position": [1.0, -2.0, 0.5], "intensity": RGB},
+    {"type": "point", "to_world": transform(1.0), "intensity": RGB},
+    *({"type": "spot", "to_world": transform(1.0, seed), "intensity": RGB} | s for seed, s in enumerate(SPOTS)),
+]
+
+
+@pytest.mark.parametrize("emitter", POINTS, ids=range(len(POINTS)))
+def test_point_and_spot_are_mitsubas(lit, mitsuba, emitter):
+    """What arrives at 400 places, half of them in the cone: to 1e-4 of the brightest at that distance, as an angle near
+    the axis has no more digits in Mitsuba, which takes it from its cosine."""
+    matrix = emitter.get("to_world", np.eye(4))
+    reference = places(400, 5)
+    if emitter["type"] == "spot":
+        tangent = np.tan(np.radians(emitter.get("cutoff_angle", 20.0)))
+        inside = np.random.default_rng(6).uniform(-1, 1, (200, 3)) * [tangent, tangent, 0] + [0, 0, 1]
+        reference[::2] = inside @ matrix[:3, :3].T * np.abs(places(200, 7)[:, :1]) + matrix[:3, 3]
+    found = lit(lamp=emitter).sample(reference, len(reference))
+    theirs = dict(emitter)
+    if "to_world" in theirs:
+        theirs["to_world"] = mitsuba.ScalarTransform4f(theirs["to_world"])
+    loaded, si = mitsuba.load_dict(theirs), mitsuba.SurfaceInteraction3f()
+    assert found["delta"].all()
+    for i, place in enumerate(reference.astype(np.float32)):
+        si.p = place
+        expected, value = loaded.sample_direction(si, (0.5, 0.5))
+        brightest = 3 / float(expected.dist) ** 2
+        np.testing.assert_allclose(found["radiance"][i], np.array(value), rtol=0, atol=1e-4 * brightest)
+        np.testing.assert_allclose(found["direction"][i], np.array(expected.d), atol=2e-6)
+    assert (found["radiance"].max(axis=1) > 0).sum() > 80
+    np.testing.assert_allclose(found["pdf"], 1)
+
+
+def test_directional(lit):
+    matrix = transform(1.0)
+    for given, along in (
+        ({"direction": [1.0, 2.0, -2.0]}, [1 / 3, 2 / 3, -2 / 3]),
+        ({"to_world": matrix}, matrix[:3, 2]),
+    ):
+        found = lit(sun={"type": "directional", "irradiance": RGB, **given}).sample((1.0, 2.0, 3.0), 10)
+        np.testing.assert_allclose(found["direction"], np.broadcast_to(-np.array(along), (10, 3)), atol=1e-6)
+        np.testing.assert_allclose(found["radiance"], np.broadcast_to(RGB["value"], (10, 3)), rtol=1e-6)
+        assert found["delta"].all()
+        assert found["infinite"].all()
+        assert (found["pdf"] == 1).all()
+
+
+def test_constant(lit):
+    """Uniform over the sphere: bins of cosine and azimuth alike in solid angle."""
+    found = lit(sky={"type": "constant", "radiance": RGB}).sample((1.0, 2.0, 3.0))
+    np.testing.assert_allclose(found["pdf"], 1 / (4 * np.pi), rtol=1e-6)
+    np.testing.assert_allclose(found["radiance"], np.broadcast_to(RGB["value"], (SAMPLES, 3)), rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(found["direction"], axis=1), 1, atol=1e-6)
+    x, y, z = found["direction"].T
+    row = np.minimum((10 * (z + 1)).astype(int), 19)
+    column = np.minimum((np.arctan2(y, x) / (2 * np.pi) % 1 * 20).astype(int), 19)
+    counts = np.bincount(20 * row + column, minlength=400).astype(float)
+    assert normal_deviate(counts, np.full(400, SAMPLES / 400)) < Z
+
+
+def test_several_emitters_share_the_picks(lit):
+    """The density counts the pick: the irradiance of all together is the sum of what each sends."""
+    lamps = {
+        "point": POINTS[0],
+        "sky": {"type": "constant", "radiance": 0.2},
+        "ball": SHAPES["sphere"][0] | {"emitter": {"type": "area", "radiance": 5.0}},
+        "plate": SHAPES["disk"][0] | {"emitter": {"type": "area", "radiance": RGB}},
+    }
+    reference, total, variance = (2.0, 1.0, -1.0), 0.0, 0.0
+    for objects in (*({name: lamp} for name, lamp in lamps.items()), lamps):
+        found = lit(**objects).sample(reference)
+        used = (found["pdf"] > 0) & (found["radiance"].max(axis=1) > 0)
+        estimate = np.where(used, np.abs(found["direction"][:, 0]) / np.where(used, found["pdf"], 1), 0)
+        estimate = estimate[:, None] * found["radiance"]
+        mean, spread = estimate.mean(axis=0), estimate.var(axis=0) / SAMPLES
+        if len(objects) == 1:
+            total, variance = total + mean, variance + spread
+    assert (np.abs(mean - total) < Z * np.sqrt(variance + spread)).all(), (mean, total)
