@@ -6,27 +6,14 @@
 
 #if FEATURE_LIGHT_TREE
 #define LIGHT_NODE_ROWS 12
-#define SHARE_BY_INTENSITY 0x1p-10f  // of the picks: so that nothing that a bound misses by rounding is never picked
+#define BY_SHARE 0x1p-10f  // of the picks: so that nothing that a bound misses by rounding is never picked
+#define LEAST_WEIGHT 1e-36f  // of all children of a node: its inverse is a number; below it the shares decide
 
 typedef struct {
     __global const float8* nodes;
     __global const uint* places;  // 8 * parent + slot of every light, then of every node; NONE has none
     uint lights;
 } LightTree;
-
-// Between the cosine of an angle and its bound, if the angle may be smaller by that under which a sphere appears, whose sine is
-// `apparent`: the bound is 0 where nothing can be seen, but for a wide sphere most light comes from near its middle.
-INLINE float8 likely_cosine(float8 cosine, float8 bound)
-{
-    return 0.5f * (LESSER(bound, (float8)(1.0f)) + GREATER(cosine, (float8)(0.0f)));
-}
-
-INLINE float sum_of(float8 v)
-{
-    const float4 four = v.lo + v.hi;
-    const float2 two = four.lo + four.hi;
-    return two.x + two.y;
-}
 
 INLINE float8 root_of(float8 v)
 {
@@ -36,53 +23,88 @@ INLINE float8 root_of(float8 v)
     return lanes.all;
 }
 
-// Probabilities of the children of a node, for a point that is lit. `normal`: there; its w is 1 where light from all sides counts
-// (then the rest is 0), else 0.
-INLINE float8 light_node_probabilities(__global const float8* node, float3 point, float4 normal)
+// `distance` times a cosine: between the one of a sphere's middle and its bound over the sphere, from which the light that
+// arrives is left out only if none does. All three are given times the distance.
+INLINE float8 likely_cosine(float8 middle, float8 bound, float8 distance)
 {
-    const float8 x = node[0] - point.x, y = node[1] - point.y, z = node[2] - point.z;
-    const float8 radius = node[3], share = node[4];
-    const float8 distance2 = GREATER(x * x + y * y + z * z, (float8)(1e-36f)), inverse = 1.0f / root_of(distance2);
-    // sine of half the angle under which the sphere appears; above 1 within it
-    const float8 apparent = radius * inverse;
-    const float8 incidence = (normal.x * x + normal.y * y + normal.z * z) * inverse + normal.w;
-    const float8 along = -(node[5] * x + node[6] * y + node[7] * z) * inverse;
-    const float8 across = root_of(GREATER(1.0f - along * along, (float8)(0.0f)));
-    const float8 spread = node[8];
-    const float8 emission = along > spread ? (float8)(1.0f) : along * spread + across * node[9];
-    const float8 brightness = share * likely_cosine(emission, emission + apparent) *
-                              likely_cosine(incidence, GREATER(incidence + apparent, (float8)(0.0f)));
-    const float8 weight = emission + apparent > node[10] ? brightness / GREATER(distance2, 0.25f * radius * radius) : (float8)(0.0f);
-    const float total = sum_of(weight);
-    return total > 0.0f ? (1.0f - SHARE_BY_INTENSITY) / total * weight + SHARE_BY_INTENSITY * share : share;
+    return 0.5f * (LESSER(GREATER(bound, (float8)(0.0f)), distance) + GREATER(middle, (float8)(0.0f)));
 }
 
-// Picks a light by a random number in [0, 1), given as `u` and what lies below its last bit. At every node the number is
-// scaled anew to [0, 1), as the sum of two floats, so that its 48 bits last for a million lights.
+// How much light the children of a node could send to a point, in a unit of the node's. `normal`: there; its w is 1 where light
+// from all sides counts (then the rest is 0), else 0. The sine of half the angle under which a sphere appears is radius /
+// distance; adding it to a cosine comes close to the cosine of the difference, and is 0 where that is.
+INLINE float8 light_node_weights(__global const float8* node, float3 point, float4 normal)
+{
+    const float8 x = node[0] - point.x, y = node[1] - point.y, z = node[2] - point.z, radius = node[3];
+    const float8 distance2 = GREATER(x * x + y * y + z * z, (float8)(1e-36f)), distance = root_of(distance2);
+    const float8 incidence = normal.x * x + normal.y * y + normal.z * z + normal.w * distance;
+    const float8 along = -(node[5] * x + node[6] * y + node[7] * z), spread = node[8];
+    const float8 across = root_of(GREATER(distance2 - along * along, (float8)(0.0f)));
+    const float8 emission = along > spread * distance ? distance : along * spread + across * node[9];
+    const float8 cosines = likely_cosine(emission, emission + radius, distance) * (1.0f / distance2) *
+                           likely_cosine(incidence, incidence + radius, distance);
+    const float8 weight = node[4] * cosines * (1.0f / GREATER(distance2, 0.25f * radius * radius));
+    return emission + radius > node[10] * distance ? weight : (float8)(0.0f);
+}
+
+INLINE float sum_of(float8 v)
+{
+    const float4 four = v.lo + v.hi;
+    const float2 two = four.lo + four.hi;
+    return two.x + two.y;
+}
+
+// Probability of a child, from its weight, those of all children, and its share of their intensity.
+INLINE float child_probability(float weight, float total, float share)
+{
+    return total > LEAST_WEIGHT ? (1.0f - BY_SHARE) / total * weight + BY_SHARE * share : share;
+}
+
+// The last lane of a mask: from the exponent of its bits as a float. 0 if there is none.
+INLINE uint last_lane(int8 mask)
+{
+    const int8 lanes = mask & (int8)(1, 2, 4, 8, 16, 32, 64, 128);
+    const int4 four = lanes.lo | lanes.hi;
+    const int2 two = four.lo | four.hi;
+    return (as_uint((float)(two.x | two.y | 1)) >> 23) - 127u;
+}
+
+// Picks a light by a random number in [0, 1), given as `u` and what lies below its last bit. At every node what is left of the
+// number is scaled to [0, 1) again, as the sum of two floats, so that its 48 bits last for a million lights.
 INLINE uint pick_from_tree(const LightTree* tree, float3 point, float4 normal, float u, float u_low, float* probability)
 {
     *probability = 1.0f;
-    int at = 0;
     float rest = 0x1p-24f * u_low;
+    int at = 0;
     do {
         __global const float8* node = tree->nodes + LIGHT_NODE_ROWS * at;
-        Lanes lanes;
-        lanes.all = light_node_probabilities(node, point, normal);
-        uint child = 0;
-        float begin = 0.0f, end = 0.0f;
-        for (uint i = 0; i < 8u; ++i) {
-            const bool reached = end <= u && lanes.lane[i] > 0.0f;
-            child = reached ? i : child;
-            begin = reached ? end : begin;
-            end += lanes.lane[i];
+        Lanes weight, part, begin;
+        part.all = weight.all = light_node_weights(node, point, normal);
+        const float total = sum_of(weight.all);
+        float scale = (1.0f - BY_SHARE) / total;
+        if (!(total > LEAST_WEIGHT)) {
+            part.all = node[4];
+            scale = 1.0f;
+        } else if (u >= 1.0f - BY_SHARE) {
+            part.all = node[4];
+            scale = 1.0f;
+            u = (u - (1.0f - BY_SHARE)) / BY_SHARE;
+            rest /= BY_SHARE;
         }
-        const float picked = lanes.lane[child], past = u - begin, lost = (u - past) - begin;
-        const float whole = past / picked;
-        rest = (FMA(-whole, picked, past) + (lost + rest)) / picked;
+        // sums of the parts before each lane
+        const float8 one = (float8)(0.0f, part.all.s0123, part.all.s45, part.all.s6);
+        const float8 two = one + (float8)(0.0f, one.s0123, one.s45, one.s6);
+        const float8 four = two + (float8)((float2)(0.0f), two.s0123, two.s45);
+        begin.all = scale * (four + (float8)((float4)(0.0f), four.s0123));
+        const uint child = last_lane((begin.all <= u) & (part.all > 0.0f));
+
+        const float width = scale * part.lane[child], inverse = 1.0f / width;
+        const float past = u - begin.lane[child], lost = (u - past) - begin.lane[child], whole = past * inverse;
+        rest = (FMA(-whole, width, past) + (lost + rest)) * inverse;
         u = GREATER(whole + rest, 0.0f);
         rest -= u - whole;
         u = LESSER(u, 0x1.fffffep-1f);
-        *probability *= picked;
+        *probability *= child_probability(weight.lane[child], total, ((__global const float*)(node + 4))[child]);
         at = ((__global const int*)(node + 11))[child];
     } while (at > 0);
     return (uint)~at;
@@ -94,11 +116,12 @@ INLINE float light_tree_probability(const LightTree* tree, uint light, float3 po
     uint place = tree->places[light];
     float probability = place == NONE ? 0.0f : 1.0f;
     while (place != NONE) {
-        const uint node = place >> 3;
-        Lanes lanes;
-        lanes.all = light_node_probabilities(tree->nodes + LIGHT_NODE_ROWS * node, point, normal);
-        probability *= lanes.lane[place & 7u];
-        place = tree->places[tree->lights + node];
+        const uint parent = place >> 3, slot = place & 7u;
+        __global const float8* node = tree->nodes + LIGHT_NODE_ROWS * parent;
+        Lanes weight;
+        weight.all = light_node_weights(node, point, normal);
+        probability *= child_probability(weight.lane[slot], sum_of(weight.all), ((__global const float*)(node + 4))[slot]);
+        place = tree->places[tree->lights + parent];
     }
     return probability;
 }

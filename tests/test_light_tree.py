@@ -19,14 +19,21 @@ from isonoise.scene.light_tree import ROWS, WIDTH, build_light_tree
 
 Z = 5.0
 BATCHES = 12
-BY_SHARE = 2.0**-10  # SHARE_BY_INTENSITY in kernels/light_tree.h
+BY_SHARE = 2.0**-10  # in kernels/light_tree.h
 KERNELS = """
 __kernel void node_probabilities(__global const float8* nodes, __global const uint* places, uint lights,
                                  __global const float4* points, __global const float4* normals,
                                  __global const uint* which, __global float8* out, uint n)
 {
     const uint i = get_global_id(0);
-    if (i < n) out[i] = light_node_probabilities(nodes + LIGHT_NODE_ROWS * which[i], points[i].xyz, normals[i]);
+    if (i >= n) return;
+    __global const float8* node = nodes + LIGHT_NODE_ROWS * which[i];
+    Lanes weight;
+    weight.all = light_node_weights(node, points[i].xyz, normals[i]);
+    const float total = sum_of(weight.all);
+    for (uint k = 0u; k < 8u; ++k)
+        weight.lane[k] = child_probability(weight.lane[k], total, ((__global const float*)(node + 4))[k]);
+    out[i] = weight.all;
 }
 
 __kernel void probability(__global const float8* nodes, __global const uint* places, uint lights,
