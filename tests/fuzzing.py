@@ -4,6 +4,7 @@ of them. An input passes if it loads, into finite numbers, or is refused with a 
 """
 
 import json
+import math
 import random
 import re
 import resource
@@ -348,6 +349,78 @@ def compiled_dict(name: str, sky: dict) -> None:
     compile_scene(load(scene))
 
 
+def dictionary(path: Path) -> None:
+    """A scene as a dict with some values of another kind; the file holds the number from which they are made."""
+    rng = random.Random(path.read_text())
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "volpath", "max_depth": 5},
+        "sensor": {
+            "type": "thinlens",
+            "aperture_radius": 0.1,
+            "to_world": np.eye(4),
+            "film": {"type": "hdrfilm", "width": 9},
+        },
+        "mesh": {
+            "type": "mesh",
+            "vertices": np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]),
+            "faces": np.array([[0, 1, 2]]),
+            "bsdf": {"type": "diffuse", "id": "matt", "reflectance": {"type": "rgb", "value": [0.1, 0.2, 0.3]}},
+        },
+        "ball": {"type": "sphere", "center": [0, 1, 2], "radius": 2.0, "paint": {"type": "ref", "id": "matt"}},
+        "fog": {"type": "cube", "interior": {"type": "homogeneous", "sigma_t": 0.5, "phase": {"type": "hg", "g": 0.1}}},
+        "lamp": {"type": "spot", "intensity": {"type": "spectrum", "value": [(400, 1.0), (700, 2.0)]}},
+    }
+    for _ in range(0 if path.read_text() == "sound" else rng.choice((1, 1, 2, 4))):
+        holders = [scene]
+        for holder in holders:
+            holders += [value for value in holder.values() if isinstance(value, dict)] if len(holders) < 40 else []
+        holder = rng.choice(holders)
+        key = rng.choice([*map(str, holder), rng.choice(NAMES)])
+        holder[key] = rng.choice(ODD)() if rng.random() < 0.9 else rng.choice(holders)
+    compile_scene(load(scene))
+
+
+ODD = [
+    *(
+        lambda value=value: value
+        for value in (None, True, -1, 0, 1, 10**400, 2**63, math.nan, -math.inf, 1e39, 1e30, 1e-40)
+    ),
+    *(
+        lambda value=value: value
+        for value in ("", "x", "rgb", "nan", b"bytes", 1j, (), (1,), (1, 2, 3), (math.nan, 0, 0))
+    ),
+    *(
+        lambda shape=shape: np.full(shape, 0.5)
+        for shape in ((), (0,), (3,), (4,), (3, 3), (4, 4), (0, 3), (5, 3), (2, 2, 2))
+    ),
+    *(lambda type_=type_: np.ones((3, 3), type_) for type_ in ("i8", "f2", "u1", "c8", "U1", "O", "M8[s]", "?")),
+    *(lambda value=value: np.full((4, 4), value) for value in (math.nan, 1e300, -1e38, 1e-300)),
+    *(
+        lambda: [],
+        dict,
+        object,
+        set,
+        lambda: [None],
+        lambda: {"type": None},
+        lambda: {"type": "sphere"},
+        lambda: iter(()),
+    ),
+    *(
+        lambda type_=type_: {"type": type_, "value": [1, "x"]}
+        for type_ in ("rgb", "spectrum", "ref", "scene", "diffuse")
+    ),
+    *(
+        lambda value=value: {"type": "rgb", "value": value}
+        for value in (None, [], [[1, 2, 3]], np.ones(3), "1 2 3", {}, 1e39)
+    ),
+    lambda: {"type": "spectrum", "value": [(1,), (2, 3)]},
+    lambda: np.float32(0.5),
+    lambda: np.int64(3),
+    lambda: Path("a.png"),
+]
+
+
 def picture(path: Path) -> None:
     """A picture as --reference and `isonoise info` take it."""
     read_header(path)
@@ -369,6 +442,7 @@ def _materials(path: Path) -> None:
 
 TARGETS = {
     "xml": Target(lambda: list(SCENES), "scene.xml", compiled, mutate_xml),
+    "dict": Target(lambda: [b"sound"], "number", dictionary, lambda data, rng: str(rng.random()).encode()),
     "xml-bytes": Target(lambda: [text.encode() for text in SCENES], "scene.xml", compiled),
     "obj": Target(lambda: [small_files.obj(relative=True)], "m.obj", compiled),
     "mtl": Target(lambda: [small_files.mtl()], "a.mtl", _materials),

@@ -22,6 +22,7 @@ _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a 
 _BLACK = {"type": "diffuse", "reflectance": 0.0}  # and where it shines
 _PATH = {"type": "path", "max_depth": -1, "rr_depth": 5, "hide_emitters": False}
 _DIRECT_DEPTH = 2  # light that arrives over one bounce
+_LARGEST = float(np.finfo(np.float32).max)
 _FARTHEST = 1e18  # the square of a distance, 1.2e37 at most, fits in 32-bit floats
 _SAMPLE_COUNT = 4  # Mitsuba 3's, where there is no sampler
 
@@ -230,14 +231,19 @@ def _lights(
         for emitter, value in zip(emitters, values[len(geometry.emissive) :], strict=True)
     ]
     if sky is not None:
-        sky.record["scale"] *= scale
+        with np.errstate(over="ignore"):  # the check below tells
+            sky.record["scale"] *= scale
     if not parts:
         return np.zeros(0, structs.LIGHT), np.zeros(0, structs.ALIAS), -1, scale
     lights = np.concatenate(parts)
     if not np.isfinite(lights["radiance"]).all():
         raise SceneError("an emitter's colour leaves the range of 32-bit floats")
+    textured = lights["texture"] != structs.NONE
+    if (textured.any() and scale > _LARGEST) or (sky is not None and not np.isfinite(sky.record["scale"]).all()):
+        raise SceneError("the lights are so dim that images in them leave the range of 32-bit floats")
     beyond = np.flatnonzero(np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP)))
     alias = lighting.alias_table(lighting.pick_probabilities(lights, bounds))
     lights["pick_probability"] = lighting.picked(alias)
-    lights["radiance"][lights["texture"] != structs.NONE] = scale  # times the texture
+    if textured.any():
+        lights["radiance"][textured] = scale  # times the texture
     return lights, alias, int(beyond[0]) if len(beyond) else -1, scale

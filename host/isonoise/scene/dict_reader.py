@@ -38,6 +38,7 @@ def _element(source: Mapping, path: str, depth: int) -> Element:
 def _value(value, path: str, depth: int):
     if isinstance(value, Mapping):
         kind = value.get("type")
+        kind = kind if isinstance(kind, str) else None
         if kind in ("rgb", "spectrum"):
             return dict(value)
         if kind == "ref":
