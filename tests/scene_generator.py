@@ -22,6 +22,7 @@ _INDICES = ("air", "water", "bk7", "diamond", "acetone", "pet", "vacuum")
 _OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic", "principled")
 _CLEAR = ("dielectric", "thindielectric", "roughdielectric")
 _BUMPY = ("bumpmap", "normalmap")
+_TEXTURES = ("bitmap", "bitmap", "checkerboard")
 _FLAT = ("rectangle", "disk")
 _CLOSED = ("cube", "sphere")
 _MESHES = ("obj", "ply", "serialized")
@@ -174,15 +175,15 @@ class _Writer:
 
     # shapes
 
-    def transform(self, place, size: float, even: bool = False):
-        """A function that writes a transform into a shape of about size 1; `even`: by one factor along all axes."""
+    def transform(self, place, size: float, mirrored: bool = True):
+        """A function that writes a transform into a shape of about size 1; `mirrored`: it may be a mirror image."""
 
         def write(shape):
-            uneven = not (even or shape.get("type") in ("sphere", "cylinder"))
+            uneven = shape.get("type") not in ("sphere", "cylinder")
             to_world = self.tag(shape, "transform", name="to_world")
             if uneven and self.chance(0.4):
                 self.tag(to_world, "scale", value=[self.between(0.4, 1.3) for _ in range(3)])
-            if self.chance(0.15):
+            if mirrored and self.chance(0.15):
                 self.tag(to_world, "scale", **{self.r.choice("xyz"): -1})
             self.tag(to_world, "scale", value=size)
             self.turn(to_world, self.between(-180, 180))
@@ -306,7 +307,7 @@ class _Writer:
             nested()
             nested()
         elif kind == "bumpmap":
-            self.texture(bsdf, "", 0.0, 1.0, number=True)
+            self.texture(bsdf, "", 0.0, 1.0, number=True, kinds=("bitmap",))  # Mitsuba has the slope of no other
             self.float(bsdf, "scale", self.between(-0.08, 0.08))
             nested()
         elif kind == "normalmap":
@@ -438,9 +439,8 @@ class _Writer:
         else:
             self.float(parent, name, self.between(low, high))
 
-    def texture(self, parent, name: str, low: float, high: float, number: bool = False, attribute: str = ""):
+    def texture(self, parent, name: str, low, high, number: bool = False, attribute: str = "", kinds=_TEXTURES):
         """A texture with values from low to high."""
-        kinds = ["bitmap", "bitmap", "checkerboard"]
         is_colour = attribute == "vertex_color"
         if attribute and is_colour != number and self.chance(0.6) and low > 0 and high < 1:
             texture = self.tag(parent, "texture", "mesh_attribute", name=name)
@@ -516,20 +516,28 @@ class _Writer:
             )
 
     def area_light(self, place):
-        kind = self.r.choice((*_FLAT, *_CLOSED, "cylinder", *_MESHES))
+        """A shape that shines. Mitsuba samples textured light by the image, laid once over the shape's uv: so it has to
+        be a bitmap without `to_uv`, and a shape that has every uv once. Mirrored cylinders shine to one side where it
+        samples them, and to the other where rays meet them.
+        """
+        textured = self.chance(0.3)
+        kind = self.r.choice((*_FLAT, "sphere") if textured else (*_FLAT, *_CLOSED, "cylinder", *_MESHES))
         shape = self.tag(self.root, "shape", kind)
-        attribute = self.geometry(shape, kind)
+        self.geometry(shape, kind)
         if kind in _FLAT:
             to_world = self.tag(shape, "transform", name="to_world")
             self.tag(to_world, "scale", x=self.between(0.8, 1.6), y=self.between(0.8, 1.6), z=1)
             self.tag(to_world, "lookat", origin=place, target=(0, -1, 0), up=(0, 0, 1))
         else:
-            self.transform(place, self.between(0.5, 0.9))(shape)
+            self.transform(place, self.between(0.5, 0.9), mirrored=kind != "cylinder" and not textured)(shape)
         if self.chance(0.4):
             self.material(shape, 1)
         emitter = self.tag(shape, "emitter", "area")
-        if self.chance(0.35):
-            self.texture(emitter, "radiance", 0.3, 0.95, attribute=attribute)
+        if textured:
+            texture = self.tag(emitter, "texture", "bitmap", name="radiance")
+            level = self.between(1, 6)
+            values = level * self.arrays.uniform(0.2, 1, (self.r.randint(2, 6), self.r.randint(2, 6), 3))
+            self.bitmap(texture, values, self.r.choice(("exr", "hdr")))
         else:
             self.emission(emitter, "radiance", self.between(2, 8))
 
