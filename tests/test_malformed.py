@@ -16,7 +16,8 @@ import pytest
 import small_files
 
 from isonoise.cli import main
-from isonoise.errors import SceneError
+from isonoise.errors import SceneError, UserError
+from isonoise.film.exr import read_reference
 from isonoise.scene import compile_scene, load
 
 SECONDS = 5.0  # of the processor
@@ -266,6 +267,17 @@ def test_pipes_that_nobody_writes_to(case, tmp_path, capsys):
 def test_files_that_may_not_be_read(tmp_path, capsys):
     write(tmp_path / "m.ply", small_files.ply()).chmod(0)
     assert_refused(write(tmp_path / "scene.xml", SCENE.format(SHAPE.format("ply"))), "Permission denied", capsys)
+
+
+@pytest.mark.parametrize("size", [(SIDE, SIDE), (2**31, 2**31), (0, 5)])
+def test_pictures_that_claim_too_much(size, tmp_path, capsys):
+    """As --reference, and for isonoise info."""
+    path = write(tmp_path / "m.exr", exr_of(*size))
+    with pytest.raises(UserError, match=r"m\.exr"):
+        read_reference(path)
+    if size[0]:
+        assert main(["info", str(path)]) == 2
+        assert "m.exr" in capsys.readouterr().err
 
 
 def test_includes_inside_of_objects(tmp_path, capsys):

@@ -1,5 +1,6 @@
 """OpenEXR files: images with named layers, how they were made in the header, and references with standard errors."""
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,6 +9,8 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.files import write_whole
+
+_DENSEST = 1 << 14  # pixels that a byte of a file can stand for
 
 
 def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header: Mapping[str, object]) -> None:
@@ -114,8 +117,12 @@ def _open(path: str | os.PathLike, header_only: bool):
     if not OpenEXR.isOpenExrFile(str(path)):
         raise UserError(f"cannot read '{path}': it is not an OpenEXR file")
     try:
-        file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
-    except (OSError, RuntimeError, ValueError) as error:
+        file = OpenEXR.File(str(path), separate_channels=True, header_only=True)
+        low, high = file.header()["dataWindow"]
+        if math.prod(int(side) + 1 for side in np.subtract(high, low, dtype=np.int64)) > _DENSEST * path.stat().st_size:
+            raise ValueError("it claims more pixels than it can hold")
+        file = file if header_only else OpenEXR.File(str(path), separate_channels=True)
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise UserError(f"cannot read '{path}': {error}") from error
     if not file.parts:  # what the library makes of pixels that it cannot read
         raise UserError(f"cannot read '{path}': the file is cut off or damaged")

@@ -1,5 +1,6 @@
 """STL and GLB through trimesh: triangles and base colours of every part, as the file has them."""
 
+import contextlib
 import json
 import logging
 import math
@@ -88,11 +89,13 @@ def _check_claims(path: Path) -> None:
 
     Whatever else is wrong with the file is left to trimesh.
     """
-    data = read_bytes(path)
+    data, claimed = read_bytes(path), 0
     try:
-        header = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
-        claimed = sum(4 * int(a["count"]) * _NUMBERS[a["type"]] for a in header.get("accessors", []))
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, struct.error, RecursionError):
+        accessors = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])["accessors"]
+    except (ValueError, KeyError, TypeError, struct.error, RecursionError):
         return
+    for accessor in accessors if isinstance(accessors, list) else ():
+        with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError):
+            claimed += 4 * abs(int(accessor["count"])) * _NUMBERS[accessor["type"]]
     if claimed > _SMALL + _RATIO * len(data):
         raise SceneError(f"{path}: its accessors claim {claimed >> 20} MiB, more than the file can hold")
