@@ -21,7 +21,7 @@ def as_mitsuba(mitsuba, scene: dict) -> dict:
     for name, value in scene.items():
         if isinstance(value, dict):
             value = as_mitsuba(mitsuba, value)
-        elif name == "to_world":
+        elif name in ("to_world", "to_uv"):
             value = mitsuba.ScalarTransform4f(np.asarray(value, float))
         result[name] = value
     return result
