@@ -15,7 +15,7 @@ from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.wavefront import STRUCTS
 from isonoise.scene import compile_scene, load, structs, textures
-from isonoise.scene.images import srgb_to_linear
+from isonoise.scene.spectra import srgb_to_linear
 from isonoise.scene.triangles import triangle_records
 
 Z = 5.0

@@ -9,8 +9,8 @@ from PIL import Image
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
 from isonoise.errors import SceneError
-from isonoise.scene import structs, textures
-from isonoise.scene.images import srgb_to_linear
+from isonoise.scene import compile_scene, load, structs, textures
+from isonoise.scene.spectra import srgb_to_linear
 from isonoise.scene.textures import MeshAttributes, Textures
 
 KERNEL = """
@@ -32,6 +32,23 @@ KINDS = ("BITMAPS", "CHECKERBOARDS", "MESH_ATTRIBUTES")
 ROUNDING = 1e-5
 """Absolute, of values up to 1 at |uv| up to 4: a place is off by 4 x 7 texels x 2^-24 of itself, and the slope is at
 most 1 a texel; a few such errors add up."""
+PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+property float r
+property float g
+property float b
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0 1 0 0
+1 0 0 0 1 0
+0 1 0 0 0 1
+3 0 1 2
+"""
 NUMBER = np.array([0.212671, 0.715160, 0.072169])
 
 
@@ -356,14 +373,27 @@ def test_means(files):
     assert collected.mean(linear) == pytest.approx(0.5, abs=0.15)
 
 
-def test_which_attribute_a_texture_reads(files):
-    collected = Textures()
-    attribute = {"type": "mesh_attribute", "name": "vertex_color"}
-    board = {"type": "checkerboard", "color0": 0.1, "color1": attribute}
-    assert collected.attribute(collected.index(board, "reflectance")) == "vertex_color"
-    assert collected.attribute(collected.index({"type": "uniform", "value": 0.5}, "reflectance")) is None
+def test_attributes_that_a_mesh_lacks(tmp_path):
+    """The error names the shape, whatever holds the texture; a mesh that has the attribute is none the wiser."""
+    (tmp_path / "mesh.ply").write_text(PLY)
+    attribute = {"type": "mesh_attribute", "name": "vertex_heat"}
+    board = {"type": "checkerboard", "color0": 0.1, "color1": attribute | {"name": "vertex_color"}}
+    wrapped = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": board}}
+    ply = {"type": "ply", "filename": str(tmp_path / "mesh.ply")}
+
+    def compiled(**shape):
+        return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "thing": shape}))
+
+    assert len(compiled(**ply, bsdf=wrapped).attributes) == 3
+    for shape, message in (
+        (ply | {"bsdf": {"type": "diffuse", "reflectance": attribute}}, "'vertex_heat'.*it has: vertex_color"),
+        (ply | {"emitter": {"type": "area", "radiance": attribute}}, "'vertex_heat', which its area reads"),
+        ({"type": "sphere", "bsdf": wrapped}, "'vertex_color', which its twosided reads .it has: none"),
+    ):
+        with pytest.raises(SceneError, match=f"thing.*has no attribute {message}"):
+            compiled(**shape)
     with pytest.raises(SceneError, match="begin with 'vertex_' or 'face_'"):
-        collected.index(attribute | {"name": "color"}, "reflectance")
+        Textures().index(attribute | {"name": "color"}, "reflectance")
 
 
 def test_missing_image(tmp_path):

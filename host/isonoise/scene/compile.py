@@ -16,7 +16,7 @@ from isonoise.scene.images import read_image
 from isonoise.scene.instances import instance_records, separate
 from isonoise.scene.media import Media
 from isonoise.scene.surfaces import Surface, make_surface
-from isonoise.scene.textures import MeshAttributes, Textures, is_plain
+from isonoise.scene.textures import MeshAttributes, Textures, attributes_read, is_plain
 
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none,
 _BLACK = {"type": "diffuse", "reflectance": 0.0}  # and where it shines
@@ -42,6 +42,8 @@ def compile_scene(
     volumetric = integrator["type"] == "volpath"
     world, groups, placed = separate(_of_kind(description, "shape"))
     spaces = [{where: make_surface(shape, where) for where, shape in shapes.items()} for shapes in (world, *groups)]
+    for part, surfaces in zip((world, *groups), spaces, strict=True):
+        _check_attributes(part, surfaces)
     instances = instance_records(placed)
     bounds = _bounds(spaces, instances, list(placed))
     shapes = [shape for space in (world, *groups) for shape in space.values()]
@@ -130,6 +132,20 @@ def _box(boxes: dict[str, np.ndarray]) -> np.ndarray:
     if not np.abs(corners[farthest]).max() <= _FARTHEST:
         raise SceneError(f"{list(boxes)[farthest]} reaches beyond {_FARTHEST:g}: its distances overflow 32-bit floats")
     return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+
+
+def _check_attributes(shapes: dict[str, dict], surfaces: dict[str, Surface]) -> None:
+    """Raise SceneError where a material or a light reads an attribute that its shape does not have."""
+    read: dict[int, set[str]] = {}
+    for where, shape in shapes.items():
+        for part in (shape[name] for name in ("bsdf", "emitter") if name in shape):
+            if id(part) not in read:
+                read[id(part)] = attributes_read(part)
+            for name in sorted(read[id(part)] - surfaces[where].attributes.keys()):
+                having = ", ".join(surfaces[where].attributes) or "none"
+                raise SceneError(
+                    f"{where} has no attribute '{name}', which its {part['type']} reads (it has: {having})"
+                )
 
 
 def _group_begins(spaces: list[dict[str, Surface]]) -> np.ndarray:

@@ -14,6 +14,7 @@ from isonoise.errors import SceneError
 from isonoise.scene import transforms
 from isonoise.scene.framing import Part
 from isonoise.scene.meshes import Mesh, read_bytes
+from isonoise.scene.spectra import srgb_to_linear
 
 _TEXELS = 1 << 26  # of a texture, of which only the mean counts
 _SMALL, _RATIO = 1 << 20, 16  # bytes that accessors may claim, and for each of the file's; they may share their data
@@ -77,9 +78,7 @@ def _colours(material) -> tuple[tuple[float, ...], tuple[float, ...] | None]:
         raise ValueError(f"a texture of {texture.size[0]} x {texture.size[1]} pixels")
     if texture is not None:
         encoded = np.asarray(texture.convert("RGB").resize((64, 64)), float) / 255.0
-        # IEC 61966-2-1
-        linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-        colour = colour * linear.mean(axis=(0, 1))
+        colour = colour * srgb_to_linear(encoded).mean(axis=(0, 1))
     shines = emission is not None and np.max(emission) > 0
     return tuple(np.clip(colour, 0.0, 1.0)), tuple(np.asarray(emission, float)) if shines else None
 

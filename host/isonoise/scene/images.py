@@ -15,6 +15,7 @@ from isonoise.errors import SceneError
 from isonoise.scene.meshes import regular_file
 from isonoise.scene.rgbe import is_rgbe, read_rgbe, rgbe_size
 from isonoise.scene.source import Place
+from isonoise.scene.spectra import srgb_to_linear
 
 _LARGEST = 1 << 31  # bytes of decoded pixels
 _DENSEST = 1 << 14  # pixels that a byte of a file can stand for; with zlib 1032 x 8 of one bit
@@ -39,11 +40,6 @@ class Image:
         largest = np.iinfo(self.pixels.dtype).max
         values = np.arange(largest + 1) / largest
         return (values if raw else srgb_to_linear(values)).astype(np.float32)[self.pixels]
-
-
-def srgb_to_linear(values: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, the transfer function of sRGB."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def read_image(path: str | os.PathLike) -> Image:

@@ -5,6 +5,8 @@ from itertools import groupby
 
 import numpy as np
 
+from isonoise.scene.spectra import srgb_to_linear
+
 _SCHEMES = ("xyzw", "rgba", "0123", "1234")  # last letters of the components of one attribute
 _SIZES = (1, 3)  # numbers of components that an attribute may have
 _RED = ("red", "green", "blue", "alpha")
@@ -36,7 +38,7 @@ def attributes_of(names: Sequence[str], element: str) -> dict[str, list[int]]:
 def attribute_values(columns: Sequence[np.ndarray], types: Sequence[str]) -> np.ndarray:
     """(n, c) float32 of columns (n,) whose numpy types in the file's header were `types`.
 
-    Whole numbers are colours: their largest stands for 1 and sRGB's curve (IEC 61966-2-1) is taken off, as Mitsuba 3
+    Whole numbers are colours: their largest stands for 1 and sRGB's curve is taken off, as Mitsuba 3
     does. (3.9.1 leaves out unsigned bytes, by a slip that would make 255 a reflectance; those before it do not.)
     """
     result = np.empty((len(columns[0]), len(columns)), np.float32)
@@ -52,6 +54,4 @@ def attribute_values(columns: Sequence[np.ndarray], types: Sequence[str]) -> np.
 
 
 def _linear(numbers: np.ndarray, type_: str) -> np.ndarray:
-    encoded = np.asarray(numbers, np.float64) / np.iinfo(type_).max
-    curve = ((np.maximum(encoded, 0.0) + 0.055) / 1.055) ** 2.4
-    return np.where(encoded <= 0.04045, encoded / 12.92, curve)
+    return srgb_to_linear(np.asarray(numbers, np.float64) / np.iinfo(type_).max)

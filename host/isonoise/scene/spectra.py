@@ -21,6 +21,12 @@ LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 """Luminance of linear Rec. 709 RGB."""
 
 
+def srgb_to_linear(values: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, the transfer function of sRGB; for numbers of any size."""
+    curve = ((np.maximum(values, 0.0) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 0.04045, values / 12.92, curve)
+
+
 @lru_cache(maxsize=1)
 def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Wavelengths (1000,), RGB weights of an emission (1000, 3), and the same under D65."""

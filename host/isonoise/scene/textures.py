@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.images import read_image, srgb_to_linear
-from isonoise.scene.spectra import colour_to_rgb
+from isonoise.scene.images import read_image
+from isonoise.scene.spectra import colour_to_rgb, srgb_to_linear
 
 TEXTURE_COLOUR, TEXTURE_BITMAP, TEXTURE_CHECKERBOARD, TEXTURE_MESH_ATTRIBUTE = range(4)
 TEXTURE_NEAREST, TEXTURE_MIRROR, TEXTURE_CLAMP, TEXTURE_RAW, TEXTURE_FLOATS, TEXTURE_PER_FACE = (
@@ -55,6 +55,18 @@ def plain_colour(value, kind: str) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, float), 3).copy()
 
 
+def attributes_read(part: dict) -> set[str]:
+    """Names of the mesh attributes that the textures inside a part of the description read."""
+    names, queue, passed = set(), [part], set()
+    while queue:
+        part = queue.pop()
+        if id(part) not in passed:  # references may name one object twice on every level
+            passed.add(id(part))
+            names |= {part["name"]} if part.get("type") == "mesh_attribute" else set()
+            queue += [value for value in part.values() if isinstance(value, dict)]
+    return names
+
+
 @dataclass(frozen=True)
 class MeshAttributes:
     """What one mesh of the scene has to offer, in the order of the meshes."""
@@ -80,7 +92,6 @@ class Textures:
     def __init__(self):
         self._records: list[np.ndarray] = []
         self._means: list[np.ndarray] = []
-        self._attributes: list[str | None] = []
         self._known: dict[bytes, int] = {}
         self._met: dict[tuple[int, str], tuple[dict, int]] = {}  # by identity; the dict itself, so that it lives
         self._names: list[str] = []  # of the mesh attributes in use
@@ -100,7 +111,7 @@ class Textures:
         return self._enter(texture, kind)
 
     def _enter(self, texture, kind: str) -> int:
-        record, attribute = np.zeros(1, TEXTURE), None
+        record = np.zeros(1, TEXTURE)
         if is_plain(texture):
             mean = plain_colour(texture, kind)
             record["kind"], record["colour"] = TEXTURE_COLOUR, mean
@@ -110,24 +121,18 @@ class Textures:
             record["kind"], record["to_uv"] = TEXTURE_CHECKERBOARD, _to_uv(texture)
             record["nested"] = nested = [self.index(texture[name], kind) for name in ("color0", "color1")]
             mean = 0.5 * (self._means[nested[0]] + self._means[nested[1]])
-            attribute = self._attributes[nested[0]] or self._attributes[nested[1]]
         else:
-            mean, attribute = self._mesh_attribute(record, texture), texture["name"]
+            mean = self._mesh_attribute(record, texture)
         key = record.tobytes()
         if key not in self._known:
             self._known[key] = len(self._records)
             self._records.append(record)
             self._means.append(mean)
-            self._attributes.append(attribute)
         return self._known[key]
 
     def mean(self, index: int) -> np.ndarray:
         """Mean linear RGB (3,) float64 over one period of the texture; of a mesh attribute its scale."""
         return self._means[index]
-
-    def attribute(self, index: int) -> str | None:
-        """Name of the mesh attribute that a texture, or one inside it, reads: a mesh that shows it has to have that."""
-        return self._attributes[index]
 
     def arrays(self, meshes: Sequence[MeshAttributes] = ()) -> TextureArrays:
         """Everything that was collected; `meshes` are those of the scene, in the order of their vertices and faces."""
