@@ -45,7 +45,8 @@ def _vector(value) -> tuple[float, float, float] | None:
 
 
 def _transform(value) -> np.ndarray | None:
-    good = isinstance(value, np.ndarray) and value.shape == (4, 4) and bool((np.abs(value) <= _LARGEST).all())
+    good = isinstance(value, np.ndarray) and value.shape == (4, 4) and value.dtype.kind in "iuf"
+    good = good and bool((np.abs(value) <= _LARGEST).all())
     return value.astype(np.float64) if good else None
 
 
@@ -53,13 +54,17 @@ def _integer(value) -> int | None:
     return int(value) if isinstance(value, int) and not isinstance(value, bool) else None
 
 
+def _is_table(value) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 3
+
+
 def _positions(value) -> np.ndarray | None:
-    good = isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 3 and np.isfinite(value).all()
+    good = _is_table(value) and value.dtype.kind in "iuf" and np.isfinite(value).all()
     return value.astype(np.float64) if good else None
 
 
 def _indices(value) -> np.ndarray | None:
-    good = isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 3 and value.dtype.kind in "iu"
+    good = _is_table(value) and value.dtype.kind in "iu"
     return value.astype(np.int64) if good else None
 
 
