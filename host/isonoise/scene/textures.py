@@ -163,6 +163,8 @@ class Textures:
         height, width, channels = image.pixels.shape
         store = 0 if image.pixels.dtype == np.uint8 else TEXTURE_FLOATS
         values = image.linear(raw) if store else image.pixels
+        if store and not (np.isfinite(values.min()) and np.isfinite(values.max())):
+            raise SceneError(f"{path}: the image has pixels that are no finite numbers")
         texels = np.zeros((height * width, 4), values.dtype)
         texels[:, :3] = values.reshape(-1, channels)
         first = sum(len(other) for other in self._texels[store])
