@@ -123,7 +123,8 @@ INLINE float3 fresnel_conductor(float cos_i, float3 eta, float3 k)
     const float3 a = sqrt(fmax(0.5f * (a2_plus_b2 + t0), 0.0f));
     const float3 t1 = a2_plus_b2 + cos2, t2 = 2.0f * cos_i * a;
     const float3 perpendicular = (t1 - t2) / (t1 + t2);
-    const float3 t3 = cos2 * a2_plus_b2 + sin2 * sin2, t4 = t2 * sin2;
+    // at normal incidence all of t3 and t4 vanishes where eta and k are 0, as of some metal in one colour
+    const float3 t3 = cos2 * a2_plus_b2 + sin2 * sin2 + 1e-30f, t4 = t2 * sin2;
     const float3 parallel = perpendicular * (t3 - t4) / (t3 + t4);
     return 0.5f * (parallel + perpendicular);
 }

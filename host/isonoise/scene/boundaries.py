@@ -15,8 +15,12 @@ _FEW_NODES, _MANY_NODES = 32, 128  # of quadrature along either axis; many where
 def inner_reflectance(eta: float) -> float:
     """Mean reflectance of a smooth boundary for diffuse light from within; `eta` is inner over outer index.
 
-    Fits for eta > 1 (Egan and Hilgeman 1973, to 0.6 % below 2) and eta <= 1 (d'Eon and Irving 2011, 0.2 %).
+    Fits for eta > 1 (Egan and Hilgeman 1973, to 0.6 % below 2) and eta <= 1 (d'Eon and Irving 2011, 0.2 %). Above 3 the
+    true one, by quadrature: the fit, and so Mitsuba 3, makes more light than comes in, and from 3.9 on less than none.
     """
+    if eta > 3.0:
+        cosines = (np.arange(4096) + 0.5) / 4096
+        return float(2.0 * (_fresnel(cosines, 1.0 / eta)[0] * cosines).mean())
     if eta > 1.0:
         return -1.4399 / eta**2 + 0.7099 / eta + 0.6681 + 0.0636 * eta
     return float(np.polyval([-1.36881, 4.98554, -7.80989, 6.75335, -3.4793, 0.919317], eta))
