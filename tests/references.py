@@ -65,8 +65,9 @@ def from_batches(batches: np.ndarray) -> Estimate:
 def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
     """Independent images of a scene, (batches, height, width, 3) float64: what each wave of one render has brought.
 
-    Hierarchy and programs are made once, the programs for few paths alone: PoCL compiles anew for 2^16 and more. As a difference of float32 means a batch carries a rounding error of up to
-    batches * 2^-24 of its value. No sample may be rejected.
+    Hierarchy and programs are made once, the programs for few paths alone: PoCL compiles anew for 2^16 and more. As a
+    difference of float32 means a batch carries a rounding error of up to batches * 2^-24 of its value. No sample may
+    be rejected.
     """
     renderer = isonoise.Renderer(scene, strategy=f"uniform:wave_spp={spp}", seed=seed, pool_size=1 << 15)
     sums = [0.0]
