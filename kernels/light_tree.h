@@ -7,7 +7,7 @@
 #if FEATURE_LIGHT_TREE
 #define LIGHT_NODE_ROWS 12
 #define BY_SHARE 0x1p-10f  // of the picks: so that nothing that a bound misses by rounding is never picked
-#define LEAST_WEIGHT 1e-36f  // of all children of a node: its inverse is a number; below it the shares decide
+#define LEAST_WEIGHT 1e-30f  // of all children of a node: its inverse is a number; below it the shares decide
 
 typedef struct {
     __global const float8* nodes;
@@ -23,6 +23,20 @@ INLINE float8 root_of(float8 v)
     return lanes.all;
 }
 
+INLINE float sum_of(float8 v)
+{
+    const float4 four = v.lo + v.hi;
+    const float2 two = four.lo + four.hi;
+    return two.x + two.y;
+}
+
+INLINE float least_of(float8 v)
+{
+    const float4 four = LESSER(v.lo, v.hi);
+    const float2 two = LESSER(four.lo, four.hi);
+    return LESSER(two.x, two.y);
+}
+
 // `distance` times a cosine: between the one of a sphere's middle and its bound over the sphere, from which the light that
 // arrives is left out only if none does. All three are given times the distance.
 INLINE float8 likely_cosine(float8 middle, float8 bound, float8 distance)
@@ -30,7 +44,7 @@ INLINE float8 likely_cosine(float8 middle, float8 bound, float8 distance)
     return 0.5f * (LESSER(GREATER(bound, (float8)(0.0f)), distance) + GREATER(middle, (float8)(0.0f)));
 }
 
-// How much light the children of a node could send to a point, in a unit of the node's. `normal`: there; its w is 1 where light
+// How much light the children of a node could send to a point, in a unit of its own. `normal`: there; its w is 1 where light
 // from all sides counts (then the rest is 0), else 0. The sine of half the angle under which a sphere appears is radius /
 // distance; adding it to a cosine comes close to the cosine of the difference, and is 0 where that is.
 INLINE float8 light_node_weights(__global const float8* node, float3 point, float4 normal)
@@ -43,15 +57,9 @@ INLINE float8 light_node_weights(__global const float8* node, float3 point, floa
     const float8 emission = along > spread * distance ? distance : along * spread + across * node[9];
     const float8 cosines = likely_cosine(emission, emission + radius, distance) * (1.0f / distance2) *
                            likely_cosine(incidence, incidence + radius, distance);
-    const float8 weight = node[4] * cosines * (1.0f / GREATER(distance2, 0.25f * radius * radius));
+    const float8 reach2 = GREATER(distance2, 0.25f * radius * radius);
+    const float8 weight = node[4] * cosines * (least_of(reach2) / reach2);  // whatever the scale, it is below 1
     return emission + radius > node[10] * distance ? weight : (float8)(0.0f);
-}
-
-INLINE float sum_of(float8 v)
-{
-    const float4 four = v.lo + v.hi;
-    const float2 two = four.lo + four.hi;
-    return two.x + two.y;
 }
 
 // Probability of a child, from its weight, those of all children, and its share of their intensity.

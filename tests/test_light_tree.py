@@ -369,11 +369,14 @@ def test_a_hundred_thousand_lights_are_picked_evenly(device):
 def test_scale_and_place_change_no_probability(device, scale):
     scene = compiled(**mixed_lights(40, beyond=False))
     tree, lights = build_light_tree(scene), len(scene.lights)
-    tree.nodes[:, :4] *= np.float32(scale)
+    used = tree.nodes[:, 4] > 0
+    for row in range(4):
+        tree.nodes[:, row][used] *= np.float32(scale)
     points, normals = some_points(np.random.default_rng(8), 32)
     of = (np.repeat(normals, lights, 0), np.tile(np.arange(lights), 32))
     scaled = device.probability(tree, lights, np.repeat(points * np.float32(scale), lights, 0), *of)
-    tree.nodes[:, :4] /= np.float32(scale)
+    for row in range(4):
+        tree.nodes[:, row][used] /= np.float32(scale)
     np.testing.assert_allclose(
         scaled, device.probability(tree, lights, np.repeat(points, lights, 0), *of), rtol=2e-4, atol=1e-6
     )

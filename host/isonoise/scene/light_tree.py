@@ -16,12 +16,15 @@ from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.emission import Emission, emission_of, joined
 from isonoise.scene.ploc import BinaryTree, build_binary_tree
 
-FEWEST = 16
-"""Lights from which on the tree is used."""
+FEWEST = 4
+"""Lights from which on the tree is used. Four lamps that stand apart: half the variance at equal time. One panel of
+four triangles, and a room with 21 lights near each other: as good as the alias table."""
 ROWS = 12
 """float8 of a node: center x, y, z and radius of the spheres around its children; their shares of the intensity, which
 sum to 1; axes x, y, z of the cones; cosine and sine of their half angles; cosine of the angle up to which light leaves;
 the children (int32 bits): above 0 a node, else ~light. Where there is no child, the share is 0."""
+_NOWHERE = 1e18
+"""Radius where there is no child: that is never the nearest."""
 _LEAST_SHARE = 1e-30
 """So that whatever has power is picked with a probability that 32-bit floats can tell from none."""
 
@@ -84,6 +87,7 @@ def _records(slots: np.ndarray, bounds: Emission, lights: np.ndarray) -> np.ndar
     of = bounds[slots[used]]
     center = 0.5 * (of.lower + of.upper)
     nodes = np.zeros((len(slots), ROWS, WIDTH), np.float32)
+    nodes[:, 3] = _NOWHERE
 
     def enter(row: int, values: np.ndarray) -> None:
         nodes[:, row][used] = values
