@@ -37,12 +37,15 @@ INLINE bool fly(__global const Medium* medium, float4 u, float* distance, float3
 }
 
 // Makes of the surface that a ray would meet at `ahead` the point of its medium at `distance`, which has no normal. It is
-// reckoned from the nearer end, so that in media denser than floats are fine it does not come to lie beyond the surface.
+// reckoned from the nearer end and is not closer to the surface than the error of that, so that it is not beyond it.
 INLINE void enter_volume(Surface* s, bool has_end, float3 origin, float3 direction, float distance, float ahead, uint phase)
 {
     float3 position = origin + distance * direction;
-    if (has_end && distance > 0.5f * ahead)
-        position = offset_origin(s->position, s->error, s->geometric_normal, -direction) - (ahead - distance) * direction;
+    if (has_end && distance > 0.5f * ahead) {
+        const float3 back = (distance - ahead) * direction, normal = s->geometric_normal;
+        const float off = dot3(normal, back), least = dot3(abs3(normal), s->error + 0x1p-23f * abs3(s->position));
+        position = s->position + back + with_sign(GREATER(least - abs1(off), 0.0f), off) * normal;
+    }
     s->position = position;
     s->error = s->geometric_normal = (float3)(0.0f);
     s->normal = (float3)(0.0f, 0.0f, 1.0f);
