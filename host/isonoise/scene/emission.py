@@ -88,10 +88,14 @@ def emission_of(scene: CompiledScene, lights: np.ndarray) -> Emission:
 
 
 def _triangles(scene: CompiledScene, triangles: np.ndarray, power: np.ndarray) -> Emission:
-    """Bounds of triangles that shine: their normals are those by which they are shaded."""
+    """Bounds of triangles that shine: their normals are those by which they are shaded.
+
+    Boxes and spheres stand around their centroids: the tight boxes of two that make a rectangle are the same.
+    """
     faces = scene.faces[triangles]
     a, b, c = corners = scene.vertices[faces].astype(np.float64).transpose(1, 2, 0)
-    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    centroid = corners.mean(axis=0)
+    half, radius = np.abs(corners - centroid).max(axis=0), np.linalg.norm(corners - centroid, axis=1).max(axis=0)
     axis, spread = _unit(np.cross(b - a, c - a, axis=0)), np.zeros(len(triangles))
     smooth = scene.shapes["flags"][scene.triangle_shape[triangles]] & structs.SHAPE_VERTEX_NORMALS != 0
     if smooth.any():
@@ -100,8 +104,8 @@ def _triangles(scene: CompiledScene, triangles: np.ndarray, power: np.ndarray) -
         angle = np.arccos(np.clip((normals * middle).sum(axis=1), -1, 1)).max(axis=0)
         axis[:, smooth] = middle
         spread[smooth] = np.where(angle < np.pi / 2, angle + 1e-6, np.pi)  # what lies between normals is no farther
-    radius = 0.5 * np.linalg.norm(upper - lower, axis=0)
-    return Emission(lower, upper, axis, spread, np.full(len(triangles), np.pi / 2), power / np.pi, radius)
+    edge = np.full(len(triangles), np.pi / 2)
+    return Emission(centroid - half, centroid + half, axis, spread, edge, power / np.pi, radius)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
