@@ -9,6 +9,8 @@ import pytest
 from PIL import Image
 from scalar_mitsuba import assert_same_picture
 
+from isonoise.film.exr import write_exr
+
 
 def rgb(*value: float) -> dict:
     return {"type": "rgb", "value": list(value)}
@@ -162,5 +164,23 @@ def test_all_emitters(images, tmp_path):
         "spot": {"type": "spot", "to_world": looking((3, -3, 3), (1, -2, 0)), "intensity": rgb(9.0, 3.0, 2.0)},
         "sun": {"type": "directional", "direction": [1.0, 0.4, -0.6], "irradiance": rgb(0.2, 0.2, 0.1)},
         "sky": {"type": "constant", "radiance": rgb(0.02, 0.03, 0.05)},
+    }
+    assert_same_picture(scene, tmp_path)
+
+
+def test_an_environment_map_with_a_sun(tmp_path):
+    """10^5 times as bright as the rest in one texel, turned; a ball of rough metal sees it by both techniques."""
+    pixels = np.random.default_rng(22).uniform(0.2, 1.0, (33, 64, 3)).astype(np.float32)
+    pixels[9, 20] = 6e4
+    write_exr(tmp_path / "sky.exr", {"": pixels}, {})
+    turned = np.eye(4)[[0, 2, 1, 3]] * [1, -1, 1, 1]  # y, the axis of the map, goes up: along z
+    film = {"type": "hdrfilm", "width": 24, "height": 20, "rfilter": {"type": "box"}}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 4, "rr_depth": 100},
+        "sensor": {"type": "perspective", "fov": 30.0, "to_world": looking((0, -6, 2), (0, 0, 0.4)), "film": film},
+        "sky": {"type": "envmap", "filename": str(tmp_path / "sky.exr"), "scale": 0.5, "to_world": turned},
+        "floor": {"type": "rectangle", "to_world": placed(5.0, (0, 0, -1)), "bsdf": {"type": "diffuse"}},
+        "ball": {"type": "sphere", "bsdf": GOLD},
     }
     assert_same_picture(scene, tmp_path)
