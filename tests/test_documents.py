@@ -96,10 +96,11 @@ def test_links_between_the_documents_lead_somewhere():
 )
 @pytest.mark.parametrize("lit", [False, True])
 @pytest.mark.parametrize("instanced", [False, True])
-def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, instanced, lit, needs, more):
+@pytest.mark.parametrize("foggy", [False, True])
+def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, foggy, instanced, lit, needs, more):
     """The table in kernels/README.md against what is allocated for two pools and two image sizes."""
     stated = [int(number) for number in re.findall(r"\| (\d+) a path", KERNEL_TEXT)]
-    path_bytes = sum(stated) - (0 if lit else 48) - (0 if instanced else 8)
+    path_bytes = sum(stated) - (0 if lit else 48) - (0 if instanced else 8) - (0 if foggy else 16 + 8)
     (pixel_bytes,) = (int(number) for number in re.findall(r"\| (\d+) a pixel", KERNEL_TEXT))
     scene = {
         "type": "scene",
@@ -109,6 +110,9 @@ def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, instanced, lit, needs, more
     }
     if lit:
         scene["light"] = {"type": "point", "intensity": 1.0}
+    if foggy:
+        scene["integrator"]["type"] = "volpath"
+        scene["ball"]["interior"] = {"type": "homogeneous"}
     if instanced:
         scene["ball"] = {"type": "instance", "group": {"type": "shapegroup", "ball": scene["ball"]}}
     strategy = Uniform()

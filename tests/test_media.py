@@ -411,7 +411,7 @@ def test_dense_media_reflect_as_half_spaces(shape, sigma_t, place):
     albedo = 0.8
     center = np.array([0.1, 0.2, 0.0 if shape == "cube" else -3.0]) + place
     mu = 1.0
-    sensor = one_ray(center + (0.0, 0.0, 30.0), center)
+    sensor = one_ray(center + np.array([0.0, 0.0, 30.0]), center)
     dense, gone = medium(sigma_t, albedo), medium(0.0)
     scene = under_sky(sensor, dense if shape == "ball" else gone, dense if shape == "cube" else gone)
     scene["cube"]["to_world"] = moved(place, place, place)
@@ -622,8 +622,10 @@ def test_media_of_a_file(scene_of):
                 <boolean name="has_spectral_extinction" value="true"/></medium>
             <phase type="hg" id="onwards"/>
             <shape type="sphere"><bsdf type="null"/><ref name="exterior" id="fog"/>
-                <medium name="interior" type="homogeneous"><ref id="onwards"/><boolean name="sample_emitters" value="false"/>
-                <volume name="albedo" type="constvolume"><rgb name="value" value="0.1 0.2 0.3"/></volume></medium></shape>
+                <medium name="interior" type="homogeneous"><ref id="onwards"/>
+                <boolean name="sample_emitters" value="false"/>
+                <volume name="albedo" type="constvolume"><rgb name="value" value="0.1 0.2 0.3"/></volume>
+                </medium></shape>
             <shape type="cube"><bsdf type="null"/><ref name="interior" id="fog"/></shape>
             <shape type="rectangle"/>
             <emitter type="point"><ref id="fog"/></emitter>

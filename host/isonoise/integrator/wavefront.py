@@ -121,7 +121,8 @@ class Wavefront:
         self.block_size = 512 if device.is_cpu else 64
         shadow = "through" if self.features["VOLPATH"] else "shadow"
         self._shadow = shadow if self.features["NEXT_EVENT"] else None
-        table = {name: row for name, row in KERNELS.items() if name not in ("shadow", "through") or name == self._shadow}
+        unused = {"shadow", "through"} - {self._shadow}
+        table = {name: row for name, row in KERNELS.items() if name not in unused}
         self._stages = Stages(device, table, self.features, structs.CONSTANTS | textures.CONSTANTS | build_constants(needs), STRUCTS)
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
@@ -168,9 +169,7 @@ class Wavefront:
             "bsdfs": table(scene.bsdfs, "the materials"),
             "media": table(scene.media, "the media"),
             "sensor_medium": np.uint32(scene.sensor_medium),
-            "scene_sphere": np.append(scene.bounds.mean(axis=0), 0.5 * np.linalg.norm(np.ptp(scene.bounds, axis=0))).astype(
-                np.float32
-            ),
+            "scene_sphere": _sphere_around(scene.bounds),
             "boundaries": table(scene.boundaries, "the tables of rough plastics"),
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),
@@ -293,3 +292,9 @@ class Wavefront:
         for name in self._path_state:
             of[name], of[f"next_{name}"] = of[f"next_{name}"], of[name]
         return int(self.device.read(of["total_alive"], np.uint32, 1)[0])
+
+
+def _sphere_around(bounds: np.ndarray) -> np.ndarray:
+    """Center and radius (4,) float32 of the sphere around a box (2, 3)."""
+    radius = 0.5 * np.linalg.norm(np.ptp(bounds.astype(float), axis=0))
+    return np.append(bounds.mean(axis=0), radius).astype(np.float32)
