@@ -19,6 +19,7 @@ from isonoise.cli import main
 from isonoise.errors import SceneError, UserError
 from isonoise.film.exr import read_reference
 from isonoise.scene import compile_scene, load
+from isonoise.scene.ply import read_ply
 
 SECONDS = 5.0  # of the processor
 MEMORY = 1 << 30  # bytes beyond what Python and the libraries take
@@ -311,6 +312,26 @@ def test_many_parameters(tmp_path):
     began = time.process_time()
     load(path)
     assert time.process_time() - began < SECONDS
+
+
+@pytest.mark.parametrize("form", ["binary_little_endian", "ascii"])
+def test_polygons_whose_size_changes_all_the_time(form, tmp_path):
+    """Their order stays; a mesh of a million takes seconds, not minutes."""
+    count = 100_000
+    polygons = [(0, 1, 2), (0, 1, 2, 3), (2, 1, 0)] * (count // 3)
+    pack = (
+        (lambda p: struct.pack(f"<B{len(p)}i", len(p), *p))
+        if form != "ascii"
+        else lambda p: b"%d " % len(p) + (" ".join(map(str, p)).encode() + b"\n")
+    )
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+    body = corners.tobytes() if form != "ascii" else b"0 0 0 1 0 0 1 1 0 0 1 0\n"
+    head = HEAD.format(form, 4) + FACE.format(len(polygons), "uchar")
+    path = write(tmp_path / "m.ply", head.encode() + body + b"".join(map(pack, polygons)))
+    began = time.process_time()
+    faces = read_ply(path).faces
+    assert time.process_time() - began < SECONDS
+    np.testing.assert_array_equal(faces.reshape(-1, 12), [[0, 1, 2, 0, 1, 2, 0, 2, 3, 2, 1, 0]] * (count // 3))
 
 
 def test_many_materials_of_an_obj(tmp_path):

@@ -138,7 +138,8 @@ def _read_exr(path: str, file_bytes: int, place: Place) -> np.ndarray:
         place.fail(f"the image cannot be read ({str(error)[:200]})")
     if any(np.shape(plane) != (height, width) for plane in planes):
         place.fail("the image cannot be read (its channels differ in size, or it is cut off)")
-    return np.stack(planes, axis=-1, dtype=np.float32, casting="unsafe")
+    with np.errstate(all="ignore"):  # what is no finite number stays so, and whoever uses it tells
+        return np.stack(planes, axis=-1, dtype=np.float32, casting="unsafe")
 
 
 def _exr_channels(names: list[str], place: Place) -> list[str]:

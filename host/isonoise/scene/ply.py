@@ -3,8 +3,12 @@
 A header's counts are held against the size of the file before anything is allocated.
 """
 
+import struct
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -16,10 +20,12 @@ _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4
 _TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
 _TYPES |= {"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
 _TYPES |= {"half": "f2", "float16": "f2", "long": "i8", "ulong": "u8"}  # Mitsuba 3's own
+_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f2": "e", "f4": "f", "f8": "d"}
+_CODES |= {"i8": "q", "u8": "Q"}
 _UVS = (("u", "v"), ("texture_u", "texture_v"), ("s", "t"))
 _HEADER = 1 << 16  # bytes in which a header has to end
 _LIST = 1 << 16  # longest list of one face
-_LAYOUTS = 100  # that are kept
+_GATHERED = 1 << 22  # bytes of records that are collected at once
 
 
 @dataclass
@@ -80,7 +86,8 @@ def _vertices(element: _Element, columns: dict[str, np.ndarray], flip: bool, pla
 
 
 def _stacked(columns: dict[str, np.ndarray], names, dtype) -> np.ndarray:
-    return np.stack([columns[name] for name in names], axis=1).astype(dtype)
+    with np.errstate(invalid="ignore"):  # the check of the mesh tells
+        return np.stack([columns[name] for name in names], axis=1).astype(dtype)
 
 
 def _header(data: bytes, place: Place) -> tuple[str, list[_Element], int]:
@@ -151,63 +158,99 @@ class _Body:
         return {item.name: records[f"{n} {item.name}"] for n, item in enumerate(element.properties)}
 
     def triangles(self, element: _Element) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """((t, 3) vertex indices, attributes) of an element of polygons; passes over an element of any other kind.
-
-        Records whose lists are equally long follow each other in runs; each run is one array.
-        """
-        faces, done, window, layouts = [np.zeros((0, 3), np.int64)], 0, max(element.count, 1), {}
+        """((t, 3) vertex indices, attributes) of an element of polygons; passes over an element of any other kind."""
         fields = [f"{n} {item.name}" for n, item in enumerate(element.properties)]
         indices = next((f for f in fields if f.endswith((" vertex_indices", " vertex_index"))), "")
         attributes = attributes_of(["" if p.count else p.name for p in element.properties], element.name)
+        faces, owners = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
         parts: dict[str, list[np.ndarray]] = {name: [] for name in attributes} if indices else {}
-        while done < element.count and element.properties:
-            lengths = self.lengths(element)
-            if lengths not in layouts:
-                layouts[lengths] = self.layout(element, lengths)
-            if len(layouts) > _LAYOUTS:
-                layouts = {lengths: layouts[lengths]}
-            fits = (len(self.data) - self.position) // layouts[lengths].itemsize
-            records = self.view(element, layouts[lengths], max(min(window, element.count - done, fits), 1))
-            same = np.ones(len(records), bool)
-            for number, length in enumerate(lengths):
-                same &= records[f"length {number}"] == length
-            good = len(records) if same.all() else int(np.argmin(same))
-            window = 2 * good + 64
-            self.position += good * layouts[lengths].itemsize
-            done += good
-            if indices:
-                polygons = records[indices][:good]
-                with np.errstate(invalid="ignore"):  # what is no number names no vertex
-                    faces.append(_fans(polygons.astype(np.int64), self.place))
-            for name, of_run in parts.items():
-                columns = [records[fields[i]][:good] for i in attributes[name]]
+        for numbers, records in self.groups(element):
+            if not indices:
+                continue
+            polygons = records[indices]
+            with np.errstate(invalid="ignore"):  # what is no number names no vertex
+                faces.append(_fans(polygons.astype(np.int64), self.place))
+            owners.append(np.repeat(numbers, polygons.shape[1] - 2))
+            for name, of_group in parts.items():
+                columns = [records[fields[i]] for i in attributes[name]]
                 values = attribute_values(columns, [element.properties[i].type for i in attributes[name]])
-                of_run.append(np.repeat(values, polygons.shape[1] - 2, axis=0))
-        return np.concatenate(faces), {name: np.concatenate(of_run) for name, of_run in parts.items() if of_run}
+                of_group.append(np.repeat(values, polygons.shape[1] - 2, axis=0))
+        order = np.argsort(np.concatenate(owners), kind="stable") if len(faces) > 2 else slice(None)
+        values = {name: np.concatenate(of_group)[order] for name, of_group in parts.items() if of_group}
+        return np.concatenate(faces)[order], values
+
+    def groups(self, element: _Element) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(numbers, records) of those records of an element whose lists are equally long; each is in one group.
+
+        In most files that is one run of all. After the first that differs, records are found one by one.
+        """
+        if not element.count or not element.properties:
+            return
+        steps = self.steps(element)
+        lengths, _ = self.lengths(element, steps, self.position)
+        layout = self.layout(element, lengths)
+        fits = (len(self.data) - self.position) // layout.itemsize if layout.itemsize else element.count
+        records = self.view(element, layout, max(min(element.count, fits), 1))
+        same = np.ones(len(records), bool)
+        for number, length in enumerate(lengths):
+            same &= records[f"length {number}"] == length
+        run = len(records) if same.all() else int(np.argmin(same))
+        yield np.arange(run), records[:run]
+        self.position += run * layout.itemsize
+        positions, kinds, known = array("q"), array("q"), {}
+        for _ in range(element.count - run):
+            lengths, end = self.lengths(element, steps, self.position)
+            positions.append(self.position)
+            kinds.append(known.setdefault(lengths, len(known)))
+            self.position = end
+        if known:
+            yield from self.gathered(element, run, np.asarray(positions), np.asarray(kinds), list(known))
+
+    def gathered(self, element: _Element, first: int, positions: np.ndarray, kinds: np.ndarray, known: list[tuple]):
+        """The groups of records that lie at these positions, a bounded number of bytes at a time."""
+        data, order = np.frombuffer(self.data, np.uint8), np.argsort(kinds, kind="stable")
+        for of_kind in np.split(order, np.flatnonzero(np.diff(kinds[order])) + 1):
+            layout = self.layout(element, known[kinds[of_kind[0]]])
+            for numbers in np.array_split(of_kind, -(-len(of_kind) * layout.itemsize // _GATHERED)):
+                records = data[positions[numbers][:, None] + np.arange(layout.itemsize)]
+                yield first + numbers, records.view(layout)[:, 0]
 
     def view(self, element: _Element, layout: np.dtype, count: int) -> np.ndarray:
         if count * layout.itemsize > len(self.data) - self.position:
-            self.place.fail(f"cut off, or its header promises too much: {element.count} of element '{element.name}'")
+            self.fail_cut_off(element)
         return np.frombuffer(self.data, layout, count, self.position)
 
-    def lengths(self, element: _Element) -> tuple[int, ...]:
-        """Lengths of the lists of the next record."""
-        lengths: list[int] = []
-        position = self.position
+    def steps(self, element: _Element) -> list[tuple[int, struct.Struct, int]]:
+        """(bytes before its length, what the length is, bytes of an item) of every list; the last one has no items."""
+        steps, before = [], 0
         for item in element.properties:
+            size = np.dtype(self.type(item.type)).itemsize
             if item.count:
-                before, self.position = self.position, position
-                length = self.view(element, np.dtype(self.type(item.count)), 1)[0]
-                self.position = before
+                steps.append((before, struct.Struct((self.order or "=") + _CODES[self.type(item.count)[-2:]]), size))
+                before = 0
+            else:
+                before += size
+        return [*steps, (before, struct.Struct("0s"), 0)]
+
+    def lengths(self, element: _Element, steps: list, position: int) -> tuple[tuple[int, ...], int]:
+        """(lengths of the lists of the record at a position, where the next one begins)."""
+        lengths = []
+        try:
+            for before, number, size in steps[:-1]:
+                length = number.unpack_from(self.data, position + before)[0]
                 if not 0 <= length <= _LIST or length != int(length):
                     self.place.fail(f"a list of element '{element.name}' has {length} entries")
                 lengths.append(int(length))
-                position += (
-                    np.dtype(self.type(item.count)).itemsize + lengths[-1] * np.dtype(self.type(item.type)).itemsize
-                )
-            else:
-                position += np.dtype(self.type(item.type)).itemsize
-        return tuple(lengths)
+                position += before + number.size + int(length) * size
+        except struct.error:
+            self.fail_cut_off(element)
+        position += steps[-1][0]
+        if position > len(self.data):
+            self.fail_cut_off(element)
+        return tuple(lengths), position
+
+    def fail_cut_off(self, element: _Element) -> NoReturn:
+        self.place.fail(f"cut off, or its header promises too much: {element.count} of element '{element.name}'")
 
 
 def _fans(polygons: np.ndarray, place: Place) -> np.ndarray:

@@ -36,7 +36,8 @@ def read_serialized(path: Path, shape_index: int = 0) -> Mesh:
         with regular_file(path) as file:
             version, start, size = _find(file, shape_index, place)
             file.seek(start)
-            return _mesh(_Stream(file, size - start, place), version, place)
+            with np.errstate(all="ignore"):  # the check of the mesh tells
+                return _mesh(_Stream(file, size - start, place), version, place)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
 
@@ -126,8 +127,6 @@ def _mesh(stream: _Stream, version: int, place: Place) -> Mesh:
     if flags & _UVS:
         mesh.uvs = texture_coordinates(stream.array(number, vertices, 2), flip=False)
     if flags & _COLOURS:
-        with np.errstate(over="ignore", invalid="ignore"):
-            mesh.attributes["vertex_color"] = stream.array(number, vertices, 3).astype(np.float32)
-    with np.errstate(over="ignore"):  # what does not fit is negative, and refused
-        mesh.faces = stream.array(index, faces, 3).astype(np.int64)
+        mesh.attributes["vertex_color"] = stream.array(number, vertices, 3).astype(np.float32)
+    mesh.faces = stream.array(index, faces, 3).astype(np.int64)  # what does not fit is negative, and refused
     return checked(mesh, place)
