@@ -56,7 +56,8 @@ KERNELS = {
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
         "ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
-        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light hit ray_origin ray_direction throughput path shadow_origin "
+        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light "
+        "hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
         "VOLPATH:crossing MEDIA:media MEDIA:medium "
         "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_TREE:lit",
@@ -123,7 +124,9 @@ class Wavefront:
         self._shadow = shadow if self.features["NEXT_EVENT"] else None
         unused = {"shadow", "through"} - {self._shadow}
         table = {name: row for name, row in KERNELS.items() if name not in unused}
-        self._stages = Stages(device, table, self.features, structs.CONSTANTS | textures.CONSTANTS | build_constants(needs), STRUCTS)
+        self._stages = Stages(
+            device, table, self.features, structs.CONSTANTS | textures.CONSTANTS | build_constants(needs), STRUCTS
+        )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = present(PATH_STATE, self.features)

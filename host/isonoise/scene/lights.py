@@ -79,7 +79,7 @@ def pick_probabilities(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     """Probabilities (l,) float64 in proportion to power, summing to 1.
 
     Power is pi A L for a surface, 4 pi I for a point, that of the cone for a spot; directional and constant light count
-    what enters the sphere around the scene: pi r^2 E and 4 pi^2 r^2 L (as pbrt's and Mitsuba's power light samplers do).
+    what enters the sphere around the scene: pi r^2 E and 4 pi^2 r^2 L, as in pbrt's and Mitsuba's power light samplers.
     All zero is uniform.
     """
     radius = bounding_radius(bounds)
