@@ -1,8 +1,8 @@
 """Materials that wrap others, and textured ones, on the device as the stage `shade` meets them: against Mitsuba 3.
 
 One surface stands along the axes, one is turned, on one the shading normal and the tangents lean. Where materials are
-chosen by chance, what is compared is the mean over equally spaced numbers: weights are multiples of 1/255 or 1/4, so that
-it is exact.
+chosen by chance, what is compared is the mean over equally spaced numbers: weights are multiples of 1/255 or 1/4, so
+that it is exact.
 """
 
 import itertools
@@ -76,6 +76,7 @@ BRUSHED = {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.5, "distributi
 GLASS = {"type": "roughdielectric", "alpha": 0.3}
 NULL = {"type": "null"}
 IMAGES = {"colours": {}, "normals": {"raw": True}, "share": {"raw": True, "filter_type": "nearest"}}
+IMAGES |= {"odd": {"raw": True, "filter_type": "nearest"}, "cliff": {"raw": True}}
 
 
 def two(front: dict, back: dict | None = None) -> dict:
@@ -164,6 +165,8 @@ def folder(tmp_path_factory):
         "colours": random.integers(0, 256, (8, 8, 3)),
         "normals": 255 * (random.random((8, 8, 3)) * [0.7, 0.7, 0.4] + [0.15, 0.15, 0.6]),
         "share": random.integers(1, 255, (8, 8)),
+        "odd": random.choice([0, 127, 128, 255], (8, 8, 3)),
+        "cliff": random.choice([0, 255], (8, 8)),
     }
     for name, values in pixels.items():
         Image.fromarray(values.astype(np.uint8)).save(folder / f"{name}.png")
@@ -171,14 +174,20 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def material(folder):
-    """A material by its name, as a scene gives it."""
+def with_images(folder):
+    """Bitmaps in the place of their names."""
 
-    def with_images(value):
+    def replaced(value):
         if isinstance(value, str) and value in IMAGES:
             return {"type": "bitmap", "filename": str(folder / f"{value}.png"), **IMAGES[value]}
-        return {k: with_images(v) for k, v in value.items()} if isinstance(value, dict) else value
+        return {k: replaced(v) for k, v in value.items()} if isinstance(value, dict) else value
 
+    return replaced
+
+
+@pytest.fixture(scope="module")
+def material(with_images):
+    """A material by its name, as a scene gives it."""
     return lambda name: with_images(MATERIALS[name])
 
 
@@ -279,6 +288,32 @@ def test_weights_are_value_over_pdf(scatter, material, name):
         again = scatter(material(name), surface, wi, first[:, 4:7], u)
         assert_close(first[:, 10], again[:, 3], 2e-3)
         assert_close(first[:, 7:10], again[:, :3] / again[:, 3:4], 2e-3, 1e-5)
+
+
+@pytest.mark.parametrize("free", [{}, FREE], ids=["kept", "free"])
+@pytest.mark.parametrize("inner", [RED, BRUSHED, GLASS, two(GOLD)], ids=lambda inner: inner["type"])
+def test_edges_of_bumps(scatter, with_images, inner, free):
+    """Normals of length zero, or of any direction; cliffs; surfaces whose tangents vanish, are parallel or huge; along
+    the normal and 1e-5 above and below the horizon: finite, not negative."""
+    surface = surface_of("straight")
+    angles = np.array([0.0, 1e-4, 0.7, np.pi / 2 - 1e-5, np.pi / 2 + 1e-5, 2.5, np.pi])
+    theta, phi = (a.ravel() for a in np.meshgrid(angles, np.arange(0.0, 6.0, 0.7)))
+    directions = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    wi, wo = np.repeat(directions, len(directions), axis=0), np.tile(directions, (len(directions), 1))
+    u = np.random.default_rng(15).random((len(wi), 4))
+    for material in (relief(inner, **free) | {"normalmap": "odd"}, bump(inner, 1e4, **free) | {"height": "cliff"}):
+        for along, across in (
+            ((1, 0, 0), (0, 1, 0)),
+            ((0, 0, 0), (0, 1, 0)),
+            ((1, 1, 0), (1, 1, 0)),
+            ((1e15, 0, 0), (0, 1e15, 0)),
+        ):
+            surface[6:9], surface[9:12] = along, across
+            for place in ((0.1, 0.2), (0.5, 0.5), (0.9, 0.3)):
+                surface[12:] = place
+                out = scatter(with_images(material), surface, wi, wo, u)
+                assert np.isfinite(out).all()
+                assert (out[:, [0, 1, 2, 3, 7, 8, 9]] >= 0).all()
 
 
 def test_what_passes_is_what_is_not_opaque(scatter, material):
