@@ -379,11 +379,13 @@ def test_thin_and_smooth_glass_are_mitsubas(mitsuba, lobe):
     """Share of the reflections, directions and weights, from both sides."""
     u = np.zeros((512, 3))
     u[:, 0] = np.arange(512) / 512
-    for name in ("dielectric", "thindielectric"):
-        material, context, si = mitsuba.load_dict(DELTA[name]), mitsuba.BSDFContext(), mitsuba.SurfaceInteraction3f()
+    tint = {"specular_reflectance": RED, "specular_transmittance": {"type": "rgb", "value": [0.2, 0.9, 0.5]}}
+    glasses = [DELTA["dielectric"], DELTA["thindielectric"], {"type": "dielectric", "int_ior": "water", "ext_ior": 1.7}]
+    for glass in (*glasses, DELTA["dielectric"] | tint, DELTA["thindielectric"] | tint):
+        material, context, si = mitsuba.load_dict(glass), mitsuba.BSDFContext(), mitsuba.SurfaceInteraction3f()
         for theta in (0.0, 0.6, 1.5, 2.0, 3.0):
             si.wi = direction(theta)
-            wo, weight, pdf, eta = lobe(name).sample(direction(theta), u)
+            wo, weight, pdf, eta = lobe(glass).sample(direction(theta), u)
             for i in (0, 17, 100, 300, 511):
                 expected, factor = material.sample(context, si, u[i, 0], (0.5, 0.5))
                 assert wo[i] == pytest.approx(np.array(expected.wo), abs=1e-5), theta
