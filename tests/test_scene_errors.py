@@ -34,8 +34,8 @@ INSIDE = [
     (ORTHOGRAPHIC.format('<transform name="to_world"><scale x="0"/></transform>'), "cannot be inverted"),
     (ORTHOGRAPHIC.format('<float name="near_clip" value="1e5"/>'), "near_clip has to be smaller"),
     (
-        '<integrator type="volpathmis"/>',
-        "integrator 'volpathmis' is not supported .*: .* use volpath.*nearest: 'volpath'",
+        '<integrator type="prbvolpath"/>',
+        "integrator 'prbvolpath' is not supported .*: renders derivatives.*nearest: 'volpath'",
     ),
     ('<sensor type="perspective"><film type="specfilm"/></sensor>', "film 'specfilm' is not supported"),
     ('<medium type="heterogeneous"/>', "medium 'heterogeneous' is not supported"),

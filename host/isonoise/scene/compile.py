@@ -39,7 +39,7 @@ def compile_scene(
     camera, filter_name = compile_camera(sensor, size)
     integrator = next(iter(_of_kind(description, "integrator").values()), _PATH)
     depth = _DIRECT_DEPTH if integrator["type"] == "direct" else integrator["max_depth"]
-    volumetric = integrator["type"] == "volpath"
+    volumetric = integrator["type"] in ("volpath", "volpathmis")
     world, groups, placed = separate(_of_kind(description, "shape"))
     spaces = [{where: make_surface(shape, where) for where, shape in shapes.items()} for shapes in (world, *groups)]
     for part, surfaces in zip((world, *groups), spaces, strict=True):

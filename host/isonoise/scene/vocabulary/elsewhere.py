@@ -30,7 +30,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "prbvolpath": _DERIVATIVES,
         "ptracer": "traces from the lights: use path, the image is the same",
         "stokes": _POLARISED,
-        "volpathmis": "for media whose colours differ in density: use volpath, the image is the same",
     },
     "bsdf": {
         "circular": _POLARISED,

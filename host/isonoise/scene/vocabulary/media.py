@@ -22,7 +22,7 @@ MEDIA = (
             *ignored("boolean", "has_spectral_extinction", why="colours are told apart by themselves"),
         ),
         (Child("phase"),),
-        meaning="a medium that is the same everywhere: fog, milk, wax; integrator volpath alone sees it",
+        meaning="a medium that is the same everywhere: fog, milk, wax; only volpath and volpathmis see it",
     ),
     Plugin("phase", "isotropic", meaning="scatters alike into all directions; where there is no phase function"),
     Plugin(

@@ -125,7 +125,13 @@ SAMPLERS = tuple(
 
 INTEGRATORS = (
     Plugin("integrator", "path", _PATH, meaning="path tracing; where there is no integrator"),
-    Plugin("integrator", "volpath", _PATH, meaning="path tracing with media"),
+    Plugin("integrator", "volpath", _PATH, meaning="path tracing with media; surfaces may let light through unturned"),
+    Plugin(
+        "integrator",
+        "volpathmis",
+        (*_PATH, *ignored("boolean", "use_spectral_mis", why="colours are always weighted together")),
+        meaning="the same as volpath, which here weights colours together as well",
+    ),
     Plugin(
         "integrator",
         "direct",
