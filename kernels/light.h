@@ -5,7 +5,7 @@
 
 typedef struct {
     float3 position, error, normal;  // normal is zero where the light has no surface
-    uint primitive;                  // which the position lies on, NONE where the light has no surface
+    uint primitive;                  // which the position lies on, and which is met there first; else NONE
     float3 direction;                // unit, from the reference point to the light
     float3 radiance;                 // what would arrive, before the division by pdf; 0 if the light faces away
     float pdf;                       // solid angle, times the probability of the pick; of delta lights: the pick alone
@@ -249,6 +249,12 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.error = s.error;
     sample.normal = s.geometric_normal;
     sample.primitive = light->kind == LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
+#if FEATURE_SPHERE_LIGHTS || FEATURE_CYLINDER_LIGHTS
+    // what shines inwards may be seen through itself: then it is not left out of the shadow ray
+    if ((light->kind == LIGHT_SPHERE || light->kind == LIGHT_CYLINDER) &&
+        (g->shapes[g->analytics[light->primitive].shape].flags & SHAPE_FLIP_NORMALS))
+        sample.primitive = NONE;
+#endif
 #endif
     return sample;
 }

@@ -244,7 +244,13 @@ def test_disk_light(radius, height, camera):
 @CAMERAS
 @pytest.mark.parametrize(
     ("radius", "center"),
-    [(1.0, (0.0, 0.0, 2.0)), (0.01, (0.5, 0.5, 5.0)), (0.2, (-1.0, 2.0, 0.3)), (100.0, (50.0, 20.0, 150.0))],
+    [
+        (1.0, (0.0, 0.0, 2.0)),
+        (0.01, (0.5, 0.5, 5.0)),
+        (0.2, (-1.0, 2.0, 0.3)),
+        (100.0, (50.0, 20.0, 150.0)),
+        (0.05, (9.2, -7.1, 12.3)),  # so far that rounding puts points of it behind others
+    ],
 )
 def test_sphere_light(radius, center, camera):
     """A sphere of radiance L, all of it above the horizon: pi L R^2 / d^2 cos(theta)."""
