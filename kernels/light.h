@@ -29,10 +29,11 @@ INLINE bool sampled_by_cone(const Geometry* g, __global const Analytic* sphere, 
 #endif
 
 // Probability with which `sample_light` would have picked a light for a point and the side that is lit there (see `lit_side`).
-INLINE float pick_probability(const Geometry* g, __global const Light* lights, uint light, float3 point, float4 lit)
+// `pdf`: of the direction that found it; after a delta function, when it is negative, the tree is not asked.
+INLINE float pick_probability(const Geometry* g, __global const Light* lights, uint light, float3 point, float4 lit, float pdf)
 {
 #if FEATURE_LIGHT_TREE
-    return light_tree_probability(&g->light_tree, light, point, lit);
+    return pdf < 0.0f ? 0.0f : light_tree_probability(&g->light_tree, light, point, lit);
 #else
     return lights[light].pick_probability;
 #endif

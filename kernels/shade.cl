@@ -151,7 +151,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
         float pdf;
         const float3 radiance = sky_radiance(&geometry, lights + environment_light, direction.xyz, &pdf);
-        pdf *= pick_probability(&geometry, lights, environment_light, last_vertex, was_lit);
+        pdf *= pick_probability(&geometry, lights, environment_light, last_vertex, was_lit, direction.w);
         store3(LOAD3(state.x, samples) + weight * radiance * mis_weight(direction.w, pdf), state.x, samples);
 #endif
         return;
@@ -191,7 +191,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
 #endif
         if (dot3(s.normal, direction.xyz) < 0.0f) {
             __global const Light* light = lights + s.light;
-            const float pdf = pick_probability(&geometry, lights, s.light, last_vertex, was_lit) *
+            const float pdf = pick_probability(&geometry, lights, s.light, last_vertex, was_lit, direction.w) *
                               light_pdf(&geometry, light, last_vertex, direction.xyz, since_vertex, s.normal);
             const float3 emitted = weight * emitted_radiance(&geometry, light, &s) * mis_weight(direction.w, pdf);
             store3(LOAD3(state.x, samples) + emitted, state.x, samples);
