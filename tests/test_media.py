@@ -592,19 +592,20 @@ def test_pictures_are_mitsubas(name, tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["test_homo_null_envmap", "test_homo_area_light"])
 def test_mitsubas_own_scenes_of_media(public_scenes, name, tmp_path):
-    """Against the mean and variance that Mitsuba stores with its tests."""
+    """Against the means that Mitsuba stores with its tests. As there, their own error counts for nothing: by the stored
+    variances of single samples, and another render, it is that of some 10,000."""
     from isonoise.film.exr import read_exr
 
     folder = public_scenes / "mitsuba-tests" / "tests" / "scenes" / "participating_media"
-    mean, variance = (read_exr(folder / "refs" / f"{name}_ref_rgb{part}.exr")[0] for part in ("", "_var"))
+    mean = read_exr(folder / "refs" / f"{name}_ref_rgb.exr")[0]
     theirs = np.stack([mean[c] for c in "RGB"], axis=-1).astype(float)
-    # variances are of the estimate of each pixel: see src/render/tests/test_renders.py of Mitsuba 3
-    se = np.sqrt(np.stack([variance[c] for c in "RGB"], axis=-1).astype(float))
     batches = [
         isonoise.render(folder / f"{name}_volpath.xml", spp=64, strategy="uniform", seed=seed).statistics.rgb
         for seed in range(16)
     ]
-    references.assert_agree(references.from_batches(np.stack(batches)), references.Estimate(theirs, se, 1e6), tmp_path)
+    references.assert_agree(
+        references.from_batches(np.stack(batches)), references.Estimate(theirs, 0 * theirs, 1e6), tmp_path
+    )
 
 
 # The description.
