@@ -17,6 +17,7 @@ import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
@@ -200,23 +201,32 @@ def cache_folder(cache) -> Path | None:
     return Path(cache.mkdir("mitsuba")) if cache else None
 
 
-def mitsuba_batches(scene: Path, spp: int, batches: int, folder: Path) -> np.ndarray:
+def mitsuba_batches(
+    scene: Path,
+    spp: int,
+    batches: int,
+    folder: Path,
+    variants: Sequence[str] = ("llvm_ad_rgb", "scalar_rgb"),
+    files: Iterable[Path] = (),
+) -> np.ndarray:
     """Images of a scene file by Mitsuba 3, (batches, height, width, 3) float32, each with its own seed.
 
-    Rendered by llvm_ad_rgb where a libLLVM serves it, else by scalar_rgb (several times slower), and kept in `folder`
-    under a name that is a hash of all that they depend on. Mitsuba runs in a process of its own: a libLLVM that does
-    not serve it aborts the process, and OpenCL drivers bring an LLVM of theirs.
+    Rendered by the first variant that works: llvm_ad_rgb where a libLLVM serves it, scalar_rgb (several times slower,
+    but with nothing to compile). Kept in `folder` under a name that is a hash of all that they depend on: `files` are
+    those that the scene names. Mitsuba runs in a process of its own: a libLLVM that does not serve it aborts the
+    process, and OpenCL drivers bring an LLVM of theirs.
     """
     import mitsuba
 
-    facts = f"{mitsuba.__version__} {spp} {batches}"
-    key = hashlib.sha256(scene.read_bytes() + facts.encode()).hexdigest()[:16]
-    path = folder / f"{scene.stem}-{key}.npy"
+    digest = hashlib.sha256(scene.read_bytes() + f"{mitsuba.__version__} {spp} {batches}".encode())
+    for file in sorted(files):
+        digest.update(file.name.encode() + file.read_bytes())
+    path = folder / f"{scene.stem}-{digest.hexdigest()[:16]}.npy"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part.npy")
         command = [sys.executable, __file__, str(scene), str(part), str(spp), str(batches)]
-        for variant in ("llvm_ad_rgb", "scalar_rgb"):
+        for variant in variants:
             run = subprocess.run([*command, variant], capture_output=True, text=True)
             if run.returncode == 0:
                 break
@@ -230,7 +240,8 @@ def _mitsuba_main(scene: str, output: str, spp: str, batches: str, variant: str)
     import mitsuba
 
     mitsuba.set_variant(variant)
-    loaded = mitsuba.load_file(scene)
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    loaded = mitsuba.load_file(scene, optimize=False)  # which merges meshes, and stumbles over some (3.9.1)
     images = [np.array(mitsuba.render(loaded, spp=int(spp), seed=seed)) for seed in range(int(batches))]
     np.save(output, np.stack(images)[..., :3].astype(np.float32))
 

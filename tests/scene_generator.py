@@ -82,7 +82,8 @@ class _Writer:
 
     def write(self) -> Path:
         depth = self.r.randint(2, 6)
-        integrator = self.tag(self.root, "integrator", "volpath" if self.foggy or self.chance(0.05) else "path")
+        volumetric = self.r.choice(("volpath", "volpathmis"))
+        integrator = self.tag(self.root, "integrator", volumetric if self.foggy or self.chance(0.05) else "path")
         if not self.foggy and self.chance(0.1):
             integrator.set("type", "direct")
         else:
