@@ -12,7 +12,6 @@ import references
 
 import isonoise
 from isonoise.film.exr import read_exr
-from isonoise.scene import vocabulary
 from isonoise.scene.compile import compile_scene
 
 BATCHES = 16
@@ -34,9 +33,6 @@ MITSUBA_TESTS = {
     "participating_media/test_homo_null_envmap_volpath.xml": 64,
 }
 """Mitsuba 3's own test scenes, and samples per pixel of a batch."""
-
-MEDIA = bool(vocabulary.plugins_of("medium"))
-SUPPORTED = [name for name in MITSUBA_TESTS if MEDIA or not name.startswith("participating_media")]
 
 REFERENCE_SPP = 32000
 """Samples per pixel of Mitsuba's reference images: the default of its src/render/tests/test_renders.py."""
@@ -78,7 +74,7 @@ def test_none_is_left_out(public_scenes):
     assert {path.parent.name for path in public_scenes.glob("*/reference.exr")} == set(RENDERED)
 
 
-@pytest.mark.parametrize("name", [*RENDERED, *SUPPORTED])
+@pytest.mark.parametrize("name", [*RENDERED, *MITSUBA_TESTS])
 def test_file_is_understood(public_scenes, name):
     """Old and new files pass the checks of names, types and ranges; an integrator inside `moment` is the integrator."""
     path = public_scenes / name / "scene.xml" if name in RENDERED else folder_of_mitsuba(public_scenes) / name
@@ -106,7 +102,7 @@ def test_picture_is_that_of_the_reference(public_scenes, tmp_path, name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", SUPPORTED)
+@pytest.mark.parametrize("name", MITSUBA_TESTS)
 def test_picture_is_that_of_mitsubas_test(public_scenes, tmp_path, name):
     path = folder_of_mitsuba(public_scenes) / name
     batches = references.wave_batches(path, MITSUBA_TESTS[name], BATCHES) @ TO_XYZ.T
