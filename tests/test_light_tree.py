@@ -4,6 +4,8 @@ Chi-square statistics and z-values are compared as standard normal deviates at Z
 false alarms are 1e-5 for the file under other seeds; of the comparison with Mitsuba see tests/references.py.
 """
 
+import time
+
 import numpy as np
 import pytest
 import scalar_mitsuba
@@ -477,10 +479,32 @@ def test_few_lights_keep_the_alias_table():
 
 
 @pytest.mark.long
+def test_ten_thousand_triangles_are_as_good_as_a_rectangle():
+    """Error at equal time of this process (2 s, median of 3 in turns): relative, RMS over the pixels."""
+    wide = np.diag([4.0, 4.0, 1.0, 1.0])
+    scene = lamp_over_floor(width=48, height=48) | {"floor": {"type": "rectangle", "to_world": wide}}
+    turned = np.diag([0.5, -0.5, -0.5, 1.0])
+    turned[2, 3] = 1.0
+    emitter = {"type": "area", "radiance": 5.0}
+    whole = {"type": "rectangle", "to_world": turned, "emitter": emitter}
+    tiled = grid_of_triangles(71) | {"to_world": turned, "emitter": emitter}
+    errors = {"whole": [], "tiled": []}
+    for seed in range(3):
+        for name, lamp in (("whole", whole), ("tiled", tiled)):
+            renderer = isonoise.Renderer(scene | {"lamp": lamp}, strategy="uniform:wave_spp=4", seed=seed)
+            begun = time.process_time()
+            while time.process_time() < begun + 2.0:
+                renderer.step()
+            statistics = renderer.statistics()
+            lit = statistics.mean > 0
+            relative = statistics.variance[lit] / statistics.count[lit] / statistics.mean[lit] ** 2
+            errors[name].append(np.sqrt(relative.mean()))
+    assert np.median(errors["tiled"]) <= 1.5 * np.median(errors["whole"])
+
+
+@pytest.mark.long
 def test_a_million_lights():
     """Built in seconds; no path from the root is long."""
-    import time
-
     scene = compiled(lamp=grid_of_triangles(708))
     begun = time.perf_counter()
     tree = build_light_tree(scene)
