@@ -263,7 +263,7 @@ __kernel void shade(uint paths, __global const uint* sample_pixel, uint2 seed, u
     }
     const float eta = carried.w * next.eta;
 #if FEATURE_RUSSIAN_ROULETTE
-    if (depth + 1u >= rr_depth && !straight) {  // Mitsuba 3's rule
+    if (!straight && depth + 1u >= rr_depth) {  // Mitsuba 3's rule
         const float survival = LESSER(largest(weight) * eta * eta, 0.95f);
         if (u.w >= survival) return;
         weight /= survival;
