@@ -149,17 +149,23 @@ INLINE __global const Texture* texture_shown(const Textures* textures, uint text
     return t;
 }
 
-// Linear RGB.
-OUTLINE float3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
+// Linear RGB, and nothing.
+OUTLINE float4 texture_rgb0(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, false);
 #if FEATURE_BITMAPS
-    if (t->kind == TEXTURE_BITMAP) return bitmap_rgb(textures, t, at->uv);
+    if (t->kind == TEXTURE_BITMAP) return (float4)(bitmap_rgb(textures, t, at->uv), 0.0f);
 #endif
 #if FEATURE_MESH_ATTRIBUTES
-    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return mesh_attribute_rgb(textures, t, at);
+    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return (float4)(mesh_attribute_rgb(textures, t, at), 0.0f);
 #endif
-    return LOAD3(0, t->colour);
+    return (float4)(LOAD3(0, t->colour), 0.0f);
+}
+
+// Linear RGB. Intel's compiler for CPUs mislays a float3 that a function out of line returns to several work-items at once.
+INLINE float3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
+{
+    return texture_rgb0(textures, texture, at).xyz;
 }
 
 // A number: the luminance, of plain colours the mean.
