@@ -187,7 +187,8 @@ class _Writer:
             to_world = self.tag(shape, "transform", name="to_world")
             if uneven and self.chance(0.4):
                 self.tag(to_world, "scale", value=[self.between(0.4, 1.3) for _ in range(3)])
-            if mirrored and self.chance(0.15):
+            # media: in Mitsuba the inside of a mirrored mesh is its outside
+            if mirrored and not self.foggy and self.chance(0.15):
                 self.tag(to_world, "scale", **{self.r.choice("xyz"): -1})
             self.tag(to_world, "scale", value=size)
             self.turn(to_world, self.between(-180, 180))

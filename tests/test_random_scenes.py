@@ -54,7 +54,7 @@ def test_files_are_understood_and_use_the_whole_vocabulary(tmp_path):
 def test_picture_is_mitsubas(seed, mitsuba_folder, tmp_path):
     path = scene_generator.write_scene(tmp_path / "scene", seed)
     files = [file for file in path.parent.iterdir() if file != path]
-    theirs = references.mitsuba_batches(path, SPP, BATCHES, mitsuba_folder, variants=("scalar_rgb",), files=files)
+    theirs = references.mitsuba_batches(path, SPP, BATCHES, mitsuba_folder, files=files)
     ours = references.wave_batches(path, SPP, BATCHES)
 
     means = [references.from_batches(images.mean(axis=(1, 2), keepdims=True)) for images in (ours, theirs)]
