@@ -1,6 +1,7 @@
 // Traversal of the 8-wide bounding volume hierarchy; its layout is told in host/isonoise/scene/bvh.py.
 // Included by the stages that trace rays; they differ in what they do with a leaf and in when they stop.
 #pragma once
+#include "instance.h"
 #include "vectors.h"
 
 #define STACK_SIZE 256  // host/isonoise/scene/bvh.py never builds a tree that needs more
@@ -40,6 +41,15 @@ INLINE Ray make_ray(float3 origin, float3 direction)
     ray.permuted = (float3)(component(origin, ray.axis.x), component(origin, ray.axis.y), component(origin, kz));
     return ray;
 }
+
+#if FEATURE_INSTANCES
+// The same for a ray of the world, in the space of an instance's group.
+INLINE Ray make_object_ray(__global const Instance* instance, float3 origin, float3 direction)
+{
+    ray_to_object(instance, &origin, &direction);
+    return make_ray(origin, direction);
+}
+#endif
 
 INLINE uint mask_bits(int8 mask)
 {

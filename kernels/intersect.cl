@@ -2,7 +2,6 @@
 // Reads ray_origin, ray_direction, path (the primitive that the ray starts on); writes hit = (t, u, v, primitive bits).
 // With instances: reads in which one the ray starts, writes in which one it ends; NONE is the world.
 #include "bvh.h"
-#include "instance.h"
 
 __kernel void intersect(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
                         __global const Analytic* analytics, __global const float4* ray_origin,
@@ -55,9 +54,7 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
                 inside = leaf - first_instance;
                 bottom = height;
                 skip.x = skip_inside(path[i].y, start, inside);
-                float3 o = origin.xyz, d = direction;
-                ray_to_object(instances + inside, &o, &d);
-                ray = make_ray(o, d);
+                ray = make_object_ray(instances + inside, origin.xyz, direction);
                 reference = (int)instances[inside].root;
                 continue;
             }

@@ -2,7 +2,6 @@
 // Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
 // shadow_radiance, hit (the primitive it starts on); adds to samples.
 #include "bvh.h"
-#include "instance.h"
 
 __kernel void shadow(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
                      __global const Analytic* analytics, __global const float4* shadow_origin,
@@ -44,9 +43,7 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
                 inside = leaf - first_instance;
                 bottom = height;
                 skip.x = skip_inside(as_uint(hit[i].w), start, inside);
-                float3 o = origin.xyz, d = direction.xyz;
-                ray_to_object(instances + inside, &o, &d);
-                ray = make_ray(o, d);
+                ray = make_object_ray(instances + inside, origin.xyz, direction.xyz);
                 reference = (int)instances[inside].root;
                 continue;
             }

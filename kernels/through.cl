@@ -7,7 +7,6 @@
 // distance * (sigma before - sigma behind) would need no order, but would cancel where a thin layer of a dense medium is far away,
 // and go wrong where a scene does not name the media of both sides, which paths, that walk from one to the next, need not know.
 #include "bvh.h"
-#include "instance.h"
 #include "medium.h"
 #include "through.h"
 
@@ -132,9 +131,7 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
                 inside = leaf - first_instance;
                 bottom = height;
                 skip.x = skip_inside(as_uint(hit[i].w), start, inside);
-                float3 o = origin.xyz, d = direction.xyz;
-                ray_to_object(instances + inside, &o, &d);
-                ray = make_ray(o, d);
+                ray = make_object_ray(instances + inside, origin.xyz, direction.xyz);
                 reference = (int)instances[inside].root;
                 continue;
             }
