@@ -12,11 +12,11 @@ INLINE void load_matrix(__global const float* from, float* to)
 #if FEATURE_SPHERES
 // Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, 2019: the discriminant from the
 // distance of the centre to the line, the smaller root from the product of the roots.
-INLINE float sphere_distance(float3 origin, float3 direction, float3 center, float radius, float t_max)
+INLINE float sphere_distance(Vec3 origin, Vec3 direction, Vec3 center, float radius, float t_max)
 {
-    const float3 f = origin - center;
+    const Vec3 f = sub3(origin, center);
     const float a = dot3(direction, direction), b = -dot3(f, direction);
-    const float3 closest = f + (b / a) * direction;
+    const Vec3 closest = add3(f, scale3(direction, b / a));
     const float discriminant = radius * radius - dot3(closest, closest);
     if (discriminant < 0.0f) return INFINITY;
     const float length_f = SQRT(dot3(f, f));
@@ -30,23 +30,24 @@ INLINE float sphere_distance(float3 origin, float3 direction, float3 center, flo
 #endif
 
 #if FEATURE_DISKS
-INLINE float disk_distance(float3 origin, float3 direction, float t_max)
+INLINE float disk_distance(Vec3 origin, Vec3 direction, float t_max)
 {
     const float t = -origin.z / direction.z;
-    const float2 p = origin.xy + t * direction.xy;
-    return t > 0.0f && t < t_max && dot2(p, p) <= 1.0f ? t : INFINITY;
+    const float x = origin.x + t * direction.x, y = origin.y + t * direction.y;
+    return t > 0.0f && t < t_max && x * x + y * y <= 1.0f ? t : INFINITY;
 }
 #endif
 
 #if FEATURE_CYLINDERS
-INLINE float cylinder_distance(float3 origin, float3 direction, float t_max)
+INLINE float cylinder_distance(Vec3 origin, Vec3 direction, float t_max)
 {
-    const float a = dot2(direction.xy, direction.xy), b = -dot2(origin.xy, direction.xy);
+    const Vec2 o = vec2(origin.x, origin.y), d = vec2(direction.x, direction.y);
+    const float a = dot2(d, d), b = -dot2(o, d);
     if (a == 0.0f) return INFINITY;
-    const float2 closest = origin.xy + (b / a) * direction.xy;
+    const Vec2 closest = add2(o, scale2(d, b / a));
     const float discriminant = 1.0f - dot2(closest, closest);
     if (discriminant < 0.0f) return INFINITY;
-    const float distance = SQRT(dot2(origin.xy, origin.xy));
+    const float distance = SQRT(dot2(o, o));
     const float c = (distance - 1.0f) * (distance + 1.0f);
     const float q = b + with_sign(SQRT(a * discriminant), b);
     const float roots[2] = {LESSER(c / q, q / a), GREATER(c / q, q / a)};
@@ -62,7 +63,7 @@ INLINE float cylinder_distance(float3 origin, float3 direction, float t_max)
 // rays that start or end on it: `skip`. Neither is a sphere or cylinder by those that end on it: `sample_light` names it only
 // where nothing of it lies before, and far away its own rounding would. A ray that starts on it may meet its far side; there
 // the offset of the origin decides.
-INLINE float analytic_distance(__global const Analytic* analytics, uint index, float3 origin, float3 direction, uint2 skip,
+INLINE float analytic_distance(__global const Analytic* analytics, uint index, Vec3 origin, Vec3 direction, uint2 skip,
                                float t_max)
 {
     __global const Analytic* shape = analytics + index;
@@ -75,7 +76,7 @@ INLINE float analytic_distance(__global const Analytic* analytics, uint index, f
     float to_object[12];
     load_matrix(shape->to_object, to_object);
     // affine: distances along the ray are the same in object space
-    const float3 o = transform_point(to_object, origin), d = transform_direction(to_object, direction);
+    const Vec3 o = transform_point(to_object, origin), d = transform_direction(to_object, direction);
 #endif
 #if FEATURE_DISKS
     if (shape->kind == ANALYTIC_DISK)

@@ -33,7 +33,7 @@ INLINE bool bsdf_is_smooth(const Shading* at)
 }
 
 // From where light counts: the normal, its w 0; or (0, 0, 0, 1) if from all sides.
-INLINE float4 lit_side(const Shading* at)
+INLINE Vec4 lit_side(const Shading* at)
 {
     bool from_all = false;
     switch (at->bsdf->kind) {
@@ -42,15 +42,15 @@ INLINE float4 lit_side(const Shading* at)
     case BSDF_PRINCIPLED: from_all = at->bsdf->values[12] > 0.0f || at->bsdf->textures[4] != NONE; break;  // spec_trans
     default: break;
     }
-    return from_all ? (float4)(0.0f, 0.0f, 0.0f, 1.0f) : (float4)(at->normal, 0.0f);
+    return from_all ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
 }
 
 #if FEATURE_NEXT_EVENT
 // bsdf * |cos| for light from `wo`, and the pdf with which `bsdf_sample` finds it.
-INLINE float3 bsdf_eval(const Shading* at, float3 wo, float* pdf)
+INLINE Vec3 bsdf_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     *pdf = 0.0f;
-    float3 value = (float3)(0.0f);
+    Vec3 value = all3(0.0f);
     switch (at->bsdf->kind) {
 #if FEATURE_DIFFUSE
     case BSDF_DIFFUSE: value = diffuse_eval(at, wo, pdf); break;
@@ -80,13 +80,12 @@ INLINE float3 bsdf_eval(const Shading* at, float3 wo, float* pdf)
 #endif
 
 // `u`: lobe, direction x, direction y.
-INLINE BsdfSample bsdf_sample(const Shading* at, float3 u)
+INLINE BsdfSample bsdf_sample(const Shading* at, Vec3 u)
 {
-    BsdfSample sample;
-    sample.weight = (float3)(0.0f);
+    BsdfSample sample = nothing_sampled();
     switch (at->bsdf->kind) {
 #if FEATURE_DIFFUSE
-    case BSDF_DIFFUSE: sample = diffuse_sample(at, u.yz); break;
+    case BSDF_DIFFUSE: sample = diffuse_sample(at, vec2(u.y, u.z)); break;
 #endif
 #if FEATURE_DIELECTRIC
     case BSDF_DIELECTRIC: sample = dielectric_sample(at, u.x); break;
@@ -98,7 +97,7 @@ INLINE BsdfSample bsdf_sample(const Shading* at, float3 u)
     case BSDF_CONDUCTOR: sample = conductor_sample(at); break;
 #endif
 #if FEATURE_ROUGH_CONDUCTOR
-    case BSDF_ROUGH_CONDUCTOR: sample = rough_conductor_sample(at, u.yz); break;
+    case BSDF_ROUGH_CONDUCTOR: sample = rough_conductor_sample(at, vec2(u.y, u.z)); break;
 #endif
 #if FEATURE_ROUGH_DIELECTRIC
     case BSDF_ROUGH_DIELECTRIC: sample = rough_dielectric_sample(at, u); break;
@@ -113,7 +112,7 @@ INLINE BsdfSample bsdf_sample(const Shading* at, float3 u)
     case BSDF_PRINCIPLED: sample = principled_sample(at, u); break;
 #endif
 #if FEATURE_MEDIA
-    case BSDF_HG: sample = hg_sample(at, u.yz); break;
+    case BSDF_HG: sample = hg_sample(at, vec2(u.y, u.z)); break;
 #endif
     default: break;
     }

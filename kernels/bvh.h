@@ -10,41 +10,46 @@
 #define LANE_BITS (int8)(1, 2, 4, 8, 16, 32, 64, 128)
 
 typedef struct {
-    float3 origin, direction;
-    float3 inverse;     // 1 / direction, finite: a zero component becomes +-10^37
+    Vec3 origin, direction;
+    Vec3 inverse;     // 1 / direction, finite: a zero component becomes +-10^37
     int3 near;          // which row of a node holds the near plane of each axis
     int3 axis;          // x, y, z permuted so that |direction| is largest along the last
-    float3 shear;       // Woop's shear constants for the permuted axes
-    float3 permuted;    // origin, permuted
+    Vec3 shear;         // Woop's shear constants for the permuted axes
+    Vec3 permuted;      // origin, permuted
 } Ray;
 
-INLINE float component(float3 v, int i)
+INLINE float component(Vec3 v, int i)
 {
     return i == 0 ? v.x : i == 1 ? v.y : v.z;
 }
 
-INLINE Ray make_ray(float3 origin, float3 direction)
+INLINE float inverse_of(float d)
+{
+    return 1.0f / (abs1(d) < 1e-37f ? with_sign(1e-37f, d) : d);
+}
+
+INLINE Ray make_ray(Vec3 origin, Vec3 direction)
 {
     Ray ray;
     ray.origin = origin;
     ray.direction = direction;
-    const float3 size = abs3(direction);
-    ray.inverse = 1.0f / (size < 1e-37f ? with_sign3((float3)(1e-37f), direction) : direction);
-    ray.near = ray.inverse < 0.0f ? (int3)(3, 4, 5) : (int3)(0, 1, 2);
+    const Vec3 size = abs3(direction);
+    ray.inverse = vec3(inverse_of(direction.x), inverse_of(direction.y), inverse_of(direction.z));
+    ray.near = (int3)(ray.inverse.x < 0.0f ? 3 : 0, ray.inverse.y < 0.0f ? 4 : 1, ray.inverse.z < 0.0f ? 5 : 2);
     const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
     const int next = kz == 2 ? 0 : kz + 1, after = 3 - kz - next;
     // exchanging the first two axes keeps the orientation of triangles for negative directions
     const bool flip = component(direction, kz) < 0.0f;
     ray.axis = (int3)(flip ? after : next, flip ? next : after, kz);
     const float scale = 1.0f / component(direction, kz);
-    ray.shear = (float3)(component(direction, ray.axis.x) * scale, component(direction, ray.axis.y) * scale, scale);
-    ray.permuted = (float3)(component(origin, ray.axis.x), component(origin, ray.axis.y), component(origin, kz));
+    ray.shear = vec3(component(direction, ray.axis.x) * scale, component(direction, ray.axis.y) * scale, scale);
+    ray.permuted = vec3(component(origin, ray.axis.x), component(origin, ray.axis.y), component(origin, kz));
     return ray;
 }
 
 #if FEATURE_INSTANCES
 // The same for a ray of the world, in the space of an instance's group.
-INLINE Ray make_object_ray(__global const Instance* instance, float3 origin, float3 direction)
+INLINE Ray make_object_ray(__global const Instance* instance, Vec3 origin, Vec3 direction)
 {
     ray_to_object(instance, &origin, &direction);
     return make_ray(origin, direction);
@@ -87,7 +92,7 @@ INLINE uint children_met(__global const float8* node, const Ray* ray, float t_ma
 INLINE uint triangles_met(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t, float8* u, float8* v)
 {
     const int3 k = ray->axis;
-    const float3 o = ray->permuted, s = ray->shear;
+    const Vec3 o = ray->permuted, s = ray->shear;
     const float8 az = block[k.z] - o.z, bz = block[3 + k.z] - o.z, cz = block[6 + k.z] - o.z;
     const float8 ax = (block[k.x] - o.x) - s.x * az, ay = (block[k.y] - o.y) - s.y * az;
     const float8 bx = (block[3 + k.x] - o.x) - s.x * bz, by = (block[3 + k.y] - o.y) - s.y * bz;

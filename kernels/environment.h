@@ -15,33 +15,38 @@ typedef struct {
 
 // Four texels, the weights of their rows, and a place between them.
 typedef struct {
-    float3 texel00, texel10, texel01, texel11;  // texel `column row`
+    Vec3 texel00, texel10, texel01, texel11;  // texel `column row`
     float sine0, sine1;
     float s, t;  // in [0, 1], along columns and rows
 } EnvironmentCell;
 
+INLINE Vec3 load_texel(__global const float* row, uint column)
+{
+    return vec3(row[4u * column], row[4u * column + 1u], row[4u * column + 2u]);
+}
+
 INLINE EnvironmentCell environment_cell(const EnvironmentMap* map, uint column, uint row)
 {
     const uint width = map->record->size[0], next = column + 1u == width ? 0u : column + 1u;
-    __global const float4* upper = (__global const float4*)map->texels + row * width;
-    __global const float4* lower = upper + width;
+    __global const float* upper = map->texels + 4u * row * width;
+    __global const float* lower = upper + 4u * width;
     EnvironmentCell cell;
-    cell.texel00 = upper[column].xyz;
-    cell.texel10 = upper[next].xyz;
-    cell.texel01 = lower[column].xyz;
-    cell.texel11 = lower[next].xyz;
+    cell.texel00 = load_texel(upper, column);
+    cell.texel10 = load_texel(upper, next);
+    cell.texel01 = load_texel(lower, column);
+    cell.texel11 = load_texel(lower, next);
     cell.sine0 = map->rows[row].sine;
     cell.sine1 = map->rows[row + 1u].sine;
     return cell;
 }
 
 // The radiance at the cell's place; *weight gets the interpolated luminance * sine there.
-INLINE float3 cell_radiance(const EnvironmentMap* map, const EnvironmentCell* c, float* weight)
+INLINE Vec3 cell_radiance(const EnvironmentMap* map, const EnvironmentCell* c, float* weight)
 {
-    const float3 upper = (1.0f - c->s) * c->texel00 + c->s * c->texel10;
-    const float3 lower = (1.0f - c->s) * c->texel01 + c->s * c->texel11;
+    const Vec3 upper = add3(scale3(c->texel00, 1.0f - c->s), scale3(c->texel10, c->s));
+    const Vec3 lower = add3(scale3(c->texel01, 1.0f - c->s), scale3(c->texel11, c->s));
     *weight = (1.0f - c->t) * c->sine0 * luminance(upper) + c->t * c->sine1 * luminance(lower);
-    return ((1.0f - c->t) * upper + c->t * lower) * map->record->scale;
+    return scale3(add3(scale3(upper, 1.0f - c->t), scale3(lower, c->t)), map->record->scale);
 }
 
 // The angle of (x, y) in [-pi, pi]. The polynomial is fitted to atan(q) / q over |q| <= tan(pi / 8), off by 2e-8 of it.
@@ -59,11 +64,11 @@ INLINE float angle_of(float y, float x)
 }
 
 // Radiance from a unit direction, and the density with which `environment_sample` finds it.
-INLINE float3 environment_radiance(const EnvironmentMap* map, float3 direction, float* pdf)
+INLINE Vec3 environment_radiance(const EnvironmentMap* map, Vec3 direction, float* pdf)
 {
     __global const Environment* record = map->record;
-    const float3 turned = direction.x * LOAD3(0, record->to_world) + direction.y * LOAD3(1, record->to_world) +
-                         direction.z * LOAD3(2, record->to_world);
+    const Vec3 x_part = scale3(LOAD3(0, record->to_world), direction.x), y_part = scale3(LOAD3(1, record->to_world), direction.y);
+    const Vec3 turned = add3(add3(x_part, y_part), scale3(LOAD3(2, record->to_world), direction.z));
     const float sine = SQRT(turned.x * turned.x + turned.z * turned.z);
     const int width = (int)record->size[0], cells = (int)record->size[1] - 1;
     const float x = angle_of(turned.x, -turned.z) * (0.5f * M_1_PI_F) * (float)width - 0.5f;
@@ -76,12 +81,12 @@ INLINE float3 environment_radiance(const EnvironmentMap* map, float3 direction, 
     cell.s = x - (float)left;
     cell.t = LESSER(y - (float)row, 1.0f);
     float weight;
-    const float3 radiance = cell_radiance(map, &cell, &weight);
+    const Vec3 radiance = cell_radiance(map, &cell, &weight);
     *pdf = record->density * weight / GREATER(sine, LEAST_SINE);
     return radiance;
 }
 
-INLINE float environment_pdf(const EnvironmentMap* map, float3 direction)
+INLINE float environment_pdf(const EnvironmentMap* map, Vec3 direction)
 {
     float pdf;
     environment_radiance(map, direction, &pdf);
@@ -118,7 +123,7 @@ INLINE float sample_linear(float u, float a, float b)
 }
 
 // A direction, the radiance from there, and the density in solid angle with which it was found; 0 if all is dark.
-INLINE float3 environment_sample(const EnvironmentMap* map, float2 u, float3* direction, float* pdf)
+INLINE Vec3 environment_sample(const EnvironmentMap* map, Vec2 u, Vec3* direction, float* pdf)
 {
     __global const Environment* record = map->record;
     const uint width = record->size[0], cells = record->size[1] - 1u;
@@ -138,18 +143,17 @@ INLINE float3 environment_sample(const EnvironmentMap* map, float2 u, float3* di
     cell.s = sample_linear(place_between(bounds[4u * column], column_end, column_key), (1.0f - cell.t) * w00 + cell.t * w01,
                            (1.0f - cell.t) * w10 + cell.t * w11);
     float weight;
-    const float3 radiance = cell_radiance(map, &cell, &weight);
+    const Vec3 radiance = cell_radiance(map, &cell, &weight);
 
     // angles are counted from the nearer pole, where a small one is more precise
     const bool southern = 2u * row >= cells;
     const float steps = southern ? (float)(cells - row) - cell.t : (float)row + cell.t;
-    const float2 polar = circle(0.5f * steps / (float)cells);
+    const Vec2 polar = circle(0.5f * steps / (float)cells);
     const float turns = ((float)column + 0.5f + cell.s) / (float)width;
-    const float2 around = circle(turns < 1.0f ? turns : turns - 1.0f);
-    const float3 turned =
-        (float3)(polar.y * around.y, southern ? -polar.x : polar.x, -polar.y * around.x);
-    *direction = (float3)(dot3(LOAD3(0, record->to_world), turned), dot3(LOAD3(1, record->to_world), turned),
-                          dot3(LOAD3(2, record->to_world), turned));
+    const Vec2 around = circle(turns < 1.0f ? turns : turns - 1.0f);
+    const Vec3 turned = vec3(polar.y * around.y, southern ? -polar.x : polar.x, -polar.y * around.x);
+    *direction = vec3(dot3(LOAD3(0, record->to_world), turned), dot3(LOAD3(1, record->to_world), turned),
+                      dot3(LOAD3(2, record->to_world), turned));
     *pdf = record->density * weight / GREATER(polar.y, LEAST_SINE);
     return radiance;
 }

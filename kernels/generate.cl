@@ -1,6 +1,7 @@
 // Stage: camera rays for the slots of the pool from first_slot on, one for each sample of the slice from first_sample on.
 // Reads the sample list and the per-pixel counts; writes the path state; clears the sample.
 // path = (sample of the slice, primitive that the ray starts on, index of the sample in its pixel, depth).
+#include "paths.h"
 #include "random.h"
 #include "vectors.h"
 
@@ -17,69 +18,75 @@ INLINE float filter_offset(float u, float radius, __global const float* inverse_
 #endif
 }
 
-__kernel void generate(uint count_new, uint first_slot, uint first_sample, uint2 seed,
-                       __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
-                       __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
-                       __global const uint* rejected, __global float4* ray_origin, __global float4* ray_direction,
-                       __global float4* throughput, __global uint4* path, __global float* samples
+__kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sample, uint2 seed,
+                       __global const Camera* restrict camera, __global const float* restrict inverse_cdf, uint inverse_cdf_cells,
+                       __global const uint* restrict sample_pixel, __global const uint* restrict pixel_offset, __global const uint* restrict count,
+                       __global const uint* restrict rejected, __global float* restrict ray_origin, __global float* restrict ray_direction,
+                       __global float* restrict throughput, __global uint* restrict path, __global float* restrict samples
 #if FEATURE_INSTANCES
-                       , __global uint* instance
+                       , __global uint* restrict instance
 #endif
 #if FEATURE_VOLPATH
-                       , __global uint2* crossing
+                       , __global uint* restrict crossing
 #endif
 #if FEATURE_MEDIA
-                       , __global uint* medium, uint sensor_medium
+                       , __global uint* restrict medium, uint sensor_medium
 #endif
                        )
 {
-    const uint i = get_global_id(0);
-    if (i >= count_new) return;
-    const uint slot = first_slot + i, sample = first_sample + i;
-    const uint pixel = sample_pixel[sample];
-    const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel]);
+    EACH_PATH(i) {
+        if (i >= count_new) continue;
+        const size_t slot = first_slot + i;
+        const uint sample = first_sample + (uint)i;
+        const uint pixel = sample_pixel[sample];
+        const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel]);
 
-    const float4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
-    const uint width = camera->crop_size[0], row = pixel / width;
-    const float2 corner = (float2)((float)(camera->crop_offset[0] + pixel - row * width), (float)(camera->crop_offset[1] + row));
-    const float2 offset = (float2)(filter_offset(u.x, camera->filter_radius, inverse_cdf, inverse_cdf_cells),
-                                   filter_offset(u.y, camera->filter_radius, inverse_cdf, inverse_cdf_cells));
-    const float2 film = (corner + 0.5f + offset) / (float2)((float)camera->film_size[0], (float)camera->film_size[1]);
-    const float2 centered = 1.0f - 2.0f * (film + (float2)(camera->principal_point[0], camera->principal_point[1]));
-    const float2 on_plane = centered * (float2)(camera->tan_half_fov[0], camera->tan_half_fov[1]);
-    float m[12];
-    for (int k = 0; k < 12; ++k) m[k] = camera->to_world[k];
-    float3 ahead = (float3)(on_plane, 1.0f), center = (float3)(m[3], m[7], m[11]);
+        const Vec4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
+        const uint width = camera->crop_size[0], row = pixel / width;
+        const Vec2 corner = vec2((float)(camera->crop_offset[0] + pixel - row * width), (float)(camera->crop_offset[1] + row));
+        const float radius = camera->filter_radius;
+        const float film_x = (corner.x + 0.5f + filter_offset(u.x, radius, inverse_cdf, inverse_cdf_cells)) / (float)camera->film_size[0];
+        const float film_y = (corner.y + 0.5f + filter_offset(u.y, radius, inverse_cdf, inverse_cdf_cells)) / (float)camera->film_size[1];
+        const Vec2 on_film = vec2((1.0f - 2.0f * (film_x + camera->principal_point[0])) * camera->tan_half_fov[0],
+                                  (1.0f - 2.0f * (film_y + camera->principal_point[1])) * camera->tan_half_fov[1]);
+        float m[12];
+        for (int k = 0; k < 12; ++k) m[k] = camera->to_world[k];
+        Vec3 ahead = on_plane(on_film, 1.0f), center = vec3(m[3], m[7], m[11]);
 #if FEATURE_THIN_LENS
-    if (camera->kind == CAMERA_THIN_LENS) {  // towards the point in focus, from a point of the lens
-        const float2 lens = camera->aperture_radius * square_to_disk(u.zw);
-        ahead.xy -= lens / camera->focus_distance;
-        center += transform_direction(m, (float3)(lens, 0.0f));
-    }
+        if (camera->kind == CAMERA_THIN_LENS) {  // towards the point in focus, from a point of the lens
+            const Vec2 lens = scale2(square_to_disk(vec2(u.z, u.w)), camera->aperture_radius);
+            const float focus = camera->focus_distance;
+            ahead = vec3(ahead.x - lens.x / focus, ahead.y - lens.y / focus, ahead.z);
+            center = add3(center, transform_direction(m, on_plane(lens, 0.0f)));
+        }
 #endif
-    ahead = unit(ahead);
-    float3 direction = unit(transform_direction(m, ahead));
-    float3 origin = center + camera->near_clip / ahead.z * direction;
-    float reach = (camera->far_clip - camera->near_clip) / ahead.z;
+        ahead = unit(ahead);
+        Vec3 direction = unit(transform_direction(m, ahead));
+        Vec3 origin = add3(center, scale3(direction, camera->near_clip / ahead.z));
+        float reach = (camera->far_clip - camera->near_clip) / ahead.z;
 #if FEATURE_ORTHOGRAPHIC
-    if (camera->kind == CAMERA_ORTHOGRAPHIC) {
-        direction = unit((float3)(m[2], m[6], m[10]));
-        origin = transform_point(m, (float3)(on_plane, camera->near_clip));
-        reach = camera->far_clip - camera->near_clip;
-    }
+        if (camera->kind == CAMERA_ORTHOGRAPHIC) {
+            direction = unit(vec3(m[2], m[6], m[10]));
+            origin = transform_point(m, on_plane(on_film, camera->near_clip));
+            reach = camera->far_clip - camera->near_clip;
+        }
 #endif
-    ray_origin[slot] = (float4)(origin, reach);
-    ray_direction[slot] = (float4)(direction, -1.0f);
-    throughput[slot] = (float4)(1.0f);
-    path[slot] = (uint4)(sample, NONE, index, 0u);
+        store_planes4(with_w(origin, reach), ray_origin, slot, pool);
+        store_planes4(with_w(direction, -1.0f), ray_direction, slot, pool);
+        store_planes4(vec4(1.0f, 1.0f, 1.0f, 1.0f), throughput, slot, pool);
+        PLANE(PATH_SAMPLE, path, pool)[slot] = sample;
+        PLANE(PATH_START, path, pool)[slot] = NONE;
+        PLANE(PATH_INDEX, path, pool)[slot] = index;
+        PLANE(PATH_DEPTH, path, pool)[slot] = 0u;
 #if FEATURE_INSTANCES
-    instance[slot] = NONE;
+        instance[slot] = NONE;
 #endif
 #if FEATURE_VOLPATH
-    crossing[slot] = (uint2)(0u);
+        crossing[slot] = PLANE(1, crossing, pool)[slot] = 0u;
 #endif
 #if FEATURE_MEDIA
-    medium[slot] = sensor_medium;
+        medium[slot] = sensor_medium;
 #endif
-    store3((float3)(0.0f), sample, samples);
+        STORE3(all3(0.0f), sample, samples);
+    }
 }

@@ -4,7 +4,7 @@
 
 #if FEATURE_INSTANCES
 // A ray of the world in the space of the instance's group. Affine: distances along it stay the same.
-INLINE void ray_to_object(__global const Instance* instance, float3* origin, float3* direction)
+INLINE void ray_to_object(__global const Instance* instance, Vec3* origin, Vec3* direction)
 {
     float m[12];
     load_matrix(instance->to_object, m);

@@ -2,10 +2,11 @@
 // Reads ray_origin, ray_direction, path (the primitive that the ray starts on); writes hit = (t, u, v, primitive bits).
 // With instances: reads in which one the ray starts, writes in which one it ends; NONE is the world.
 #include "bvh.h"
+#include "paths.h"
 
-__kernel void intersect(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
-                        __global const Analytic* analytics, __global const float4* ray_origin,
-                        __global const float4* ray_direction, __global const uint4* path, __global float4* hit
+__kernel void intersect(uint paths, uint pool, __global const float8* nodes, __global const float8* blocks, uint block_count,
+                        __global const Analytic* analytics, __global const float* ray_origin,
+                        __global const float* ray_direction, __global const uint* path, __global float* hit
 #if FEATURE_INSTANCES
                         , __global const Instance* instances, uint first_instance, __global uint* instance
 #endif
@@ -13,17 +14,17 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
-    const float4 origin = ray_origin[i];
-    const float3 direction = ray_direction[i].xyz;
-    Ray ray = make_ray(origin.xyz, direction);
+    const Vec4 start_of_ray = load_planes4(ray_origin, i, pool);
+    const Vec3 origin = xyz(start_of_ray), direction = load_planes3(ray_direction, i, pool);
+    Ray ray = make_ray(origin, direction);
 
-    uint2 skip = (uint2)(path[i].y, NONE);
+    uint2 skip = (uint2)(PLANE(PATH_START, path, pool)[i], NONE);
 #if FEATURE_INSTANCES
     const uint start = instance[i];
     uint inside = NONE, hit_instance = NONE, bottom = 0;  // bottom: the part of the stack that is of the world
 #endif
 
-    float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
+    float t_max = start_of_ray.w, hit_u = 0.0f, hit_v = 0.0f;
     uint primitive = NONE;
     int stack[STACK_SIZE];
     float stack_entry[STACK_SIZE];
@@ -53,8 +54,8 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
             if (leaf >= first_instance) {
                 inside = leaf - first_instance;
                 bottom = height;
-                skip.x = skip_inside(path[i].y, start, inside);
-                ray = make_object_ray(instances + inside, origin.xyz, direction);
+                skip.x = skip_inside(PLANE(PATH_START, path, pool)[i], start, inside);
+                ray = make_object_ray(instances + inside, origin, direction);
                 reference = (int)instances[inside].root;
                 continue;
             }
@@ -94,11 +95,11 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
 #if FEATURE_INSTANCES
             if (inside != NONE && height == bottom) {
                 inside = NONE;
-                ray = make_ray(origin.xyz, direction);
+                ray = make_ray(origin, direction);
             }
 #endif
             if (height == 0) {
-                hit[i] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
+                store_planes4(vec4(t_max, hit_u, hit_v, as_float(primitive)), hit, i, pool);
 #if FEATURE_INSTANCES
                 instance[i] = hit_instance;
 #endif

@@ -4,10 +4,10 @@
 #include "surface.h"
 
 typedef struct {
-    float3 position, error, normal;  // normal is zero where the light has no surface
+    Vec3 position, error, normal;  // normal is zero where the light has no surface
     uint primitive;                  // which the position lies on, and which is met there first; else NONE
-    float3 direction;                // unit, from the reference point to the light
-    float3 radiance;                 // what would arrive, before the division by pdf; 0 if the light faces away
+    Vec3 direction;                // unit, from the reference point to the light
+    Vec3 radiance;                 // what would arrive, before the division by pdf; 0 if the light faces away
     float pdf;                       // solid angle, times the probability of the pick; of delta lights: the pick alone
     bool is_delta, is_infinite;
 } LightSample;
@@ -30,7 +30,7 @@ INLINE bool sampled_by_cone(const Geometry* g, __global const Analytic* sphere, 
 
 // Probability with which `sample_light` would have picked a light for a point and the side that is lit there (see `lit_side`).
 // `pdf`: of the direction that found it; after a delta function, when it is negative, the tree is not asked.
-INLINE float pick_probability(const Geometry* g, __global const Light* lights, uint light, float3 point, float4 lit, float pdf)
+INLINE float pick_probability(const Geometry* g, __global const Light* lights, uint light, Vec3 point, Vec4 lit, float pdf)
 {
 #if FEATURE_LIGHT_TREE
     return pdf < 0.0f ? 0.0f : light_tree_probability(&g->light_tree, light, point, lit);
@@ -40,15 +40,15 @@ INLINE float pick_probability(const Geometry* g, __global const Light* lights, u
 }
 
 // Density with which `sample_light` would have found the point at `distance` along `direction` on this light, had it picked it.
-INLINE float light_pdf(const Geometry* g, __global const Light* light, float3 reference, float3 direction, float distance,
-                       float3 normal)
+INLINE float light_pdf(const Geometry* g, __global const Light* light, Vec3 reference, Vec3 direction, float distance,
+                       Vec3 normal)
 {
     const float to_solid_angle = distance * distance / abs1(dot3(normal, direction));
     float density = to_solid_angle / light->area;
 #if FEATURE_SPHERE_LIGHTS
     if (light->kind == LIGHT_SPHERE) {
         __global const Analytic* sphere = g->analytics + light->primitive;
-        const float3 arm = LOAD3(0, sphere->center) - reference;
+        const Vec3 arm = sub3(LOAD3(0, sphere->center), reference);
         const float distance2 = dot3(arm, arm);
         if (sampled_by_cone(g, sphere, distance2))
             density = 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2);
@@ -70,12 +70,12 @@ INLINE uint pick_light(__global const Alias* table, uint count, float u_high, fl
 
 #if FEATURE_SPHERE_LIGHTS
 // Uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small cones), else over its area.
-INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, float3 reference, float2 u, Surface* s)
+INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, Vec3 reference, Vec2 u, Surface* s)
 {
-    const float3 arm = reference - LOAD3(0, sphere->center);
+    const Vec3 arm = sub3(reference, LOAD3(0, sphere->center));
     const float distance2 = dot3(arm, arm), radius = sphere->radius;
     float cos_alpha, density = 0.0f;
-    float3 axis = (float3)(0.0f, 0.0f, 1.0f);
+    Vec3 axis = vec3(0.0f, 0.0f, 1.0f);
     if (sampled_by_cone(g, sphere, distance2)) {
         const float sin2_max = radius * radius / distance2, sin_max = SQRT(sin2_max);
         const float cone = sphere_one_minus_cos(radius, distance2);
@@ -89,17 +89,17 @@ INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, f
     }
     cos_alpha = LESSER(cos_alpha, 1.0f);
     const float sin_alpha = SQRT(GREATER(1.0f - cos_alpha * cos_alpha, 0.0f));
-    float3 x, y;
+    Vec3 x, y;
     basis(axis, &x, &y);
-    const float2 around = sin_alpha * circle(u.y);
-    sphere_surface(sphere, unit(around.x * x + around.y * y + cos_alpha * axis), s);
+    const Vec2 around = scale2(circle(u.y), sin_alpha);
+    sphere_surface(sphere, unit(combine3(around.x, x, around.y, y, cos_alpha, axis)), s);
     return density;
 }
 #endif
 
 #if FEATURE_AREA_LIGHTS
 // A point on the light's surface. Returns its density in solid angle, or 0 where it is uniform over the area instead.
-INLINE float sample_surface(const Geometry* g, __global const Light* light, float3 reference, float2 u, Surface* s)
+INLINE float sample_surface(const Geometry* g, __global const Light* light, Vec3 reference, Vec2 u, Surface* s)
 {
     float density = 0.0f;
     switch (light->kind) {
@@ -115,13 +115,13 @@ INLINE float sample_surface(const Geometry* g, __global const Light* light, floa
 #endif
 #if FEATURE_DISK_LIGHTS
     case LIGHT_DISK:
-        transformed_surface(g->analytics + light->primitive, (float3)(square_to_disk(u), 0.0f), (float3)(0.0f, 0.0f, 1.0f), s);
+        transformed_surface(g->analytics + light->primitive, on_plane(square_to_disk(u), 0.0f), vec3(0.0f, 0.0f, 1.0f), s);
         break;
 #endif
 #if FEATURE_CYLINDER_LIGHTS
     case LIGHT_CYLINDER: {
-        const float3 side = (float3)(circle(u.x), 0.0f);
-        transformed_surface(g->analytics + light->primitive, (float3)(side.xy, u.y), side, s);
+        const Vec2 side = circle(u.x);
+        transformed_surface(g->analytics + light->primitive, on_plane(side, u.y), on_plane(side, 0.0f), s);
         break;
     }
 #endif
@@ -136,13 +136,13 @@ INLINE float sample_surface(const Geometry* g, __global const Light* light, floa
 
 #if FEATURE_AREA_LIGHTS
 // Radiance that a light's surface emits at a point of it.
-INLINE float3 emitted_radiance(const Geometry* g, __global const Light* light, const Surface* s)
+INLINE Vec3 emitted_radiance(const Geometry* g, __global const Light* light, const Surface* s)
 {
-    float3 radiance = LOAD3(0, light->radiance);
+    Vec3 radiance = LOAD3(0, light->radiance);
 #if FEATURE_TEXTURES
     if (light->texture != NONE) {
         const TexturePoint point = texture_point(s);
-        radiance *= texture_rgb(&g->textures, light->texture, &point);
+        radiance = mul3(radiance, texture_rgb(&g->textures, light->texture, &point));
     }
 #endif
     return radiance;
@@ -152,9 +152,9 @@ INLINE float3 emitted_radiance(const Geometry* g, __global const Light* light, c
 #if FEATURE_SPOT_LIGHTS
 // Share of the spot's intensity that leaves along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is
 // taken from the chord, which is exact for narrow spots too.
-INLINE float spot_falloff(__global const Light* light, float3 direction)
+INLINE float spot_falloff(__global const Light* light, Vec3 direction)
 {
-    const float3 off = direction - LOAD3(0, light->axis);
+    const Vec3 off = sub3(direction, LOAD3(0, light->axis));
     const float half_chord = 0.5f * SQRT(dot3(off, off));
     const float angle = 2.0f * asin(LESSER(half_chord, 1.0f));
     const float share = (light->cutoff - angle) * light->inverse_transition;
@@ -164,9 +164,9 @@ INLINE float spot_falloff(__global const Light* light, float3 direction)
 
 #if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 // Radiance that arrives from beyond the scene, and the density with which `sample_light` would have found it, had it picked it.
-INLINE float3 sky_radiance(const Geometry* g, __global const Light* sky, float3 direction, float* pdf)
+INLINE Vec3 sky_radiance(const Geometry* g, __global const Light* sky, Vec3 direction, float* pdf)
 {
-    float3 radiance = LOAD3(0, sky->radiance);
+    Vec3 radiance = LOAD3(0, sky->radiance);
     *pdf = 0.25f * M_1_PI_F;
 #if FEATURE_ENVIRONMENT_MAP
     if (!FEATURE_CONSTANT_LIGHT || sky->kind == LIGHT_ENVIRONMENT_MAP)
@@ -179,7 +179,7 @@ INLINE float3 sky_radiance(const Geometry* g, __global const Light* sky, float3 
 // One light, and one point on it, for the point `reference` and the side that is lit there. `u`: pick, position x,
 // position y, pick (low bits).
 INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
-                                float3 reference, float4 lit, float4 u)
+                                Vec3 reference, Vec4 lit, Vec4 u)
 {
     LightSample sample;
 #if FEATURE_LIGHT_TREE
@@ -189,15 +189,15 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.pdf = light->pick_probability;
 #endif
     sample.radiance = LOAD3(0, light->radiance);
-    sample.normal = sample.error = (float3)(0.0f);
+    sample.normal = sample.error = all3(0.0f);
     sample.primitive = NONE;
     sample.is_delta = sample.is_infinite = false;
 #if FEATURE_POINT_LIGHTS
     if (light->kind == LIGHT_POINT) {
         sample.position = LOAD3(0, light->position);
-        const float3 arm = sample.position - reference;
+        const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
-        sample.radiance /= dot3(arm, arm);
+        sample.radiance = over3(sample.radiance, dot3(arm, arm));
         sample.is_delta = true;
         return sample;
     }
@@ -205,16 +205,16 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #if FEATURE_SPOT_LIGHTS
     if (light->kind == LIGHT_SPOT) {
         sample.position = LOAD3(0, light->position);
-        const float3 arm = sample.position - reference;
+        const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
-        sample.radiance *= spot_falloff(light, -sample.direction) / dot3(arm, arm);
+        sample.radiance = scale3(sample.radiance, spot_falloff(light, neg3(sample.direction)) / dot3(arm, arm));
         sample.is_delta = true;
         return sample;
     }
 #endif
 #if FEATURE_DIRECTIONAL_LIGHTS
     if (light->kind == LIGHT_DIRECTIONAL) {
-        sample.direction = -LOAD3(0, light->position);
+        sample.direction = neg3(LOAD3(0, light->position));
         sample.is_delta = sample.is_infinite = true;
         return sample;
     }
@@ -222,7 +222,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #if FEATURE_ENVIRONMENT_MAP
     if (light->kind == LIGHT_ENVIRONMENT_MAP) {
         float density;
-        sample.radiance = environment_sample(&g->environment, u.yz, &sample.direction, &density);
+        sample.radiance = environment_sample(&g->environment, vec2(u.y, u.z), &sample.direction, &density);
         sample.pdf *= density;
         sample.is_infinite = true;
         return sample;
@@ -231,7 +231,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #if FEATURE_CONSTANT_LIGHT
     if (light->kind == LIGHT_CONSTANT) {
         const float z = 1.0f - 2.0f * u.y, r = 2.0f * SQRT(GREATER(u.y * (1.0f - u.y), 0.0f));
-        sample.direction = (float3)(r * circle(u.z), z);
+        sample.direction = on_plane(scale2(circle(u.z), r), z);
         sample.pdf *= 0.25f * M_1_PI_F;
         sample.is_infinite = true;
         return sample;
@@ -239,12 +239,12 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #endif
 #if FEATURE_AREA_LIGHTS
     Surface s;
-    const float density = sample_surface(g, light, reference, u.yz, &s);
-    const float3 arm = s.position - reference;
+    const float density = sample_surface(g, light, reference, vec2(u.y, u.z), &s);
+    const Vec3 arm = sub3(s.position, reference);
     const float distance2 = dot3(arm, arm);
     sample.direction = unit(arm);
     const float cos_light = -dot3(s.normal, sample.direction);
-    sample.radiance = cos_light > 0.0f ? emitted_radiance(g, light, &s) : (float3)(0.0f);
+    sample.radiance = cos_light > 0.0f ? emitted_radiance(g, light, &s) : all3(0.0f);
     sample.pdf *= density > 0.0f ? density : distance2 / (cos_light * light->area);
     sample.position = s.position;
     sample.error = s.error;

@@ -47,7 +47,7 @@ INLINE float8 likely_cosine(float8 middle, float8 bound, float8 distance)
 // How much light the children of a node could send to a point, in a unit of its own. `normal`: there; its w is 1 where light
 // from all sides counts (then the rest is 0), else 0. The sine of half the angle under which a sphere appears is radius /
 // distance; adding it to a cosine comes close to the cosine of the difference, and is 0 where that is.
-INLINE float8 light_node_weights(__global const float8* node, float3 point, float4 normal)
+INLINE float8 light_node_weights(__global const float8* node, Vec3 point, Vec4 normal)
 {
     const float8 x = node[0] - point.x, y = node[1] - point.y, z = node[2] - point.z, radius = node[3];
     const float8 distance2 = GREATER(x * x + y * y + z * z, (float8)(1e-36f)), distance = root_of(distance2);
@@ -79,7 +79,7 @@ INLINE uint last_lane(int8 mask)
 
 // Picks a light by a random number in [0, 1), given as `u` and what lies below its last bit. At every node what is left of the
 // number is scaled to [0, 1) again, as the sum of two floats, so that its 48 bits last for a million lights.
-INLINE uint pick_from_tree(const LightTree* tree, float3 point, float4 normal, float u, float u_low, float* probability)
+INLINE uint pick_from_tree(const LightTree* tree, Vec3 point, Vec4 normal, float u, float u_low, float* probability)
 {
     *probability = 1.0f;
     float rest = 0x1p-24f * u_low;
@@ -119,7 +119,7 @@ INLINE uint pick_from_tree(const LightTree* tree, float3 point, float4 normal, f
 }
 
 // Probability with which `pick_from_tree` would have picked this light.
-INLINE float light_tree_probability(const LightTree* tree, uint light, float3 point, float4 normal)
+INLINE float light_tree_probability(const LightTree* tree, uint light, Vec3 point, Vec4 normal)
 {
     uint place = tree->places[light];
     float probability = place == NONE ? 0.0f : 1.0f;

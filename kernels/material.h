@@ -9,7 +9,7 @@
 // Materials of two sides show the same on both: what is behind the surface is mirrored to before it.
 INLINE void turn_to_viewer(Shading* at)
 {
-    at->normal = -at->normal;
+    at->normal = neg3(at->normal);
     at->cos_i = -at->cos_i;
 #if HAS_BUMPS
     at->turned = !at->turned;
@@ -21,7 +21,7 @@ INLINE void turn_to_viewer(Shading* at)
 INLINE void set_frame(Shading* at, const Surface* s)
 {
 #if FEATURE_UVS
-    at->s = unit(s->dp_du - dot3(at->normal, s->dp_du) * at->normal);
+    at->s = unit(sub3(s->dp_du, scale3(at->normal, dot3(at->normal, s->dp_du))));
     if (dot3(at->s, at->s) > 0.5f) {
         at->t = cross3(at->normal, at->s);
         return;
@@ -34,48 +34,48 @@ INLINE void set_frame(Shading* at, const Surface* s)
 #if HAS_BUMPS
 // The normal of the surface that a height, or a map of normals, makes of this one, in the frame there. As Mitsuba 3
 // (3.9, bumpmap.cpp, normalmap.cpp and what they share) has it.
-INLINE float3 bumped_normal(const Shading* at, const Surface* s)
+INLINE Vec3 bumped_normal(const Shading* at, const Surface* s)
 {
-    float3 bumped = (float3)(0.0f, 0.0f, 1.0f);
+    Vec3 bumped = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (at->bsdf->kind == BSDF_NORMAL_MAP) bumped = 2.0f * rgb_parameter(at, 0) - 1.0f;
+    if (at->bsdf->kind == BSDF_NORMAL_MAP) bumped = sub3(scale3(rgb_parameter(at, 0), 2.0f), all3(1.0f));
 #endif
 #if FEATURE_BUMP
     if (at->bsdf->kind == BSDF_BUMP) {
-        const float2 slope = at->bsdf->values[3] * texture_gradient(at->textures, at->bsdf->textures[0], &at->point);
-        const float3 along_u = s->dp_du + (slope.x - dot3(s->normal, s->dp_du)) * s->normal;
-        const float3 along_v = s->dp_dv + (slope.y - dot3(s->normal, s->dp_dv)) * s->normal;
-        const float3 normal = cross3(along_u, along_v);
-        const float3 outward = dot3(s->geometric_normal, normal) < 0.0f ? -normal : normal;
-        bumped = (float3)(dot3(outward, at->s), dot3(outward, at->t), dot3(outward, s->normal));
+        const Vec2 slope = scale2(texture_gradient(at->textures, at->bsdf->textures[0], &at->point), at->bsdf->values[3]);
+        const Vec3 along_u = add3(s->dp_du, scale3(s->normal, slope.x - dot3(s->normal, s->dp_du)));
+        const Vec3 along_v = add3(s->dp_dv, scale3(s->normal, slope.y - dot3(s->normal, s->dp_dv)));
+        const Vec3 normal = cross3(along_u, along_v);
+        const Vec3 outward = dot3(s->geometric_normal, normal) < 0.0f ? neg3(normal) : normal;
+        bumped = vec3(dot3(outward, at->s), dot3(outward, at->t), dot3(outward, s->normal));
     }
 #endif
     // seen from behind it is turned to the viewer: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
-    const float3 wi = to_local(at, at->wi);
-    if (!(at->bsdf->flags & BSDF_ANY_NORMAL) && wi.z * dot3(wi, bumped) <= 0.0f) bumped.xy = -bumped.xy;
+    const Vec3 wi = to_local(at, at->wi);
+    if (!(at->bsdf->flags & BSDF_ANY_NORMAL) && wi.z * dot3(wi, bumped) <= 0.0f) bumped = vec3(-bumped.x, -bumped.y, bumped.z);
     bumped = unit(bumped);
-    return dot3(bumped, bumped) > 0.0f ? bumped : (float3)(0.0f, 0.0f, 1.0f);
+    return dot3(bumped, bumped) > 0.0f ? bumped : vec3(0.0f, 0.0f, 1.0f);
 }
 
 // Takes the bumped normal for the shading normal; the frame stays as right- or left-handed as it is.
 INLINE void bump(Shading* at, const Surface* s)
 {
-    const float3 bumped = bumped_normal(at, s), along = (float3)(1.0f, 0.0f, 0.0f) - bumped.x * bumped;
-    const float3 s_bumped = dot3(along, along) > 0.0f ? unit(along) : (float3)(0.0f, 1.0f, 0.0f);
-    const float3 t_bumped = cross3(bumped, s_bumped);
-    const float3 normal = to_world(at, bumped), first = to_world(at, s_bumped), second = to_world(at, t_bumped);
+    const Vec3 bumped = bumped_normal(at, s), along = sub3(vec3(1.0f, 0.0f, 0.0f), scale3(bumped, bumped.x));
+    const Vec3 s_bumped = dot3(along, along) > 0.0f ? unit(along) : vec3(0.0f, 1.0f, 0.0f);
+    const Vec3 t_bumped = cross3(bumped, s_bumped);
+    const Vec3 normal = to_world(at, bumped), first = to_world(at, s_bumped), second = to_world(at, t_bumped);
     at->normal = normal;
     at->s = first;
     at->t = second;
     at->cos_i = dot3(normal, at->wi);
-    const float tan2 = dot2(bumped.xy, bumped.xy) / (bumped.z * bumped.z);
+    const float tan2 = dot2(vec2(bumped.x, bumped.y), vec2(bumped.x, bumped.y)) / (bumped.z * bumped.z);
     at->shadow = at->bsdf->flags & BSDF_NO_SHADOW ? 0.0f : LESSER(0.125f * tan2, 1.0f);
 }
 
 // What of the light from `direction` a bumped surface scatters: nothing where it lies on one side of the surface and on the
 // other of the bump, and less where the bump casts a shadow. Estevez, Lecocq, Stein, "A Microfacet-Based Shadowing Function to
 // Solve the Bump Terminator Problem", Ray Tracing Gems, 2019.
-INLINE float bump_share(const Shading* at, const Surface* s, float3 direction)
+INLINE float bump_share(const Shading* at, const Surface* s, Vec3 direction)
 {
     if (at->shadow == NO_BUMP) return 1.0f;
     const float cos_o = dot3(s->normal, direction), side = at->turned ? -1.0f : 1.0f;

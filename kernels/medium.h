@@ -4,24 +4,25 @@
 
 #if FEATURE_MEDIA
 // The medium that a ray is in once it leaves a surface. `medium`: where it came from; most surfaces separate none.
-INLINE uint medium_behind(const Surface* s, float3 direction, uint medium)
+INLINE uint medium_behind(const Surface* s, Vec3 direction, uint medium)
 {
     if (s->media == NONE) return medium;
     return dot3(direction, s->geometric_normal) > 0.0f ? s->media >> 16 : s->media & 0xFFFFu;
 }
 
-INLINE float3 transmittance(__global const Medium* medium, float distance)
+INLINE Vec3 transmittance(__global const Medium* medium, float distance)
 {
-    return exp(-LOAD3(0, medium->sigma_t) * LESSER(distance, FLT_MAX));  // where sigma_t is 0, infinity would make no number
+    const float finite = LESSER(distance, FLT_MAX);  // where sigma_t is 0, infinity would make no number
+    return vec3(exp(-medium->sigma_t[0] * finite), exp(-medium->sigma_t[1] * finite), exp(-medium->sigma_t[2] * finite));
 }
 
 // Whether a path scatters before the surface at `*distance`; then that gets the distance to where. The distance is drawn by one
 // colour's density of collisions, the colour by its share of the path's weight, and the weight divided by the density of all
 // three together: no colour gets more than the sum that they had (Wilkie et al., "Hero Wavelength Spectral Sampling", 2014).
 // `u`: colour, distance, distance (low bits).
-INLINE bool fly(__global const Medium* medium, float4 u, float* distance, float3* weight)
+INLINE bool fly(__global const Medium* medium, Vec4 u, float* distance, Vec3* weight)
 {
-    const float3 share = *weight / (weight->x + weight->y + weight->z), sigma_t = LOAD3(0, medium->sigma_t);
+    const Vec3 share = over3(*weight, weight->x + weight->y + weight->z), sigma_t = LOAD3(0, medium->sigma_t);
     const float sigma = u.x < share.x ? sigma_t.x : u.x < share.x + share.y ? sigma_t.y : sigma_t.z;
     // 48 bits, so that both a thin medium and the light through a thick one are met as often as they should be
     const float low = 0x1p-24f * u.z;
@@ -29,31 +30,32 @@ INLINE bool fly(__global const Medium* medium, float4 u, float* distance, float3
     const float reached = depth / sigma;
     const bool scatters = sigma > 0.0f && reached < *distance;
     if (scatters) *distance = reached;
-    const float3 through = transmittance(medium, *distance);
-    const float3 density = scatters ? sigma_t / sigma * through : through;
+    const Vec3 through = transmittance(medium, *distance);
+    const Vec3 density = scatters ? mul3(over3(sigma_t, sigma), through) : through;
     const float all = dot3(share, density);
-    *weight *= all > 0.0f ? (scatters ? LOAD3(0, medium->albedo) : (float3)(1.0f)) * density / all : (float3)(0.0f);
+    const Vec3 albedo = scatters ? LOAD3(0, medium->albedo) : all3(1.0f);
+    *weight = all > 0.0f ? mul3(*weight, over3(mul3(albedo, density), all)) : all3(0.0f);
     return scatters;
 }
 
 // Makes of the surface that a ray would meet at `ahead` the point of its medium at `distance`, which has no normal. It is
 // reckoned from the nearer end and is not closer to the surface than the error of that, so that it is not beyond it.
-INLINE void enter_volume(Surface* s, bool has_end, float3 origin, float3 direction, float distance, float ahead, uint phase)
+INLINE void enter_volume(Surface* s, bool has_end, Vec3 origin, Vec3 direction, float distance, float ahead, uint phase)
 {
-    float3 position = origin + distance * direction;
+    Vec3 position = add3(origin, scale3(direction, distance));
     if (has_end && distance > 0.5f * ahead) {
-        const float3 back = (distance - ahead) * direction, normal = s->geometric_normal;
-        const float off = dot3(normal, back), least = dot3(abs3(normal), s->error + 0x1p-23f * abs3(s->position));
-        position = s->position + back + with_sign(GREATER(least - abs1(off), 0.0f), off) * normal;
+        const Vec3 back = scale3(direction, distance - ahead), normal = s->geometric_normal;
+        const float off = dot3(normal, back), least = dot3(abs3(normal), add3(s->error, scale3(abs3(s->position), 0x1p-23f)));
+        position = add3(add3(s->position, back), scale3(normal, with_sign(GREATER(least - abs1(off), 0.0f), off)));
     }
     s->position = position;
-    s->error = s->geometric_normal = (float3)(0.0f);
-    s->normal = (float3)(0.0f, 0.0f, 1.0f);
+    s->error = s->geometric_normal = all3(0.0f);
+    s->normal = vec3(0.0f, 0.0f, 1.0f);
     s->bsdf = phase;
     s->light = s->media = NONE;
 #if FEATURE_UVS
-    s->uv = s->barycentric = (float2)(0.0f);
-    s->dp_du = s->dp_dv = (float3)(0.0f);
+    s->uv = s->barycentric = all2(0.0f);
+    s->dp_du = s->dp_dv = all3(0.0f);
     s->triangle = NONE;
 #endif
 }
@@ -81,7 +83,7 @@ INLINE void enter_boundary(Boundaries* b, float distance, uint behind)
 #endif
 
 // Where a ray that leaves a vertex towards `direction` may start: off the surface, or where it is in a volume.
-INLINE float3 leave(const Surface* s, float3 direction)
+INLINE Vec3 leave(const Surface* s, Vec3 direction)
 {
 #if FEATURE_MEDIA
     if (dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return s->position;

@@ -83,7 +83,7 @@ INLINE Microfacets microfacets(float alpha_u, float alpha_v, uint flags)
 }
 
 // D(m): area of the facets with normal m, for an area of the surface.
-INLINE float facet_density(const Microfacets* d, float3 m)
+INLINE float facet_density(const Microfacets* d, Vec3 m)
 {
     const float x = m.x / d->alpha_u, y = m.y / d->alpha_v, slope2 = x * x + y * y, cos2 = m.z * m.z;
     const float area = M_PI_F * d->alpha_u * d->alpha_v;
@@ -98,7 +98,7 @@ INLINE float facet_density(const Microfacets* d, float3 m)
 }
 
 // Smith's G1(v) / |cos v|: the share of the facets that are seen from v, without a division by a cosine that may vanish.
-INLINE float seen_per_cosine(const Microfacets* d, float3 v)
+INLINE float seen_per_cosine(const Microfacets* d, Vec3 v)
 {
     const float x = d->alpha_u * v.x, y = d->alpha_v * v.y, q = x * x + y * y, z = abs1(v.z);
 #if FEATURE_BECKMANN
@@ -110,31 +110,31 @@ INLINE float seen_per_cosine(const Microfacets* d, float3 v)
     return 2.0f / (z + SQRT(z * z + q));
 }
 
-INLINE float seen(const Microfacets* d, float3 v)
+INLINE float seen(const Microfacets* d, Vec3 v)
 {
     return seen_per_cosine(d, v) * abs1(v.z);
 }
 
 // Solid angle density of `sample_facet` for a normal that is seen from w, if D(m) is `density`.
-INLINE float facet_pdf(const Microfacets* d, float3 w, float3 m, float density)
+INLINE float facet_pdf(const Microfacets* d, Vec3 w, Vec3 m, float density)
 {
     return density * (d->sample_all ? m.z : seen_per_cosine(d, w) * dot3(w, m));
 }
 
 // E. Heitz, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
-INLINE float3 visible_facet_ggx(const Microfacets* d, float3 w, float2 u)
+INLINE Vec3 visible_facet_ggx(const Microfacets* d, Vec3 w, Vec2 u)
 {
-    const float3 v = unit((float3)(d->alpha_u * w.x, d->alpha_v * w.y, w.z));
+    const Vec3 v = unit(vec3(d->alpha_u * w.x, d->alpha_v * w.y, w.z));
     const float sin2 = v.x * v.x + v.y * v.y, inverse = sin2 > 1e-30f ? 1.0f / SQRT(sin2) : 0.0f;
     const float cos_phi = sin2 > 1e-30f ? v.x * inverse : 1.0f, sin_phi = v.y * inverse;
-    float2 p = square_to_disk(u);
+    Vec2 p = square_to_disk(u);
     const float s = 0.5f * (1.0f + v.z);
     p.y = (1.0f - s) * SQRT(GREATER(1.0f - p.x * p.x, 0.0f)) + s * p.y;
     const float z = SQRT(GREATER(1.0f - dot2(p, p), 0.0f));
     const float along = z * sin2 * inverse - p.y * v.z;  // in the plane of v and the normal
     const float up = z * v.z + p.y * sin2 * inverse;
-    return unit((float3)(d->alpha_u * (along * cos_phi - p.x * sin_phi), d->alpha_v * (along * sin_phi + p.x * cos_phi),
-                         GREATER(up, 0.0f)));
+    return unit(vec3(d->alpha_u * (along * cos_phi - p.x * sin_phi), d->alpha_v * (along * sin_phi + p.x * cos_phi),
+                     GREATER(up, 0.0f)));
 }
 
 #if FEATURE_BECKMANN
@@ -161,32 +161,32 @@ INLINE float visible_slope(float tangent, float u)
     return slope + step * (1.0f + slope * step);  // erf's inverse about the last one but one
 }
 
-INLINE float3 visible_facet_beckmann(const Microfacets* d, float3 w, float2 u)
+INLINE Vec3 visible_facet_beckmann(const Microfacets* d, Vec3 w, Vec2 u)
 {
-    u = (float2)(GREATER(u.x, 0x1p-24f), GREATER(u.y, 0x1p-24f));
+    u = vec2(GREATER(u.x, 0x1p-24f), GREATER(u.y, 0x1p-24f));
     const float x = d->alpha_u * w.x, y = d->alpha_v * w.y, s = SQRT(x * x + y * y);
     const float cos_phi = s > 0.0f ? x / s : 1.0f, sin_phi = s > 0.0f ? y / s : 0.0f;
     const float along = visible_slope(s / w.z, u.x), across = inverse_error_function(2.0f * u.y - 1.0f);
-    return unit((float3)(-d->alpha_u * (cos_phi * along - sin_phi * across),
-                         -d->alpha_v * (sin_phi * along + cos_phi * across), 1.0f));
+    return unit(vec3(-d->alpha_u * (cos_phi * along - sin_phi * across), -d->alpha_v * (sin_phi * along + cos_phi * across),
+                     1.0f));
 }
 #endif
 
 #if FEATURE_ALL_NORMALS
 // By density D(m) cos m: slopes of a surface of roughness 1, stretched.
-INLINE float3 any_facet(const Microfacets* d, float2 u)
+INLINE Vec3 any_facet(const Microfacets* d, Vec2 u)
 {
     float tan2 = u.x / (1.0f - u.x);
 #if FEATURE_BECKMANN
     if (!d->is_ggx) tan2 = -logarithm(1.0f - u.x);
 #endif
-    const float2 slope = SQRT(tan2) * circle(u.y);
-    return unit((float3)(d->alpha_u * slope.x, d->alpha_v * slope.y, 1.0f));
+    const Vec2 slope = scale2(circle(u.y), SQRT(tan2));
+    return unit(vec3(d->alpha_u * slope.x, d->alpha_v * slope.y, 1.0f));
 }
 #endif
 
 // A facet's normal for a path that came from w, w.z > 0.
-INLINE float3 sample_facet(const Microfacets* d, float3 w, float2 u)
+INLINE Vec3 sample_facet(const Microfacets* d, Vec3 w, Vec2 u)
 {
 #if FEATURE_ALL_NORMALS
     if (d->sample_all) return any_facet(d, u);

@@ -6,9 +6,9 @@
 // Henyey and Greenstein, "Diffuse Radiation in the Galaxy", 1941; g, the mean cosine, is slot 0, and 0 is isotropic. Light goes
 // preferably along an axis, onwards (g > 0) or back. All is written with the distance from that axis, 1 - its cosine, and with
 // 1 - |g|: neither cancels where |g| is nearly 1, and nothing is divided by a g of 0.
-INLINE float3 hg_axis(const Shading* at)
+INLINE Vec3 hg_axis(const Shading* at)
 {
-    return at->bsdf->values[0] < 0.0f ? at->wi : -at->wi;
+    return at->bsdf->values[0] < 0.0f ? at->wi : neg3(at->wi);
 }
 
 INLINE float hg_density(float narrow, float one_minus_cos)
@@ -17,26 +17,26 @@ INLINE float hg_density(float narrow, float one_minus_cos)
     return 0.25f * M_1_PI_F * wide * (1.0f + narrow) / (square * SQRT(square));
 }
 
-INLINE float3 hg_eval(const Shading* at, float3 wo, float* pdf)
+INLINE Vec3 hg_eval(const Shading* at, Vec3 wo, float* pdf)
 {
-    const float3 off = wo - hg_axis(at);
+    const Vec3 off = sub3(wo, hg_axis(at));
     *pdf = hg_density(abs1(at->bsdf->values[0]), 0.5f * dot3(off, off));
-    return (float3)(*pdf);
+    return all3(*pdf);
 }
 
 // The cosine's distribution inverted: 1 - cos = 2 (1 - u) (1 + |g| u) ((1 - |g|) / (1 - |g| + 2 |g| u))^2.
-INLINE BsdfSample hg_sample(const Shading* at, float2 u)
+INLINE BsdfSample hg_sample(const Shading* at, Vec2 u)
 {
     const float narrow = abs1(at->bsdf->values[0]), wide = 1.0f - narrow;
     const float ratio = wide / (wide + 2.0f * narrow * u.x);
     const float one_minus_cos = 2.0f * (1.0f - u.x) * (1.0f + narrow * u.x) * ratio * ratio;
-    const float3 axis = hg_axis(at);
-    float3 x, y;
+    const Vec3 axis = hg_axis(at);
+    Vec3 x, y;
     basis(axis, &x, &y);
-    const float2 around = SQRT(GREATER(one_minus_cos * (2.0f - one_minus_cos), 0.0f)) * circle(u.y);
+    const Vec2 around = scale2(circle(u.y), SQRT(GREATER(one_minus_cos * (2.0f - one_minus_cos), 0.0f)));
     BsdfSample sample;
-    sample.direction = unit(around.x * x + around.y * y + (1.0f - one_minus_cos) * axis);
-    sample.weight = (float3)(1.0f);
+    sample.direction = unit(combine3(around.x, x, around.y, y, 1.0f - one_minus_cos, axis));
+    sample.weight = all3(1.0f);
     sample.pdf = at->bsdf->flags & BSDF_UNLIT ? -1.0f : hg_density(narrow, one_minus_cos);
     sample.eta = 1.0f;
     return sample;

@@ -3,7 +3,7 @@
 #pragma once
 
 // Functions of a few lines become part of their caller, so that results travel in registers.
-#define INLINE static inline __attribute__((always_inline))
+#define INLINE inline __attribute__((always_inline))
 
 // Long functions of many callers stay functions: with textures in a dozen parameters of each of three materials `shade` took
 // PoCL 46 s to compile, and takes 5.
@@ -29,12 +29,138 @@
 #define FMA(a, b, c) fma(a, b, c)
 #endif
 
-INLINE float dot3(float3 a, float3 b)
+// Triples and the like are records of numbers, not OpenCL's vectors: a compiler that makes one vector instruction of the same
+// operation of several paths (PoCL's does) has no lanes for vectors of vectors. C rounds no differently: each function stands
+// for one operator, number by number. The members that nobody reads make a record longer than 16 bytes: shorter ones x86 hands
+// to functions as pieces of registers, that is as vectors again.
+typedef struct {
+    float x, y;
+    float unused[3];
+} Vec2;
+
+typedef struct {
+    float x, y, z;
+    float unused[2];
+} Vec3;
+
+typedef struct {
+    float x, y, z, w;
+    float unused;
+} Vec4;
+
+INLINE Vec2 vec2(float x, float y)
+{
+    Vec2 v;
+    v.x = x;
+    v.y = y;
+    return v;
+}
+
+INLINE Vec3 vec3(float x, float y, float z)
+{
+    Vec3 v;
+    v.x = x;
+    v.y = y;
+    v.z = z;
+    return v;
+}
+
+INLINE Vec4 vec4(float x, float y, float z, float w)
+{
+    Vec4 v;
+    v.x = x;
+    v.y = y;
+    v.z = z;
+    v.w = w;
+    return v;
+}
+
+INLINE Vec3 xyz(Vec4 v)
+{
+    return vec3(v.x, v.y, v.z);
+}
+
+INLINE Vec4 with_w(Vec3 v, float w)
+{
+    return vec4(v.x, v.y, v.z, w);
+}
+
+INLINE Vec2 all2(float s)
+{
+    return vec2(s, s);
+}
+
+INLINE Vec2 neg2(Vec2 v)
+{
+    return vec2(-v.x, -v.y);
+}
+
+INLINE Vec2 add2(Vec2 a, Vec2 b)
+{
+    return vec2(a.x + b.x, a.y + b.y);
+}
+
+INLINE Vec2 sub2(Vec2 a, Vec2 b)
+{
+    return vec2(a.x - b.x, a.y - b.y);
+}
+
+INLINE Vec2 scale2(Vec2 v, float s)
+{
+    return vec2(v.x * s, v.y * s);
+}
+
+INLINE Vec3 all3(float s)
+{
+    return vec3(s, s, s);
+}
+
+INLINE Vec3 neg3(Vec3 v)
+{
+    return vec3(-v.x, -v.y, -v.z);
+}
+
+INLINE Vec3 add3(Vec3 a, Vec3 b)
+{
+    return vec3(a.x + b.x, a.y + b.y, a.z + b.z);
+}
+
+INLINE Vec3 sub3(Vec3 a, Vec3 b)
+{
+    return vec3(a.x - b.x, a.y - b.y, a.z - b.z);
+}
+
+INLINE Vec3 mul3(Vec3 a, Vec3 b)
+{
+    return vec3(a.x * b.x, a.y * b.y, a.z * b.z);
+}
+
+INLINE Vec3 div3(Vec3 a, Vec3 b)
+{
+    return vec3(a.x / b.x, a.y / b.y, a.z / b.z);
+}
+
+INLINE Vec3 scale3(Vec3 v, float s)
+{
+    return vec3(v.x * s, v.y * s, v.z * s);
+}
+
+INLINE Vec3 over3(Vec3 v, float s)
+{
+    return vec3(v.x / s, v.y / s, v.z / s);
+}
+
+INLINE Vec4 scale4(Vec4 v, float s)
+{
+    return vec4(v.x * s, v.y * s, v.z * s, v.w * s);
+}
+
+INLINE float dot3(Vec3 a, Vec3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
-INLINE float dot2(float2 a, float2 b)
+INLINE float dot2(Vec2 a, Vec2 b)
 {
     return a.x * b.x + a.y * b.y;
 }
@@ -44,9 +170,9 @@ INLINE float abs1(float v)
     return as_float(as_uint(v) & 0x7FFFFFFFu);
 }
 
-INLINE float3 abs3(float3 v)
+INLINE Vec3 abs3(Vec3 v)
 {
-    return as_float3(as_uint3(v) & 0x7FFFFFFFu);
+    return vec3(abs1(v.x), abs1(v.y), abs1(v.z));
 }
 
 // |magnitude| with the sign of `sign`.
@@ -55,12 +181,12 @@ INLINE float with_sign(float magnitude, float sign)
     return as_float((as_uint(magnitude) & 0x7FFFFFFFu) | (as_uint(sign) & 0x80000000u));
 }
 
-INLINE float3 with_sign3(float3 magnitude, float3 sign)
+INLINE Vec3 with_sign3(Vec3 magnitude, Vec3 sign)
 {
-    return as_float3((as_uint3(magnitude) & 0x7FFFFFFFu) | (as_uint3(sign) & 0x80000000u));
+    return vec3(with_sign(magnitude.x, sign.x), with_sign(magnitude.y, sign.y), with_sign(magnitude.z, sign.z));
 }
 
-INLINE float largest(float3 v)
+INLINE float largest(Vec3 v)
 {
     return GREATER(GREATER(v.x, v.y), v.z);
 }
@@ -84,12 +210,14 @@ INLINE uint lowest_bit(uint bits)
 }
 
 // The i-th triple of an array without padding. Macros: the address space of `p` may be any.
-#define LOAD3(i, p) ((float3)((p)[3 * (i)], (p)[3 * (i) + 1], (p)[3 * (i) + 2]))
-#define LOAD3U(i, p) ((uint3)((p)[3 * (i)], (p)[3 * (i) + 1], (p)[3 * (i) + 2]))
+#define LOAD3(i, p) vec3((p)[3 * (i)], (p)[3 * (i) + 1], (p)[3 * (i) + 2])
 
-INLINE void store3(float3 v, uint i, __global float* p)
-{
-    p[3 * i] = v.x;
-    p[3 * i + 1] = v.y;
-    p[3 * i + 2] = v.z;
-}
+#define STORE3(v, i, p)                \
+    do {                               \
+        const Vec3 stored_ = (v);      \
+        (p)[3 * (i)] = stored_.x;      \
+        (p)[3 * (i) + 1] = stored_.y;  \
+        (p)[3 * (i) + 2] = stored_.z;  \
+    } while (0)
+
+#define ADD3(v, i, p) STORE3(add3(LOAD3(i, p), v), i, p)

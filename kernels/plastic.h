@@ -6,18 +6,18 @@
 
 #if FEATURE_PLASTIC || FEATURE_ROUGH_PLASTIC
 // Reflectance of the base with all that goes on between it and the boundary, over the boundary's index squared.
-INLINE float3 base_reflectance(const Shading* at)
+INLINE Vec3 base_reflectance(const Shading* at)
 {
-    const float3 base = rgb_parameter(at, 1);
+    const Vec3 base = rgb_parameter(at, 1);
     const float inner = at->bsdf->values[9], eta = number_parameter(at, 2);
-    const float3 again = at->bsdf->flags & BSDF_NONLINEAR ? base * inner : (float3)(inner);
-    return base / ((1.0f - again) * (eta * eta));
+    const Vec3 again = at->bsdf->flags & BSDF_NONLINEAR ? scale3(base, inner) : all3(inner);
+    return div3(base, scale3(sub3(all3(1.0f), again), eta * eta));
 }
 
 // The probability of sampling the boundary, of which this share reflects: by what the two would send back.
 INLINE float boundary_probability(const Shading* at, float reflected)
 {
-    const float3 mirror = rgb_parameter(at, 0), base = rgb_parameter(at, 1);
+    const Vec3 mirror = rgb_parameter(at, 0), base = rgb_parameter(at, 1);
     const float by_boundary = reflected * (mirror.x + mirror.y + mirror.z);
     const float total = by_boundary + (1.0f - reflected) * (base.x + base.y + base.z);
     return total > 0.0f ? by_boundary / total : 0.0f;
@@ -26,35 +26,35 @@ INLINE float boundary_probability(const Shading* at, float reflected)
 
 #if FEATURE_PLASTIC
 // The base alone: the boundary is a delta function.
-INLINE float3 plastic_eval(const Shading* at, float3 wo, float* pdf)
+INLINE Vec3 plastic_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     const float cos_o = dot3(at->normal, wo), eta = number_parameter(at, 2);
     *pdf = 0.0f;
-    if (!(at->cos_i > 0.0f && cos_o > 0.0f)) return (float3)(0.0f);
+    if (!(at->cos_i > 0.0f && cos_o > 0.0f)) return all3(0.0f);
     float cos_t;
     const float reflected_i = fresnel_dielectric(at->cos_i, eta, &cos_t);
     const float reflected_o = fresnel_dielectric(cos_o, eta, &cos_t);
     *pdf = (1.0f - boundary_probability(at, reflected_i)) * cos_o * M_1_PI_F;
-    return base_reflectance(at) * ((1.0f - reflected_i) * (1.0f - reflected_o) * cos_o * M_1_PI_F);
+    return scale3(base_reflectance(at), (1.0f - reflected_i) * (1.0f - reflected_o) * cos_o * M_1_PI_F);
 }
 
-INLINE BsdfSample plastic_sample(const Shading* at, float3 u)
+INLINE BsdfSample plastic_sample(const Shading* at, Vec3 u)
 {
     BsdfSample sample;
-    sample.weight = (float3)(0.0f);
+    sample.weight = all3(0.0f);
     if (!(at->cos_i > 0.0f)) return sample;
     float cos_t;
     const float eta = number_parameter(at, 2), reflected = fresnel_dielectric(at->cos_i, eta, &cos_t);
     const float probability = boundary_probability(at, reflected);
     sample.eta = 1.0f;
     if (u.x < probability) {
-        sample.direction = unit(2.0f * at->cos_i * at->normal - at->wi);
-        sample.weight = rgb_parameter(at, 0) * (reflected / probability);
+        sample.direction = unit(sub3(scale3(at->normal, 2.0f * at->cos_i), at->wi));
+        sample.weight = scale3(rgb_parameter(at, 0), reflected / probability);
         sample.pdf = -1.0f;
     } else {
-        sample.direction = around(at->normal, square_to_hemisphere(u.yz));
+        sample.direction = around(at->normal, square_to_hemisphere(vec2(u.y, u.z)));
         sample.weight = plastic_eval(at, sample.direction, &sample.pdf);
-        sample.weight = sample.pdf > 0.0f ? sample.weight / sample.pdf : (float3)(0.0f);
+        sample.weight = sample.pdf > 0.0f ? over3(sample.weight, sample.pdf) : all3(0.0f);
     }
     return sample;
 }
@@ -73,20 +73,20 @@ INLINE float boundary_transmittance(const Shading* at, float cos_w)
 }
 
 // In the surface's frame.
-INLINE float3 rough_plastic_local(const Shading* at, const Microfacets* d, float3 w, float3 o, float* pdf)
+INLINE Vec3 rough_plastic_local(const Shading* at, const Microfacets* d, Vec3 w, Vec3 o, float* pdf)
 {
     *pdf = 0.0f;
-    if (!(w.z > 0.0f && o.z > 0.0f)) return (float3)(0.0f);
-    const float3 m = unit(w + o);
+    if (!(w.z > 0.0f && o.z > 0.0f)) return all3(0.0f);
+    const Vec3 m = unit(add3(w, o));
     const float cos_m = dot3(w, m), density = facet_density(d, m);
     const float through_w = boundary_transmittance(at, w.z), through_o = boundary_transmittance(at, o.z);
     const float probability = boundary_probability(at, 1.0f - through_w);
     *pdf = (1.0f - probability) * o.z * M_1_PI_F;
-    float3 value = base_reflectance(at) * (through_w * through_o * o.z * M_1_PI_F);
+    Vec3 value = scale3(base_reflectance(at), through_w * through_o * o.z * M_1_PI_F);
     if (cos_m > 0.0f) {
         float cos_t;
         const float reflected = fresnel_dielectric(cos_m, number_parameter(at, 2), &cos_t);
-        value += rgb_parameter(at, 0) * (0.25f * reflected * density * seen_per_cosine(d, w) * seen(d, o));
+        value = add3(value, scale3(rgb_parameter(at, 0), 0.25f * reflected * density * seen_per_cosine(d, w) * seen(d, o)));
         *pdf += probability * facet_pdf(d, w, m, density) / (4.0f * cos_m);
     }
     return value;
@@ -97,30 +97,30 @@ INLINE Microfacets rough_plastic_microfacets(const Shading* at)
     return microfacets(number_parameter(at, 4), number_parameter(at, 4), at->bsdf->flags);
 }
 
-INLINE float3 rough_plastic_eval(const Shading* at, float3 wo, float* pdf)
+INLINE Vec3 rough_plastic_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     const Microfacets d = rough_plastic_microfacets(at);
     return rough_plastic_local(at, &d, to_local(at, at->wi), to_local(at, wo), pdf);
 }
 
-INLINE BsdfSample rough_plastic_sample(const Shading* at, float3 u)
+INLINE BsdfSample rough_plastic_sample(const Shading* at, Vec3 u)
 {
     BsdfSample sample;
-    sample.weight = (float3)(0.0f);
-    const float3 w = to_local(at, at->wi);
+    sample.weight = all3(0.0f);
+    const Vec3 w = to_local(at, at->wi);
     if (!(w.z > 0.0f)) return sample;
     const Microfacets d = rough_plastic_microfacets(at);
-    float3 o;
+    Vec3 o;
     if (u.x < boundary_probability(at, 1.0f - boundary_transmittance(at, w.z))) {
-        const float3 m = sample_facet(&d, w, u.yz);
-        o = unit(2.0f * dot3(w, m) * m - w);
+        const Vec3 m = sample_facet(&d, w, vec2(u.y, u.z));
+        o = unit(sub3(scale3(m, 2.0f * dot3(w, m)), w));
     } else {
-        o = square_to_hemisphere(u.yz);
+        o = square_to_hemisphere(vec2(u.y, u.z));
     }
-    const float3 value = rough_plastic_local(at, &d, w, o, &sample.pdf);
+    const Vec3 value = rough_plastic_local(at, &d, w, o, &sample.pdf);
     if (!(sample.pdf > 0.0f)) return sample;
     sample.direction = unit(to_world(at, o));
-    sample.weight = value / sample.pdf;
+    sample.weight = over3(value, sample.pdf);
     sample.eta = 1.0f;
     return sample;
 }

@@ -11,25 +11,20 @@
 #define BLOCK_MATERIAL(depth) (0x80000000u + (depth))          // choice of a wrapped material
 #define BLOCK_MEDIUM(depth) (0xC0000000u + (depth))            // colour, distance, distance (low bits)
 
-// Philox4x32 with 7 rounds, the fewest that pass BigCrush.
-// Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011, section 3.3 and table 2.
-INLINE uint4 philox(uint4 counter, uint2 key)
+// Four numbers in [0, 1), multiples of 2^-24, of one dimension block of one sample: Philox4x32 with 7 rounds, the fewest that
+// pass BigCrush. Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011, section 3.3 and table 2.
+INLINE Vec4 random_block(uint2 seed, uint pixel, uint index, uint block)
 {
-    uint a = counter.x, b = counter.y, c = counter.z, d = counter.w;
+    uint a = pixel, b = index, c = block, d = 0u;
+    // unrolled: a loop over paths that has another one within becomes no vector instructions
+#pragma unroll
     for (uint round = 0; round < 7u; ++round) {
         // a product of 64 bits is one instruction where mul_hi may be a call
         const ulong first = (ulong)0xD2511F53u * a, second = (ulong)0xCD9E8D57u * c;
-        a = (uint)(second >> 32) ^ b ^ (key.x + round * 0x9E3779B9u);
+        a = (uint)(second >> 32) ^ b ^ (seed.x + round * 0x9E3779B9u);
         b = (uint)second;
-        c = (uint)(first >> 32) ^ d ^ (key.y + round * 0xBB67AE85u);
+        c = (uint)(first >> 32) ^ d ^ (seed.y + round * 0xBB67AE85u);
         d = (uint)first;
     }
-    return (uint4)(a, b, c, d);
-}
-
-// Four numbers in [0, 1), multiples of 2^-24, of one dimension block of one sample.
-INLINE float4 random_block(uint2 seed, uint pixel, uint index, uint block)
-{
-    const uint4 bits = philox((uint4)(pixel, index, block, 0u), seed) >> 8u;
-    return (float4)((float)bits.x, (float)bits.y, (float)bits.z, (float)bits.w) * 0x1p-24f;
+    return scale4(vec4((float)(a >> 8u), (float)(b >> 8u), (float)(c >> 8u), (float)(d >> 8u)), 0x1p-24f);
 }

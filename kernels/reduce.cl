@@ -54,7 +54,7 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
     for (uint c = 0; c < 4; ++c) sum[c] = load_sum(full + 2 * c * total_pixels, total_pixels);
     Compensated m2 = load_sum(full + 8 * total_pixels, total_pixels);
     __global float* open = block_sums + pixel;
-    float3 open_rgb = (float3)(open[0], open[total_pixels], open[2 * total_pixels]);
+    Vec3 open_rgb = vec3(open[0], open[total_pixels], open[2 * total_pixels]);
     float shift = open[3 * total_pixels], open_sum = open[4 * total_pixels], open_squares = open[5 * total_pixels];
 #if FEATURE_MEDIAN
     __global float* median_state = medians + pixel;
@@ -75,7 +75,7 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
     uint n = count[pixel], dropped = 0;
 
     for (uint at = begin; at < end; ++at) {
-        const float3 rgb = LOAD3(at, samples);
+        const Vec3 rgb = LOAD3(at, samples);
         const float x = luminance(rgb);
         if (!(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && abs1(x) < LUMINANCE_LIMIT)) {
             ++dropped;
@@ -83,12 +83,12 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
         }
         const uint place = n % BLOCK;
         if (place == 0) {
-            open_rgb = (float3)(0.0f);
+            open_rgb = all3(0.0f);
             shift = n ? divide(sum[3], n).high : x;
             open_sum = open_squares = 0.0f;
         }
         const float d = x - shift;
-        open_rgb += rgb;
+        open_rgb = add3(open_rgb, rgb);
         open_sum += d;
         open_squares += d * d;
         if (place == BLOCK - 1) {

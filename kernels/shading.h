@@ -10,11 +10,11 @@
 
 typedef struct {
     __global const Bsdf* bsdf;  // one that wraps no other
-    float3 normal;              // shading normal
-    float3 wi;                  // where the path came from, in world space
+    Vec3 normal;              // shading normal
+    Vec3 wi;                  // where the path came from, in world space
     float cos_i;                // of wi to the normal; not negative for materials of two sides
 #if HAS_FRAMES
-    float3 s, t;  // with the normal, an orthonormal frame; s goes along dp/du. Right-handed, but for turned materials
+    Vec3 s, t;  // with the normal, an orthonormal frame; s goes along dp/du. Right-handed, but for turned materials
 #endif
 #if FEATURE_ROUGH_PLASTIC
     __global const float* tables;  // of `scene.boundaries`
@@ -30,7 +30,7 @@ typedef struct {
 } Shading;
 
 // A parameter of the material that is a colour, and one that is a number.
-INLINE float3 rgb_parameter(const Shading* at, uint slot)
+INLINE Vec3 rgb_parameter(const Shading* at, uint slot)
 {
 #if FEATURE_TEXTURES
     const uint texture = at->bsdf->textures[slot];
@@ -49,14 +49,14 @@ INLINE float number_parameter(const Shading* at, uint slot)
 }
 
 #if HAS_FRAMES
-INLINE float3 to_local(const Shading* at, float3 world)
+INLINE Vec3 to_local(const Shading* at, Vec3 world)
 {
-    return (float3)(dot3(world, at->s), dot3(world, at->t), dot3(world, at->normal));
+    return vec3(dot3(world, at->s), dot3(world, at->t), dot3(world, at->normal));
 }
 
-INLINE float3 to_world(const Shading* at, float3 v)
+INLINE Vec3 to_world(const Shading* at, Vec3 v)
 {
-    return v.x * at->s + v.y * at->t + v.z * at->normal;
+    return add3(add3(scale3(at->s, v.x), scale3(at->t, v.y)), scale3(at->normal, v.z));
 }
 #endif
 
@@ -64,15 +64,22 @@ INLINE float3 to_world(const Shading* at, float3 v)
 
 // Mirrored and refracted directions are made unit again: over a path of many such steps their rounding would add up.
 typedef struct {
-    float3 direction;  // unit, in world space
-    float3 weight;     // bsdf * |cos| / pdf; 0 if the path ends
+    Vec3 direction;  // unit, in world space
+    Vec3 weight;     // bsdf * |cos| / pdf; 0 if the path ends
     float pdf;         // solid angle; negative if the lobe is a delta function, STRAIGHT if the path goes on as it came
     float eta;         // index of the side that `direction` is on over that of the incident side
 } BsdfSample;
 
-// What lets a path through as if nothing was there.
-INLINE BsdfSample straight_on(float3 direction)
+// Every member has a value: what has none in one path would be taken from the one before it in a loop over paths.
+INLINE BsdfSample nothing_sampled(void)
 {
-    const BsdfSample sample = {direction, (float3)(1.0f), STRAIGHT, 1.0f};
+    const BsdfSample sample = {all3(0.0f), all3(0.0f), 1.0f, 1.0f};
+    return sample;
+}
+
+// What lets a path through as if nothing was there.
+INLINE BsdfSample straight_on(Vec3 direction)
+{
+    const BsdfSample sample = {direction, all3(1.0f), STRAIGHT, 1.0f};
     return sample;
 }

@@ -2,11 +2,12 @@
 // Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
 // shadow_radiance, hit (the primitive it starts on); adds to samples.
 #include "bvh.h"
+#include "paths.h"
 
-__kernel void shadow(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
-                     __global const Analytic* analytics, __global const float4* shadow_origin,
-                     __global const float4* shadow_direction,
-                     __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
+__kernel void shadow(uint paths, uint pool, __global const float8* nodes, __global const float8* blocks, uint block_count,
+                     __global const Analytic* analytics, __global const float* shadow_origin,
+                     __global const float* shadow_direction,
+                     __global const float* shadow_radiance, __global const float* hit, __global const uint* path,
                      __global float* samples
 #if FEATURE_INSTANCES
                      , __global const Instance* instances, uint first_instance, __global const uint* instance
@@ -15,12 +16,13 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
-    const float4 direction = shadow_direction[i];
-    const float t_max = direction.w;
+    const Vec3 direction = load_planes3(shadow_direction, i, pool);
+    const float t_max = PLANE(3, shadow_direction, pool)[i];
     if (t_max == 0.0f) return;
-    const float4 origin = shadow_origin[i];
-    uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
-    Ray ray = make_ray(origin.xyz, direction.xyz);
+    const Vec3 origin = load_planes3(shadow_origin, i, pool);
+    const uint start_primitive = as_uint(PLANE(3, hit, pool)[i]);
+    uint2 skip = (uint2)(start_primitive, as_uint(PLANE(3, shadow_origin, pool)[i]));
+    Ray ray = make_ray(origin, direction);
 #if FEATURE_INSTANCES
     const uint start = instance[i];
     uint inside = NONE, bottom = 0;  // the part of the stack that is of the world
@@ -42,8 +44,8 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
             if (leaf >= first_instance) {
                 inside = leaf - first_instance;
                 bottom = height;
-                skip.x = skip_inside(as_uint(hit[i].w), start, inside);
-                ray = make_object_ray(instances + inside, origin.xyz, direction.xyz);
+                skip.x = skip_inside(start_primitive, start, inside);
+                ray = make_object_ray(instances + inside, origin, direction);
                 reference = (int)instances[inside].root;
                 continue;
             }
@@ -61,12 +63,12 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
 #if FEATURE_INSTANCES
         if (inside != NONE && height == bottom) {
             inside = NONE;
-            ray = make_ray(origin.xyz, direction.xyz);
+            ray = make_ray(origin, direction);
         }
 #endif
         if (height == 0) break;
         reference = stack[--height];
     }
-    const uint sample = path[i].x;
-    store3(LOAD3(sample, samples) + shadow_radiance[i].xyz, sample, samples);
+    const uint sample = path[i];
+    ADD3(load_planes3(shadow_radiance, i, pool), sample, samples);
 }

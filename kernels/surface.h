@@ -9,18 +9,18 @@
 #define GAMMA(n) ((n) * 0x1p-24f / (1.0f - (n) * 0x1p-24f))  // Higham's bound on n rounded operations
 
 typedef struct {
-    float3 position, error;   // |true position - position| <= error, per axis
-    float3 geometric_normal;  // unit; zero for a triangle without area
-    float3 normal;            // unit shading normal
+    Vec3 position, error;   // |true position - position| <= error, per axis
+    Vec3 geometric_normal;  // unit; zero for a triangle without area
+    Vec3 normal;            // unit shading normal
     uint bsdf, light;         // indices; light is NONE if the surface does not shine
 #if FEATURE_MEDIA
     uint media;  // within | without << 16, where the normal points; NONE if the surface separates none
 #endif
 #if FEATURE_UVS
-    float2 uv;
-    float3 dp_du, dp_dv;  // how the position changes with uv
+    Vec2 uv;
+    Vec3 dp_du, dp_dv;  // how the position changes with uv
     uint triangle;        // NONE on other surfaces
-    float2 barycentric;   // weights of the triangle's second and third corner
+    Vec2 barycentric;   // weights of the triangle's second and third corner
 #endif
 } Surface;
 
@@ -34,7 +34,7 @@ INLINE TexturePoint texture_point(const Surface* s)
 
 // All that describes the surfaces of a scene; members that it does not need are NULL.
 typedef struct {
-    __global const float4* triangles;  // records of TRIANGLE_ROWS: host/isonoise/scene/structs.py
+    __global const float* triangles;   // records of TRIANGLE_FLOATS: host/isonoise/scene/structs.py
     __global const uint* faces;
     __global const float* vertex_normals;
     __global const float* uvs;
@@ -51,55 +51,56 @@ typedef struct {
 #endif
 } Geometry;
 
-#define TRIANGLE_ROWS 4
+#define TRIANGLE_FLOATS 16u
 
 #if FEATURE_UVS && FEATURE_TRIANGLES
 // Texture coordinates of a triangle, and how its points change with them. Without any they are the barycentric ones, and the
 // changes some basis, as in Mitsuba 3.
-INLINE void triangle_uv(const Geometry* g, uint triangle, float u, float v, float3 edge1, float3 edge2, uint flags, Surface* s)
+INLINE void triangle_uv(const Geometry* g, uint triangle, float u, float v, Vec3 edge1, Vec3 edge2, uint flags, Surface* s)
 {
     s->triangle = triangle;
-    s->uv = s->barycentric = (float2)(u, v);
+    s->uv = s->barycentric = vec2(u, v);
     basis(s->geometric_normal, &s->dp_du, &s->dp_dv);
     if (!(flags & SHAPE_UVS)) return;
-    const uint3 index = LOAD3U(triangle, g->faces);
-    const float2 uv0 = (float2)(g->uvs[2 * index.x], g->uvs[2 * index.x + 1]);
-    const float2 along1 = (float2)(g->uvs[2 * index.y], g->uvs[2 * index.y + 1]) - uv0;
-    const float2 along2 = (float2)(g->uvs[2 * index.z], g->uvs[2 * index.z + 1]) - uv0;
-    s->uv = uv0 + u * along1 + v * along2;
+    __global const uint* corner = g->faces + 3u * triangle;
+    const Vec2 uv0 = vec2(g->uvs[2 * corner[0]], g->uvs[2 * corner[0] + 1]);
+    const Vec2 along1 = sub2(vec2(g->uvs[2 * corner[1]], g->uvs[2 * corner[1] + 1]), uv0);
+    const Vec2 along2 = sub2(vec2(g->uvs[2 * corner[2]], g->uvs[2 * corner[2] + 1]), uv0);
+    s->uv = add2(add2(uv0, scale2(along1, u)), scale2(along2, v));
     const float determinant = along1.x * along2.y - along1.y * along2.x;
     if (determinant == 0.0f) return;
-    s->dp_du = (along2.y * edge1 - along1.y * edge2) / determinant;
-    s->dp_dv = (along1.x * edge2 - along2.x * edge1) / determinant;
+    s->dp_du = over3(sub3(scale3(edge1, along2.y), scale3(edge2, along1.y)), determinant);
+    s->dp_dv = over3(sub3(scale3(edge2, along1.x), scale3(edge1, along2.x)), determinant);
 }
 #endif
 
 #if FEATURE_TRIANGLES
 INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float v)
 {
-    __global const float4* record = g->triangles + TRIANGLE_ROWS * triangle;
-    const float4 corner = record[0], edge1 = record[1], edge2 = record[2];
-    const float3 along1 = u * edge1.xyz, along2 = v * edge2.xyz;
+    __global const float* record = g->triangles + TRIANGLE_FLOATS * triangle;
+    const Vec3 corner = LOAD3(0, record), edge1 = LOAD3(0, record + 4), edge2 = LOAD3(0, record + 8);
+    const Vec3 along1 = scale3(edge1, u), along2 = scale3(edge2, v);
+    const uint flags = as_uint(record[11]) ^ LANE_BIAS;
     Surface s;
-    s.position = corner.xyz + (along1 + along2);
+    s.position = add3(corner, add3(along1, along2));
     // the edges are differences of corners: their rounding is bounded by GAMMA(1) of themselves
-    s.error = GAMMA(5) * (abs3(corner.xyz) + abs3(along1) + abs3(along2));
-    s.geometric_normal = s.normal = record[3].xyz;
-    s.bsdf = as_uint(corner.w) ^ LANE_BIAS;
-    s.light = as_uint(edge1.w) ^ LANE_BIAS;
+    s.error = scale3(add3(add3(abs3(corner), abs3(along1)), abs3(along2)), GAMMA(5));
+    s.geometric_normal = s.normal = LOAD3(0, record + 12);
+    s.bsdf = as_uint(record[3]) ^ LANE_BIAS;
+    s.light = as_uint(record[7]) ^ LANE_BIAS;
 #if FEATURE_MEDIA
-    s.media = as_uint(record[3].w) ^ LANE_BIAS;
+    s.media = as_uint(record[15]) ^ LANE_BIAS;
 #endif
 #if FEATURE_VERTEX_NORMALS
-    if ((as_uint(edge2.w) ^ LANE_BIAS) & SHAPE_VERTEX_NORMALS) {
-        const uint3 index = LOAD3U(triangle, g->faces);
-        const float3 interpolated = unit((1.0f - u - v) * LOAD3(index.x, g->vertex_normals) +
-                                         u * LOAD3(index.y, g->vertex_normals) + v * LOAD3(index.z, g->vertex_normals));
+    if (flags & SHAPE_VERTEX_NORMALS) {
+        __global const uint* at = g->faces + 3u * triangle;
+        const Vec3 interpolated = unit(combine3(1.0f - u - v, LOAD3(at[0], g->vertex_normals), u, LOAD3(at[1], g->vertex_normals),
+                                                v, LOAD3(at[2], g->vertex_normals)));
         s.normal = dot3(interpolated, interpolated) > 0.0f ? interpolated : s.geometric_normal;
     }
 #endif
 #if FEATURE_UVS
-    triangle_uv(g, triangle, u, v, edge1.xyz, edge2.xyz, as_uint(edge2.w) ^ LANE_BIAS, &s);
+    triangle_uv(g, triangle, u, v, edge1, edge2, flags, &s);
 #endif
     return s;
 }
@@ -113,31 +114,31 @@ INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
     float m[12], inverse[12];
     load_matrix(shape->to_world, m);
     load_matrix(shape->to_object, inverse);
-    const float3 p = transform_point(inverse, s->position);
-    const float around = SQRT(dot2(p.xy, p.xy)), turn = atan2(p.y, p.x) * (0.5f * M_1_PI_F);
-    const float2 out = around > 0.0f ? p.xy / around : (float2)(1.0f, 0.0f), on = (float2)(-p.y, p.x);
+    const Vec3 p = transform_point(inverse, s->position);
+    const float around = SQRT(p.x * p.x + p.y * p.y), turn = atan2(p.y, p.x) * (0.5f * M_1_PI_F);
+    const Vec2 out = around > 0.0f ? vec2(p.x / around, p.y / around) : vec2(1.0f, 0.0f), on = vec2(-p.y, p.x);
     const float angle = turn < 0.0f ? turn + 1.0f : turn;
     s->triangle = NONE;
-    s->barycentric = (float2)(0.0f);
+    s->barycentric = all2(0.0f);
     switch (shape->kind) {
 #if FEATURE_SPHERES
     case ANALYTIC_SPHERE:
-        s->uv = (float2)(angle, atan2(around, p.z) * M_1_PI_F);
-        s->dp_du = transform_direction(m, 2.0f * M_PI_F * (float3)(on, 0.0f));
-        s->dp_dv = transform_direction(m, M_PI_F * (float3)(p.z * out, -around));
+        s->uv = vec2(angle, atan2(around, p.z) * M_1_PI_F);
+        s->dp_du = transform_direction(m, scale3(vec3(on.x, on.y, 0.0f), 2.0f * M_PI_F));
+        s->dp_dv = transform_direction(m, scale3(on_plane(scale2(out, p.z), -around), M_PI_F));
         break;
 #endif
 #if FEATURE_DISKS
     case ANALYTIC_DISK:
-        s->uv = (float2)(around, angle);
-        s->dp_du = transform_direction(m, (float3)(out, 0.0f));
-        s->dp_dv = transform_direction(m, (float3)(-out.y, out.x, 0.0f));
+        s->uv = vec2(around, angle);
+        s->dp_du = transform_direction(m, vec3(out.x, out.y, 0.0f));
+        s->dp_dv = transform_direction(m, vec3(-out.y, out.x, 0.0f));
         break;
 #endif
     default:
-        s->uv = (float2)(angle, p.z);
-        s->dp_du = transform_direction(m, 2.0f * M_PI_F * (float3)(on, 0.0f));
-        s->dp_dv = transform_direction(m, (float3)(0.0f, 0.0f, 1.0f));
+        s->uv = vec2(angle, p.z);
+        s->dp_du = transform_direction(m, scale3(vec3(on.x, on.y, 0.0f), 2.0f * M_PI_F));
+        s->dp_dv = transform_direction(m, vec3(0.0f, 0.0f, 1.0f));
         break;
     }
 }
@@ -148,7 +149,7 @@ INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
 INLINE void complete_analytic(const Geometry* g, uint index, Surface* s)
 {
     __global const Shape* shape = g->shapes + g->analytics[index].shape;
-    if (shape->flags & SHAPE_FLIP_NORMALS) s->normal = -s->normal;
+    if (shape->flags & SHAPE_FLIP_NORMALS) s->normal = neg3(s->normal);
     s->geometric_normal = s->normal;
     s->bsdf = shape->bsdf;
     s->light = shape->first_light == NONE ? NONE : shape->first_light + (index - shape->first_primitive);
@@ -162,30 +163,31 @@ INLINE void complete_analytic(const Geometry* g, uint index, Surface* s)
 #endif
 
 #if FEATURE_SPHERES
-INLINE void sphere_surface(__global const Analytic* sphere, float3 outward, Surface* s)
+INLINE void sphere_surface(__global const Analytic* sphere, Vec3 outward, Surface* s)
 {
-    const float3 center = LOAD3(0, sphere->center), arm = sphere->radius * outward;
-    s->position = center + arm;
-    s->error = GAMMA(6) * (abs3(center) + abs3(arm));
+    const Vec3 center = LOAD3(0, sphere->center), arm = scale3(outward, sphere->radius);
+    s->position = add3(center, arm);
+    s->error = scale3(add3(abs3(center), abs3(arm)), GAMMA(6));
     s->normal = outward;
 }
 #endif
 
 #if FEATURE_DISKS || FEATURE_CYLINDERS || FEATURE_INSTANCES
 // How far a point may be off that was taken from object space to world space and that the intersection stage takes back.
-INLINE float3 round_trip_error(const float* to_world, const float* to_object, float3 on_object, float3 in_world)
+INLINE Vec3 round_trip_error(const float* to_world, const float* to_object, Vec3 on_object, Vec3 in_world)
 {
     float m[12], inverse[12];
     for (int i = 0; i < 12; ++i) m[i] = abs1(to_world[i]);
     for (int i = 0; i < 12; ++i) inverse[i] = abs1(to_object[i]);
-    return GAMMA(6) * transform_point(m, abs3(on_object)) +
-           GAMMA(5) * transform_direction(m, transform_point(inverse, abs3(in_world)));
+    const Vec3 there = transform_point(m, abs3(on_object));
+    const Vec3 and_back = transform_direction(m, transform_point(inverse, abs3(in_world)));
+    return add3(scale3(there, GAMMA(6)), scale3(and_back, GAMMA(5)));
 }
 #endif
 
 #if FEATURE_DISKS || FEATURE_CYLINDERS
 // A point of object space that lies on the surface exactly, and its normal there, taken to world space.
-INLINE void transformed_surface(__global const Analytic* shape, float3 on_shape, float3 shape_normal, Surface* s)
+INLINE void transformed_surface(__global const Analytic* shape, Vec3 on_shape, Vec3 shape_normal, Surface* s)
 {
     float m[12], inverse[12];
     load_matrix(shape->to_world, m);
@@ -197,24 +199,25 @@ INLINE void transformed_surface(__global const Analytic* shape, float3 on_shape,
 #endif
 
 #if FEATURE_ANALYTICS
-INLINE Surface analytic_surface(const Geometry* g, uint index, float3 at)
+INLINE Surface analytic_surface(const Geometry* g, uint index, Vec3 at)
 {
     Surface s;
     __global const Analytic* shape = g->analytics + index;
 #if FEATURE_SPHERES
-    if (shape->kind == ANALYTIC_SPHERE) sphere_surface(shape, unit(at - LOAD3(0, shape->center)), &s);
+    if (shape->kind == ANALYTIC_SPHERE) sphere_surface(shape, unit(sub3(at, LOAD3(0, shape->center))), &s);
 #endif
 #if FEATURE_DISKS || FEATURE_CYLINDERS
     if (shape->kind != ANALYTIC_SPHERE) {
         float to_object[12];
         load_matrix(shape->to_object, to_object);
-        float3 on_shape = transform_point(to_object, at);
-        float3 shape_normal = (float3)(0.0f, 0.0f, 1.0f);
+        Vec3 on_shape = transform_point(to_object, at);
+        Vec3 shape_normal = vec3(0.0f, 0.0f, 1.0f);
         if (shape->kind == ANALYTIC_DISK) {
             on_shape.z = 0.0f;
         } else {
-            on_shape.xy /= SQRT(dot2(on_shape.xy, on_shape.xy));
-            shape_normal = (float3)(on_shape.xy, 0.0f);
+            const float from_axis = SQRT(on_shape.x * on_shape.x + on_shape.y * on_shape.y);
+            on_shape = vec3(on_shape.x / from_axis, on_shape.y / from_axis, on_shape.z);
+            shape_normal = vec3(on_shape.x, on_shape.y, 0.0f);
         }
         transformed_surface(shape, on_shape, shape_normal, &s);
     }
@@ -225,7 +228,7 @@ INLINE Surface analytic_surface(const Geometry* g, uint index, float3 at)
 #endif
 
 // The surface where a ray met `primitive`.
-INLINE Surface surface_at(const Geometry* g, uint primitive, float3 origin, float3 direction, float t, float u, float v)
+INLINE Surface surface_at(const Geometry* g, uint primitive, Vec3 origin, Vec3 direction, float t, float u, float v)
 {
 #if FEATURE_TRIANGLES && FEATURE_ANALYTICS
     if (!(primitive & ANALYTIC_BIT)) return triangle_surface(g, primitive, u, v);
@@ -233,10 +236,10 @@ INLINE Surface surface_at(const Geometry* g, uint primitive, float3 origin, floa
     return triangle_surface(g, primitive, u, v);
 #endif
 #if FEATURE_ANALYTICS
-    return analytic_surface(g, primitive & ~ANALYTIC_BIT, origin + t * direction);
+    return analytic_surface(g, primitive & ~ANALYTIC_BIT, add3(origin, scale3(direction, t)));
 #elif !FEATURE_TRIANGLES
     Surface none;  // an empty scene: nothing is ever met
-    none.geometric_normal = (float3)(0.0f);
+    none.geometric_normal = all3(0.0f);
     return none;
 #endif
 }
@@ -244,7 +247,7 @@ INLINE Surface surface_at(const Geometry* g, uint primitive, float3 origin, floa
 #if FEATURE_INSTANCES
 // The surface where a ray met `primitive` in an instance, NONE for one that stands in the world.
 INLINE Surface instanced_surface_at(const Geometry* g, __global const Instance* instances, uint instance, uint primitive,
-                                    float3 origin, float3 direction, float t, float u, float v)
+                                    Vec3 origin, Vec3 direction, float t, float u, float v)
 {
     if (instance != NONE) ray_to_object(instances + instance, &origin, &direction);
     Surface s = surface_at(g, primitive, origin, direction, t, u, v);
@@ -253,9 +256,9 @@ INLINE Surface instanced_surface_at(const Geometry* g, __global const Instance* 
     load_matrix(instances[instance].to_world, m);
     load_matrix(instances[instance].to_object, inverse);
     for (int i = 0; i < 12; ++i) magnitude[i] = abs1(m[i]);
-    const float3 on_object = s.position;
+    const Vec3 on_object = s.position;
     s.position = transform_point(m, on_object);
-    s.error = transform_direction(magnitude, s.error) + round_trip_error(m, inverse, on_object, s.position);
+    s.error = add3(transform_direction(magnitude, s.error), round_trip_error(m, inverse, on_object, s.position));
     s.geometric_normal = unit(transform_normal(inverse, s.geometric_normal));
     s.normal = unit(transform_normal(inverse, s.normal));
 #if FEATURE_UVS

@@ -1,14 +1,14 @@
 // Textures: a colour, a number or the slope of a number at a point of a surface. Conventions are Mitsuba 3's: v = 0 is the top
 // row of an image, texel centres lie at one half, nothing is clamped. Records and stores: host/isonoise/scene/textures.py.
 #pragma once
-#include "plain.h"
+#include "vectors.h"
 
 #if FEATURE_TEXTURES
 // All that describes the textures of a scene; members that it does not need are NULL.
 typedef struct {
     __global const Texture* records;
-    __global const uchar4* bytes;      // texels of 8-bit images
-    __global const float4* floats;     // texels of others, linear
+    __global const uchar* bytes;       // texels of 8-bit images, four numbers each
+    __global const float* floats;      // texels of others, linear, four numbers each
     __global const float* srgb;        // linear value of an encoded byte
     __global const float* attributes;  // of meshes, RGB
     __global const uint* faces;        // vertices of the triangles
@@ -16,21 +16,21 @@ typedef struct {
 
 // Where a surface was met, as textures see it.
 typedef struct {
-    float2 uv;
+    Vec2 uv;
     uint triangle;       // NONE on other surfaces: mesh attributes are zero there
-    float2 barycentric;  // weights of its second and third corner
+    Vec2 barycentric;    // weights of its second and third corner
 } TexturePoint;
 
 // Luminance with the weights of Mitsuba 3, so that a number read from a coloured image is the same.
-INLINE float texture_luminance(float3 rgb)
+INLINE float texture_luminance(Vec3 rgb)
 {
-    return dot3(rgb, (float3)(0.212671f, 0.715160f, 0.072169f));
+    return dot3(rgb, vec3(0.212671f, 0.715160f, 0.072169f));
 }
 
-INLINE float2 texture_uv(__global const Texture* t, float2 uv)
+INLINE Vec2 texture_uv(__global const Texture* t, Vec2 uv)
 {
-    return (float2)(t->to_uv[0] * uv.x + t->to_uv[1] * uv.y + t->to_uv[2],
-                    t->to_uv[3] * uv.x + t->to_uv[4] * uv.y + t->to_uv[5]);
+    return vec2(t->to_uv[0] * uv.x + t->to_uv[1] * uv.y + t->to_uv[2],
+                t->to_uv[3] * uv.x + t->to_uv[4] * uv.y + t->to_uv[5]);
 }
 
 // Largest whole number not above x, for |x| < 2^31.
@@ -41,13 +41,16 @@ INLINE float floor1(float x)
 }
 
 #if FEATURE_BITMAPS
-INLINE float3 texel(const Textures* textures, __global const Texture* t, int2 at)
+INLINE Vec3 texel(const Textures* textures, __global const Texture* t, int x, int y)
 {
-    const uint index = t->first + (uint)at.y * t->size[0] + (uint)at.x;
-    if (t->flags & TEXTURE_FLOATS) return textures->floats[index].xyz;
-    const uchar4 encoded = textures->bytes[index];
-    if (t->flags & TEXTURE_RAW) return (float3)(encoded.x, encoded.y, encoded.z) * (1.0f / 255.0f);
-    return (float3)(textures->srgb[encoded.x], textures->srgb[encoded.y], textures->srgb[encoded.z]);
+    const uint index = t->first + (uint)y * t->size[0] + (uint)x;
+    if (t->flags & TEXTURE_FLOATS) {
+        __global const float* linear = textures->floats + 4u * (size_t)index;
+        return vec3(linear[0], linear[1], linear[2]);
+    }
+    __global const uchar* encoded = textures->bytes + 4u * (size_t)index;
+    if (t->flags & TEXTURE_RAW) return scale3(vec3(encoded[0], encoded[1], encoded[2]), 1.0f / 255.0f);
+    return vec3(textures->srgb[encoded[0]], textures->srgb[encoded[1]], textures->srgb[encoded[2]]);
 }
 
 // A coordinate brought near the image by its wrap mode, in texels: what is left of it lies in [0, size], for mirrored ones in
@@ -74,8 +77,8 @@ INLINE int wrap_texel(uint flags, int i, int size)
 }
 
 // The four texels around a point of the image, by row, and the weights of the later column and row.
-INLINE float2 texels_around(const Textures* textures, __global const Texture* t, float2 uv, float3* v00, float3* v10,
-                            float3* v01, float3* v11)
+INLINE Vec2 texels_around(const Textures* textures, __global const Texture* t, Vec2 uv, Vec3* v00, Vec3* v10,
+                            Vec3* v01, Vec3* v11)
 {
     const int width = (int)t->size[0], height = (int)t->size[1];
     const float x = wrap_coordinate(t->flags, uv.x, (float)width) - 0.5f;
@@ -83,42 +86,44 @@ INLINE float2 texels_around(const Textures* textures, __global const Texture* t,
     const float left = floor1(x), top = floor1(y);
     const int x0 = wrap_texel(t->flags, (int)left, width), x1 = wrap_texel(t->flags, (int)left + 1, width);
     const int y0 = wrap_texel(t->flags, (int)top, height), y1 = wrap_texel(t->flags, (int)top + 1, height);
-    *v00 = texel(textures, t, (int2)(x0, y0));
-    *v10 = texel(textures, t, (int2)(x1, y0));
-    *v01 = texel(textures, t, (int2)(x0, y1));
-    *v11 = texel(textures, t, (int2)(x1, y1));
-    return (float2)(x - left, y - top);
+    *v00 = texel(textures, t, x0, y0);
+    *v10 = texel(textures, t, x1, y0);
+    *v01 = texel(textures, t, x0, y1);
+    *v11 = texel(textures, t, x1, y1);
+    return vec2(x - left, y - top);
 }
 
-INLINE float3 bitmap_rgb(const Textures* textures, __global const Texture* t, float2 uv)
+INLINE Vec3 bitmap_rgb(const Textures* textures, __global const Texture* t, Vec2 uv)
 {
     uv = texture_uv(t, uv);
     if (t->flags & TEXTURE_NEAREST) {
         const float x = wrap_coordinate(t->flags, uv.x, (float)t->size[0]);
         const float y = wrap_coordinate(t->flags, uv.y, (float)t->size[1]);
-        return texel(textures, t, (int2)(wrap_texel(t->flags, (int)x, (int)t->size[0]),
-                                         wrap_texel(t->flags, (int)y, (int)t->size[1])));
+        return texel(textures, t, wrap_texel(t->flags, (int)x, (int)t->size[0]),
+                     wrap_texel(t->flags, (int)y, (int)t->size[1]));
     }
-    float3 v00, v10, v01, v11;
-    const float2 w = texels_around(textures, t, uv, &v00, &v10, &v01, &v11);
-    return (1.0f - w.y) * ((1.0f - w.x) * v00 + w.x * v10) + w.y * ((1.0f - w.x) * v01 + w.x * v11);
+    Vec3 v00, v10, v01, v11;
+    const Vec2 w = texels_around(textures, t, uv, &v00, &v10, &v01, &v11);
+    const Vec3 upper = add3(scale3(v00, 1.0f - w.x), scale3(v10, w.x)), lower = add3(scale3(v01, 1.0f - w.x), scale3(v11, w.x));
+    return add3(scale3(upper, 1.0f - w.y), scale3(lower, w.y));
 }
 
 // Slope of the luminance along the surface's u and v; zero where texels are not interpolated.
-INLINE float2 bitmap_gradient(const Textures* textures, __global const Texture* t, float2 uv)
+INLINE Vec2 bitmap_gradient(const Textures* textures, __global const Texture* t, Vec2 uv)
 {
-    if (t->flags & TEXTURE_NEAREST) return (float2)(0.0f);
-    float3 v00, v10, v01, v11;
-    const float2 w = texels_around(textures, t, texture_uv(t, uv), &v00, &v10, &v01, &v11);
-    const float dx = texture_luminance((1.0f - w.y) * (v10 - v00) + w.y * (v11 - v01)) * (float)t->size[0];
-    const float dy = texture_luminance((1.0f - w.x) * (v01 - v00) + w.x * (v11 - v10)) * (float)t->size[1];
-    return (float2)(t->to_uv[0] * dx + t->to_uv[3] * dy, t->to_uv[1] * dx + t->to_uv[4] * dy);
+    if (t->flags & TEXTURE_NEAREST) return all2(0.0f);
+    Vec3 v00, v10, v01, v11;
+    const Vec2 w = texels_around(textures, t, texture_uv(t, uv), &v00, &v10, &v01, &v11);
+    const Vec3 across = add3(scale3(sub3(v10, v00), 1.0f - w.y), scale3(sub3(v11, v01), w.y));
+    const Vec3 down = add3(scale3(sub3(v01, v00), 1.0f - w.x), scale3(sub3(v11, v10), w.x));
+    const float dx = texture_luminance(across) * (float)t->size[0], dy = texture_luminance(down) * (float)t->size[1];
+    return vec2(t->to_uv[0] * dx + t->to_uv[3] * dy, t->to_uv[1] * dx + t->to_uv[4] * dy);
 }
 #endif
 
 #if FEATURE_CHECKERBOARDS
 // Whether a point lies in a patch of the second colour.
-INLINE bool in_second_patch(__global const Texture* t, float2 uv)
+INLINE bool in_second_patch(__global const Texture* t, Vec2 uv)
 {
     uv = texture_uv(t, uv);
     return (uv.x - floor1(uv.x) > 0.5f) != (uv.y - floor1(uv.y) > 0.5f);
@@ -126,21 +131,22 @@ INLINE bool in_second_patch(__global const Texture* t, float2 uv)
 #endif
 
 #if FEATURE_MESH_ATTRIBUTES
-INLINE float3 mesh_attribute_rgb(const Textures* textures, __global const Texture* t, const TexturePoint* at)
+INLINE Vec3 mesh_attribute_rgb(const Textures* textures, __global const Texture* t, const TexturePoint* at)
 {
-    if (at->triangle == NONE) return (float3)(0.0f);
-    const float3 scale = LOAD3(0, t->colour);
-    if (t->flags & TEXTURE_PER_FACE) return scale * LOAD3(t->first + at->triangle, textures->attributes);
-    const uint3 corner = LOAD3U(at->triangle, textures->faces) + t->first;
+    if (at->triangle == NONE) return all3(0.0f);
+    const Vec3 scale = LOAD3(0, t->colour);
+    if (t->flags & TEXTURE_PER_FACE) return mul3(scale, LOAD3(t->first + at->triangle, textures->attributes));
+    __global const uint* corner = textures->faces + 3u * at->triangle;
+    __global const float* colours = textures->attributes + 3u * t->first;
     const float u = at->barycentric.x, v = at->barycentric.y;
-    return scale * ((1.0f - u - v) * LOAD3(corner.x, textures->attributes) + u * LOAD3(corner.y, textures->attributes) +
-                    v * LOAD3(corner.z, textures->attributes));
+    return mul3(scale, combine3(1.0f - u - v, LOAD3(corner[0], colours), u, LOAD3(corner[1], colours), v,
+                                LOAD3(corner[2], colours)));
 }
 #endif
 
 // The texture that a checkerboard shows at a point, or the texture itself if it is none. As numbers the two colours change
 // places: so it is in Mitsuba 3 (3.9.1, checkerboard.cpp, eval_1).
-INLINE __global const Texture* texture_shown(const Textures* textures, uint texture, float2 uv, bool as_number)
+INLINE __global const Texture* texture_shown(const Textures* textures, uint texture, Vec2 uv, bool as_number)
 {
     __global const Texture* t = textures->records + texture;
 #if FEATURE_CHECKERBOARDS
@@ -150,22 +156,22 @@ INLINE __global const Texture* texture_shown(const Textures* textures, uint text
 }
 
 // Linear RGB, and nothing.
-OUTLINE float4 texture_rgb0(const Textures* textures, uint texture, const TexturePoint* at)
+OUTLINE Vec4 texture_rgb0(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, false);
 #if FEATURE_BITMAPS
-    if (t->kind == TEXTURE_BITMAP) return (float4)(bitmap_rgb(textures, t, at->uv), 0.0f);
+    if (t->kind == TEXTURE_BITMAP) return with_w(bitmap_rgb(textures, t, at->uv), 0.0f);
 #endif
 #if FEATURE_MESH_ATTRIBUTES
-    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return (float4)(mesh_attribute_rgb(textures, t, at), 0.0f);
+    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return with_w(mesh_attribute_rgb(textures, t, at), 0.0f);
 #endif
-    return (float4)(LOAD3(0, t->colour), 0.0f);
+    return with_w(LOAD3(0, t->colour), 0.0f);
 }
 
-// Linear RGB. Intel's compiler for CPUs mislays a float3 that a function out of line returns to several work-items at once.
-INLINE float3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
+// Linear RGB. Intel's compiler for CPUs mislays a Vec3 that a function out of line returns to several work-items at once.
+INLINE Vec3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
 {
-    return texture_rgb0(textures, texture, at).xyz;
+    return xyz(texture_rgb0(textures, texture, at));
 }
 
 // A number: the luminance, of plain colours the mean.
@@ -182,12 +188,12 @@ OUTLINE float texture_number(const Textures* textures, uint texture, const Textu
 }
 
 // Slope of the number along u and v. Only bitmaps have one: what else there is is constant in pieces, or not along u and v.
-OUTLINE float2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
+OUTLINE Vec2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, true);
 #if FEATURE_BITMAPS
     if (t->kind == TEXTURE_BITMAP) return bitmap_gradient(textures, t, at->uv);
 #endif
-    return (float2)(0.0f);
+    return all2(0.0f);
 }
 #endif

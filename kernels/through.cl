@@ -7,11 +7,12 @@
 // distance * (sigma before - sigma behind) would need no order, but would cancel where a thin layer of a dense medium is far away,
 // and go wrong where a scene does not name the media of both sides, which paths, that walk from one to the next, need not know.
 #include "bvh.h"
+#include "paths.h"
 #include "medium.h"
 #include "through.h"
 
 typedef struct {
-    float3 share;  // of the light that gets through the surfaces met so far
+    Vec3 share;  // of the light that gets through the surfaces met so far
 #if FEATURE_MEDIA
     float passed;  // boundaries up to there are done with,
     uint medium;   // and this one is behind them
@@ -24,7 +25,7 @@ typedef struct {
 // Goes on to `distance`, in units of `length`, within one medium; and from boundary to boundary.
 INLINE void fly_through(Passage* p, __global const Medium* media, float distance, float length)
 {
-    if (p->medium != MEDIUM_NONE) p->share *= transmittance(media + p->medium, (distance - p->passed) * length);
+    if (p->medium != MEDIUM_NONE) p->share = mul3(p->share, transmittance(media + p->medium, (distance - p->passed) * length));
     p->passed = distance;
 }
 
@@ -38,7 +39,7 @@ INLINE void walk(Passage* p, __global const Medium* media, float length)
 #endif
 
 // Takes what was met into the passage. Returns whether light still goes on.
-INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s, float3 direction, float t, Passage* p)
+INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s, Vec3 direction, float t, Passage* p)
 {
 #if FEATURE_MEDIA
     if (s->media != NONE && t > p->passed) enter_boundary(&p->boundaries, t, medium_behind(s, direction, MEDIUM_NONE));
@@ -47,32 +48,32 @@ INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s
     Shading at;
     at.bsdf = bsdfs + s->bsdf;
     at.normal = s->normal;
-    at.wi = -unit(direction);
+    at.wi = neg3(unit(direction));
     at.cos_i = dot3(at.normal, at.wi);
 #if FEATURE_TEXTURES
     at.textures = &g->textures;
     at.point = texture_point(s);
 #endif
-    p->share *= straight_share(&at, bsdfs);
+    p->share = mul3(p->share, straight_share(&at, bsdfs));
     return largest(p->share) > 0.0f;
 }
 
-__kernel void through(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
-                      __global const float4* triangles, __global const uint* faces,
+__kernel void through(uint paths, uint pool, __global const float8* nodes, __global const float8* blocks, uint block_count,
+                      __global const float* triangles, __global const uint* faces,
                       __global const float* vertex_normals,
 #if FEATURE_UVS
                       __global const float* uvs,
 #endif
 #if FEATURE_TEXTURES
-                      __global const Texture* textures, __global const uchar4* texel_bytes,
-                      __global const float4* texel_floats, __global const float* srgb, __global const float* attributes,
+                      __global const Texture* textures, __global const uchar* texel_bytes,
+                      __global const float* texel_floats, __global const float* srgb, __global const float* attributes,
 #endif
                       __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
-                      __global const float4* shadow_origin, __global const float4* shadow_direction,
-                      __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
+                      __global const float* shadow_origin, __global const float* shadow_direction,
+                      __global const float* shadow_radiance, __global const float* hit, __global const uint* path,
                       __global float* samples
 #if FEATURE_MEDIA
-                      , __global const Medium* media, float4 scene_sphere
+                      , __global const Medium* media, Vec4 scene_sphere
 #endif
 #if FEATURE_INSTANCES
                       , __global const Instance* instances, uint first_instance, __global const uint* instance
@@ -81,12 +82,13 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
-    const float4 direction = shadow_direction[i];
-    const float t_max = direction.w;
+    const Vec3 direction = load_planes3(shadow_direction, i, pool);
+    const float t_max = PLANE(3, shadow_direction, pool)[i];
     if (t_max == 0.0f) return;
-    const float4 origin = shadow_origin[i];
-    uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
-    Ray ray = make_ray(origin.xyz, direction.xyz);
+    const Vec3 origin = load_planes3(shadow_origin, i, pool);
+    const uint start_primitive = as_uint(PLANE(3, hit, pool)[i]);
+    uint2 skip = (uint2)(start_primitive, as_uint(PLANE(3, shadow_origin, pool)[i]));
+    Ray ray = make_ray(origin, direction);
 #if FEATURE_INSTANCES
     const uint start = instance[i];
     uint inside = NONE, bottom = 0;  // the part of the stack that is of the world
@@ -105,13 +107,13 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
     geometry.textures = all_textures;
 #endif
     Passage passage;
-    passage.share = (float3)(1.0f);
+    passage.share = all3(1.0f);
 #if FEATURE_MEDIA
     passage.passed = 0.0f;
     passage.again = false;
     passage.boundaries.count = 0u;
-    passage.medium = as_uint(shadow_radiance[i].w);
-    const float length = SQRT(dot3(direction.xyz, direction.xyz));
+    passage.medium = as_uint(PLANE(3, shadow_radiance, pool)[i]);
+    const float length = SQRT(dot3(direction, direction));
 #endif
 
     int stack[STACK_SIZE];
@@ -130,8 +132,8 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
             if (leaf >= first_instance) {
                 inside = leaf - first_instance;
                 bottom = height;
-                skip.x = skip_inside(as_uint(hit[i].w), start, inside);
-                ray = make_object_ray(instances + inside, origin.xyz, direction.xyz);
+                skip.x = skip_inside(start_primitive, start, inside);
+                ray = make_object_ray(instances + inside, origin, direction);
                 reference = (int)instances[inside].root;
                 continue;
             }
@@ -145,32 +147,32 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
                     const uint flags = as_uint(triangles[TRIANGLE_ROWS * primitive + 2u].w) ^ LANE_BIAS;
                     if (!(flags & SHAPE_SEE_THROUGH)) return;
 #if FEATURE_INSTANCES
-                    const Surface s = instanced_surface_at(&geometry, instances, inside, primitive, origin.xyz,
-                                                           direction.xyz, t.lane[lane], u.lane[lane], v.lane[lane]);
+                    const Surface s = instanced_surface_at(&geometry, instances, inside, primitive, origin,
+                                                           direction, t.lane[lane], u.lane[lane], v.lane[lane]);
 #else
                     const Surface s = triangle_surface(&geometry, primitive, u.lane[lane], v.lane[lane]);
 #endif
-                    if (!pass(&geometry, bsdfs, &s, direction.xyz, t.lane[lane], &passage)) return;
+                    if (!pass(&geometry, bsdfs, &s, direction, t.lane[lane], &passage)) return;
                 }
             }
 #endif
 #if FEATURE_ANALYTICS
             if (leaf >= block_count) {
                 const uint index = leaf - block_count;
-                float3 from = ray.origin;
+                Vec3 from = ray.origin;
                 float t = 0.0f;
                 for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
                     const float on = analytic_distance(analytics, index, from, ray.direction, skip, t_max - t);
                     t += on;
                     if (!(t < t_max)) break;
                     if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;
-                    Surface s = analytic_surface(&geometry, index, from + on * ray.direction);
+                    Surface s = analytic_surface(&geometry, index, add3(from, scale3(ray.direction, on)));
                     from = leave(&s, ray.direction);
 #if FEATURE_INSTANCES
-                    s = instanced_surface_at(&geometry, instances, inside, ANALYTIC_BIT | index, origin.xyz, direction.xyz, t,
+                    s = instanced_surface_at(&geometry, instances, inside, ANALYTIC_BIT | index, origin, direction, t,
                                              0.0f, 0.0f);
 #endif
-                    if (!pass(&geometry, bsdfs, &s, direction.xyz, t, &passage)) return;
+                    if (!pass(&geometry, bsdfs, &s, direction, t, &passage)) return;
                 }
             }
 #endif
@@ -178,7 +180,7 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
 #if FEATURE_INSTANCES
         if (inside != NONE && height == bottom) {
             inside = NONE;
-            ray = make_ray(origin.xyz, direction.xyz);
+            ray = make_ray(origin, direction);
         }
 #endif
         if (height > 0u) {
@@ -196,13 +198,13 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
         }
         float end = t_max;
         if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
-            const float3 arm = origin.xyz - scene_sphere.xyz;
+            const Vec3 arm = sub3(origin, xyz(scene_sphere));
             end = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
         }
         fly_through(&passage, media, end, length);
 #endif
         break;
     }
-    const uint sample = path[i].x;
-    store3(LOAD3(sample, samples) + passage.share * shadow_radiance[i].xyz, sample, samples);
+    const uint sample = path[i];
+    ADD3(mul3(passage.share, load_planes3(shadow_radiance, i, pool)), sample, samples);
 }

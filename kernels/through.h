@@ -6,9 +6,9 @@
 #define PENDING_BLENDS 8u  // host/isonoise/scene/bsdfs.py admits no more
 
 // The share of the light that a material lets through unturned: of what is wrapped, in proportion to its part.
-INLINE float3 straight_share(Shading* at, __global const Bsdf* bsdfs)
+INLINE Vec3 straight_share(Shading* at, __global const Bsdf* bsdfs)
 {
-    float3 passed = (float3)(0.0f);
+    Vec3 passed = all3(0.0f);
     float share = 1.0f;
 #if FEATURE_BLEND
     uint pending[PENDING_BLENDS], count = 0u;  // the other halves of blends, their shares
@@ -18,15 +18,17 @@ INLINE float3 straight_share(Shading* at, __global const Bsdf* bsdfs)
         uint next = NONE;
         switch (at->bsdf->flags & BSDF_SEE_THROUGH ? at->bsdf->kind : NONE) {
 #if FEATURE_NULL
-        case BSDF_NULL: passed += share; break;
+        case BSDF_NULL: passed = add3(passed, all3(share)); break;
 #endif
 #if FEATURE_THIN_DIELECTRIC
-        case BSDF_THIN_DIELECTRIC: passed += share * (1.0f - thin_dielectric_reflectance(at)) * rgb_parameter(at, 1); break;
+        case BSDF_THIN_DIELECTRIC: 
+            passed = add3(passed, scale3(rgb_parameter(at, 1), share * (1.0f - thin_dielectric_reflectance(at))));
+            break;
 #endif
 #if FEATURE_MASK
         case BSDF_MASK: {
             const float opacity = share_parameter(at);
-            passed += share * (1.0f - opacity);
+            passed = add3(passed, all3(share * (1.0f - opacity)));
             share *= opacity;
             next = at->bsdf->nested[0];
             break;

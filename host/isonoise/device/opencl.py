@@ -123,6 +123,15 @@ class Device:
         return f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
 
     @property
+    def lanes(self) -> int:
+        """Paths that a work-item takes where there is a choice: kernels/paths.h.
+
+        PoCL's loop over work-items becomes vector instructions in simple kernels only, a loop of the kernel's own more
+        often. Other compilers, and GPUs, do it with work-items.
+        """
+        return 64 if self.is_cpu and "portable computing language" in self.device.platform.name.lower() else 1
+
+    @property
     def is_cpu(self) -> bool:
         return bool(self.device.type & self._cl.device_type.CPU)
 

@@ -41,18 +41,18 @@ KERNELS = {
     "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
     "generate": (
         "generate.cl",
-        "count_new first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count "
+        "count_new pool first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count "
         "rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
         "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium",
     ),
     "intersect": (
         "intersect.cl",
-        "paths nodes blocks block_count analytics ray_origin ray_direction path hit "
+        "paths pool nodes blocks block_count analytics ray_origin ray_direction path hit "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "shade": (
         "shade.cl",
-        "paths sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
+        "paths pool sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
         "ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
@@ -64,12 +64,12 @@ KERNELS = {
     ),
     "shadow": (
         "shadow.cl",
-        "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples "
+        "paths pool nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "through": (
         "through.cl",
-        "paths nodes blocks block_count triangles faces vertex_normals UVS:uvs TEXTURES:textures TEXTURES:texel_bytes "
+        "paths pool nodes blocks block_count triangles faces vertex_normals UVS:uvs TEXTURES:textures TEXTURES:texel_bytes "
         "TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs shadow_origin "
         "shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
@@ -78,7 +78,7 @@ KERNELS = {
     "scan_blocks": ("compact.cl", "block_alive blocks_in_use total_alive"),
     "move_paths": (
         "compact.cl",
-        "alive paths block_size block_alive ray_origin ray_direction throughput path "
+        "alive paths pool block_size block_alive ray_origin ray_direction throughput path "
         "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
         "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium "
         "LIGHT_TREE:lit LIGHT_TREE:next_lit",
@@ -93,6 +93,10 @@ KERNELS = {
         "first_pixel pixels stride total_pixels count sums block_sums summary MEDIAN:medians POWER:powers HALF:halves",
     ),
 }
+
+
+TAKE_LANES = {"generate", "shade"}
+"""Kernels of which a work-item takes several paths: kernels/paths.h."""
 
 
 PATH_STATE = {
@@ -125,7 +129,11 @@ class Wavefront:
         unused = {"shadow", "through"} - {self._shadow}
         table = {name: row for name, row in KERNELS.items() if name not in unused}
         self._stages = Stages(
-            device, table, self.features, structs.CONSTANTS | textures.CONSTANTS | build_constants(needs), STRUCTS
+            device,
+            table,
+            self.features,
+            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": device.lanes},
+            STRUCTS,
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
@@ -183,6 +191,7 @@ class Wavefront:
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
+            "pool": np.uint32(pool),
             "alive": per_path("the flags of the paths", 1),
             "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
             "block_size": np.uint32(self.block_size),
@@ -229,7 +238,7 @@ class Wavefront:
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (1, self.pool_size):
             for name in self._stages:
-                self._stages.launch(name, items, **nothing)
+                self._launch(name, items, **nothing)
         self.device.finish()
         self.device.forget_profile()
 
@@ -273,18 +282,23 @@ class Wavefront:
             new = min(self.pool_size - paths, samples - begun)
             if new:
                 places = {"first_slot": np.uint32(paths), "first_sample": np.uint32(begun)}
-                self._stages.launch("generate", new, count_new=np.uint32(new), **places)
+                self._launch("generate", new, count_new=np.uint32(new), **places)
             begun += new
             paths = self._bounce(paths + new)
             if begun < samples and not goes_on():
                 samples = begun
         return begun
 
+    def _launch(self, kernel: str, items: int, **given) -> None:
+        """Runs a kernel over at least `items` work-items, or paths where a work-item takes several."""
+        lanes = self.device.lanes if kernel in TAKE_LANES else 1
+        self._stages.launch(kernel, -(-items // lanes), **given)
+
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
         bound = {"paths": np.uint32(paths)}
         self._stages.launch("intersect", paths, **bound)
-        self._stages.launch("shade", paths, **bound)
+        self._launch("shade", paths, **bound)
         if self._shadow:
             self._stages.launch(self._shadow, paths, **bound)
         blocks = -(-paths // self.block_size)
