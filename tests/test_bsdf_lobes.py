@@ -23,7 +23,7 @@ from isonoise.scene.materials import conductors
 KERNEL = """
 #include "bsdf.h"
 
-Shading shading(__global const Bsdf* bsdf, __global const float* tables, __global const float* frame, float3 wi)
+Shading shading(__global const Bsdf* bsdf, __global const float* tables, __global const float* frame, Vec3 wi)
 {
     Shading at;
     at.bsdf = bsdf;
@@ -47,9 +47,9 @@ __kernel void evaluate(__global const Bsdf* bsdf, __global const float* tables, 
     if (i >= n) return;
     const Shading at = shading(bsdf, tables, frame, LOAD3(i, wi));
     float pdf = 0.0f;
-    float3 value = (float3)(0.0f);
+    Vec3 value = all3(0.0f);
     if (bsdf_is_smooth(&at)) value = bsdf_eval(&at, LOAD3(i, wo), &pdf);
-    store3(value, 2 * i, out);
+    STORE3(value, 2 * i, out);
     out[6 * i + 3] = pdf;
 }
 
@@ -61,8 +61,8 @@ __kernel void draw(__global const Bsdf* bsdf, __global const float* tables, __gl
     const Shading at = shading(bsdf, tables, frame, LOAD3(i, wi));
     const BsdfSample sample = bsdf_sample(&at, LOAD3(i, u));
     if (sample.weight.x + sample.weight.y + sample.weight.z == 0.0f) return;
-    store3(sample.direction, 3 * i, out);
-    store3(sample.weight, 3 * i + 1, out);
+    STORE3(sample.direction, 3 * i, out);
+    STORE3(sample.weight, 3 * i + 1, out);
     out[9 * i + 6] = sample.pdf;
     out[9 * i + 7] = sample.eta;
 }

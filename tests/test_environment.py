@@ -18,29 +18,31 @@ Z = 5.0
 SAMPLES = 1 << 19
 KERNEL = """
 __kernel void sample(__global const Environment* record, __global const float* texels,
-                     __global const EnvironmentRow* rows, __global const uint* columns, __global const float2* u,
-                     __global float4* out, uint n)
+                     __global const EnvironmentRow* rows, __global const uint* columns, __global const float* u,
+                     __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
     const EnvironmentMap map = {record, texels, rows, columns};
-    float3 direction;
+    Vec3 direction;
     float pdf;
-    const float3 radiance = environment_sample(&map, u[i], &direction, &pdf);
-    out[2 * i] = (float4)(direction, pdf);
-    out[2 * i + 1] = (float4)(radiance, 0.0f);
+    const Vec3 radiance = environment_sample(&map, vec2(u[2 * i], u[2 * i + 1]), &direction, &pdf);
+    STORE3(direction, 0, out + 8 * i);
+    out[8 * i + 3] = pdf;
+    STORE3(radiance, 0, out + 8 * i + 4);
 }
 
 __kernel void look(__global const Environment* record, __global const float* texels,
                    __global const EnvironmentRow* rows, __global const uint* columns,
-                   __global const float4* direction, __global float4* out, uint n)
+                   __global const float* directions, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
     const EnvironmentMap map = {record, texels, rows, columns};
     float pdf;
-    const float3 radiance = environment_radiance(&map, direction[i].xyz, &pdf);
-    out[i] = (float4)(radiance, environment_pdf(&map, direction[i].xyz) == pdf ? pdf : NAN);
+    const Vec3 direction = LOAD3(i, directions), radiance = environment_radiance(&map, direction, &pdf);
+    STORE3(radiance, 0, out + 4 * i);
+    out[4 * i + 3] = environment_pdf(&map, direction) == pdf ? pdf : NAN;
 }
 """
 
@@ -72,9 +74,7 @@ class OnDevice:
 
     def look(self, made: Environment, directions: np.ndarray):
         """Radiance (n, 3) and pdf (n,)."""
-        given = np.zeros((len(directions), 4), np.float32)
-        given[:, :3] = directions
-        out = self._run("look", made, given, 1)
+        out = self._run("look", made, np.ascontiguousarray(directions, np.float32), 1)
         return out[:, 0, :3], out[:, 0, 3]
 
 

@@ -20,9 +20,9 @@ from isonoise.scene.triangles import triangle_records
 
 Z = 5.0
 SAMPLES, BINS, GRID = 2**16, 12, 240
-GEOMETRY = """__global const float4* triangles, __global const uint* faces, __global const float* uvs,
+GEOMETRY = """__global const float* triangles, __global const uint* faces, __global const float* uvs,
                       __global const Analytic* analytics, __global const Shape* shapes,
-                      __global const Texture* textures, __global const uchar4* bytes, __global const float* srgb,
+                      __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
                       __global const Light* lights"""
 KERNEL = f"""
 #include "light.h"
@@ -42,17 +42,19 @@ Geometry geometry({GEOMETRY})
 }}
 
 __kernel void sample({GEOMETRY},
-                     __global const Alias* table, uint count, __global const float* reference, __global const float4* u,
+                     __global const Alias* table, uint count, __global const float* reference, __global const float* u,
                      __global float* out, uint n)
 {{
     const uint i = get_global_id(0);
     if (i >= n) return;
     const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
-    const LightSample light = sample_light(&g, lights, table, count, LOAD3(i, reference), (float4)(0.0f), u[i]);
-    store3(light.direction, 0, out + 16 * i);
-    store3(light.radiance, 1, out + 16 * i);
-    store3(light.position, 2, out + 16 * i);
-    store3(light.normal, 3, out + 16 * i);
+    const Vec4 no_side = vec4(0.0f, 0.0f, 0.0f, 0.0f);
+    const Vec4 number = vec4(u[4 * i], u[4 * i + 1], u[4 * i + 2], u[4 * i + 3]);
+    const LightSample light = sample_light(&g, lights, table, count, LOAD3(i, reference), no_side, number);
+    STORE3(light.direction, 0, out + 16 * i);
+    STORE3(light.radiance, 1, out + 16 * i);
+    STORE3(light.position, 2, out + 16 * i);
+    STORE3(light.normal, 3, out + 16 * i);
     out[16 * i + 12] = light.pdf;
     out[16 * i + 13] = light.is_delta;
     out[16 * i + 14] = light.is_infinite;
@@ -66,7 +68,7 @@ __kernel void density({GEOMETRY},
     const uint i = get_global_id(0);
     if (i >= n) return;
     const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
-    const float3 from = LOAD3(i, reference), arm = LOAD3(i, position) - from;
+    const Vec3 from = LOAD3(i, reference), arm = sub3(LOAD3(i, position), from);
     out[i] = light_pdf(&g, lights + index, from, unit(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
 }}
 """
