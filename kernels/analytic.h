@@ -69,7 +69,7 @@ INLINE float analytic_distance(__global const Analytic* analytics, uint index, V
     __global const Analytic* shape = analytics + index;
     if (skip.y == (ANALYTIC_BIT | index)) return INFINITY;
 #if FEATURE_SPHERES
-    if (shape->kind == ANALYTIC_SPHERE)
+    if (shape->kind & ANALYTIC_SPHERE)
         return sphere_distance(origin, direction, LOAD3(0, shape->center), shape->radius, t_max);
 #endif
 #if FEATURE_DISKS || FEATURE_CYLINDERS
@@ -79,11 +79,11 @@ INLINE float analytic_distance(__global const Analytic* analytics, uint index, V
     const Vec3 o = transform_point(to_object, origin), d = transform_direction(to_object, direction);
 #endif
 #if FEATURE_DISKS
-    if (shape->kind == ANALYTIC_DISK)
+    if (shape->kind & ANALYTIC_DISK)
         return skip.x == (ANALYTIC_BIT | index) ? INFINITY : disk_distance(o, d, t_max);
 #endif
 #if FEATURE_CYLINDERS
-    if (shape->kind == ANALYTIC_CYLINDER) return cylinder_distance(o, d, t_max);
+    if (shape->kind & ANALYTIC_CYLINDER) return cylinder_distance(o, d, t_max);
 #endif
     return INFINITY;
 }

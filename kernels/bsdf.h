@@ -17,16 +17,11 @@
 INLINE bool bsdf_is_smooth(const Shading* at)
 {
 #if FEATURE_MEDIA
-    if (at->bsdf->kind == BSDF_HG) return !(at->bsdf->flags & BSDF_UNLIT);
+    if (at->bsdf->kind & BSDF_HG) return !(at->bsdf->flags & BSDF_UNLIT);
 #endif
     if (!(at->cos_i > 0.0f || HAS_ROUGH_TRANSMISSION)) return false;
 #if HAS_DELTA_BSDFS
-    switch (at->bsdf->kind) {
-    case BSDF_DIELECTRIC:
-    case BSDF_THIN_DIELECTRIC:
-    case BSDF_CONDUCTOR: return false;
-    default: return true;
-    }
+    return !(at->bsdf->kind & (BSDF_DIELECTRIC | BSDF_THIN_DIELECTRIC | BSDF_CONDUCTOR));
 #else
     return HAS_SMOOTH_BSDFS;
 #endif
@@ -35,14 +30,10 @@ INLINE bool bsdf_is_smooth(const Shading* at)
 // From where light counts: the normal, its w 0; or (0, 0, 0, 1) if from all sides.
 INLINE Vec4 lit_side(const Shading* at)
 {
-    bool from_all = false;
-    switch (at->bsdf->kind) {
-    case BSDF_HG:
-    case BSDF_ROUGH_DIELECTRIC: from_all = true; break;
-    case BSDF_PRINCIPLED: from_all = at->bsdf->values[12] > 0.0f || at->bsdf->textures[4] != NONE; break;  // spec_trans
-    default: break;
-    }
-    return from_all ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
+    // the fifth value is spec_trans
+    const bool transmits = at->bsdf->values[12] > 0.0f || at->bsdf->textures[4] != NONE;
+    const uint from_all_sides = BSDF_HG | BSDF_ROUGH_DIELECTRIC | (transmits ? BSDF_PRINCIPLED : 0u);
+    return at->bsdf->kind & from_all_sides ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
 }
 
 #if FEATURE_NEXT_EVENT
@@ -51,30 +42,28 @@ INLINE Vec3 bsdf_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     *pdf = 0.0f;
     Vec3 value = all3(0.0f);
-    switch (at->bsdf->kind) {
+    const uint kind = at->bsdf->kind;
 #if FEATURE_DIFFUSE
-    case BSDF_DIFFUSE: value = diffuse_eval(at, wo, pdf); break;
+    if (kind & BSDF_DIFFUSE) value = diffuse_eval(at, wo, pdf);
 #endif
 #if FEATURE_ROUGH_CONDUCTOR
-    case BSDF_ROUGH_CONDUCTOR: value = rough_conductor_eval(at, wo, pdf); break;
+    if (kind & BSDF_ROUGH_CONDUCTOR) value = rough_conductor_eval(at, wo, pdf);
 #endif
 #if FEATURE_ROUGH_DIELECTRIC
-    case BSDF_ROUGH_DIELECTRIC: value = rough_dielectric_eval(at, wo, pdf); break;
+    if (kind & BSDF_ROUGH_DIELECTRIC) value = rough_dielectric_eval(at, wo, pdf);
 #endif
 #if FEATURE_PLASTIC
-    case BSDF_PLASTIC: value = plastic_eval(at, wo, pdf); break;
+    if (kind & BSDF_PLASTIC) value = plastic_eval(at, wo, pdf);
 #endif
 #if FEATURE_ROUGH_PLASTIC
-    case BSDF_ROUGH_PLASTIC: value = rough_plastic_eval(at, wo, pdf); break;
+    if (kind & BSDF_ROUGH_PLASTIC) value = rough_plastic_eval(at, wo, pdf);
 #endif
 #if FEATURE_PRINCIPLED
-    case BSDF_PRINCIPLED: value = principled_eval(at, wo, pdf); break;
+    if (kind & BSDF_PRINCIPLED) value = principled_eval(at, wo, pdf);
 #endif
 #if FEATURE_MEDIA
-    case BSDF_HG: value = hg_eval(at, wo, pdf); break;
+    if (kind & BSDF_HG) value = hg_eval(at, wo, pdf);
 #endif
-    default: break;
-    }
     return value;
 }
 #endif
@@ -83,38 +72,36 @@ INLINE Vec3 bsdf_eval(const Shading* at, Vec3 wo, float* pdf)
 INLINE BsdfSample bsdf_sample(const Shading* at, Vec3 u)
 {
     BsdfSample sample = nothing_sampled();
-    switch (at->bsdf->kind) {
+    const uint kind = at->bsdf->kind;
 #if FEATURE_DIFFUSE
-    case BSDF_DIFFUSE: sample = diffuse_sample(at, vec2(u.y, u.z)); break;
+    if (kind & BSDF_DIFFUSE) sample = diffuse_sample(at, vec2(u.y, u.z));
 #endif
 #if FEATURE_DIELECTRIC
-    case BSDF_DIELECTRIC: sample = dielectric_sample(at, u.x); break;
+    if (kind & BSDF_DIELECTRIC) sample = dielectric_sample(at, u.x);
 #endif
 #if FEATURE_THIN_DIELECTRIC
-    case BSDF_THIN_DIELECTRIC: sample = thin_dielectric_sample(at, u.x); break;
+    if (kind & BSDF_THIN_DIELECTRIC) sample = thin_dielectric_sample(at, u.x);
 #endif
 #if FEATURE_CONDUCTOR
-    case BSDF_CONDUCTOR: sample = conductor_sample(at); break;
+    if (kind & BSDF_CONDUCTOR) sample = conductor_sample(at);
 #endif
 #if FEATURE_ROUGH_CONDUCTOR
-    case BSDF_ROUGH_CONDUCTOR: sample = rough_conductor_sample(at, vec2(u.y, u.z)); break;
+    if (kind & BSDF_ROUGH_CONDUCTOR) sample = rough_conductor_sample(at, vec2(u.y, u.z));
 #endif
 #if FEATURE_ROUGH_DIELECTRIC
-    case BSDF_ROUGH_DIELECTRIC: sample = rough_dielectric_sample(at, u); break;
+    if (kind & BSDF_ROUGH_DIELECTRIC) sample = rough_dielectric_sample(at, u);
 #endif
 #if FEATURE_PLASTIC
-    case BSDF_PLASTIC: sample = plastic_sample(at, u); break;
+    if (kind & BSDF_PLASTIC) sample = plastic_sample(at, u);
 #endif
 #if FEATURE_ROUGH_PLASTIC
-    case BSDF_ROUGH_PLASTIC: sample = rough_plastic_sample(at, u); break;
+    if (kind & BSDF_ROUGH_PLASTIC) sample = rough_plastic_sample(at, u);
 #endif
 #if FEATURE_PRINCIPLED
-    case BSDF_PRINCIPLED: sample = principled_sample(at, u); break;
+    if (kind & BSDF_PRINCIPLED) sample = principled_sample(at, u);
 #endif
 #if FEATURE_MEDIA
-    case BSDF_HG: sample = hg_sample(at, vec2(u.y, u.z)); break;
+    if (kind & BSDF_HG) sample = hg_sample(at, vec2(u.y, u.z));
 #endif
-    default: break;
-    }
     return sample;
 }

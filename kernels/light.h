@@ -46,7 +46,7 @@ INLINE float light_pdf(const Geometry* g, __global const Light* light, Vec3 refe
     const float to_solid_angle = distance * distance / abs1(dot3(normal, direction));
     float density = to_solid_angle / light->area;
 #if FEATURE_SPHERE_LIGHTS
-    if (light->kind == LIGHT_SPHERE) {
+    if (light->kind & LIGHT_SPHERE) {
         __global const Analytic* sphere = g->analytics + light->primitive;
         const Vec3 arm = sub3(LOAD3(0, sphere->center), reference);
         const float distance2 = dot3(arm, arm);
@@ -74,7 +74,7 @@ INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, V
 {
     const Vec3 arm = sub3(reference, LOAD3(0, sphere->center));
     const float distance2 = dot3(arm, arm), radius = sphere->radius;
-    float cos_alpha, density = 0.0f;
+    float cos_alpha = 1.0f, density = 0.0f;
     Vec3 axis = vec3(0.0f, 0.0f, 1.0f);
     if (sampled_by_cone(g, sphere, distance2)) {
         const float sin2_max = radius * radius / distance2, sin_max = SQRT(sin2_max);
@@ -102,33 +102,27 @@ INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, V
 INLINE float sample_surface(const Geometry* g, __global const Light* light, Vec3 reference, Vec2 u, Surface* s)
 {
     float density = 0.0f;
-    switch (light->kind) {
 #if FEATURE_TRIANGLE_LIGHTS
-    case LIGHT_TRIANGLE: {
+    if (light->kind & LIGHT_TRIANGLE) {
         const float root = SQRT(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
         *s = triangle_surface(g, light->primitive, 1.0f - root, root * u.y);
-        break;
     }
 #endif
 #if FEATURE_SPHERE_LIGHTS
-    case LIGHT_SPHERE: density = sample_sphere(g, g->analytics + light->primitive, reference, u, s); break;
+    if (light->kind & LIGHT_SPHERE) density = sample_sphere(g, g->analytics + light->primitive, reference, u, s);
 #endif
 #if FEATURE_DISK_LIGHTS
-    case LIGHT_DISK:
+    if (light->kind & LIGHT_DISK)
         transformed_surface(g->analytics + light->primitive, on_plane(square_to_disk(u), 0.0f), vec3(0.0f, 0.0f, 1.0f), s);
-        break;
 #endif
 #if FEATURE_CYLINDER_LIGHTS
-    case LIGHT_CYLINDER: {
+    if (light->kind & LIGHT_CYLINDER) {
         const Vec2 side = circle(u.x);
         transformed_surface(g->analytics + light->primitive, on_plane(side, u.y), on_plane(side, 0.0f), s);
-        break;
     }
 #endif
-    default: break;
-    }
 #if FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS
-    if (light->kind != LIGHT_TRIANGLE) complete_analytic(g, light->primitive, s);
+    if (!(light->kind & LIGHT_TRIANGLE)) complete_analytic(g, light->primitive, s);
 #endif
     return density;
 }
@@ -169,7 +163,7 @@ INLINE Vec3 sky_radiance(const Geometry* g, __global const Light* sky, Vec3 dire
     Vec3 radiance = LOAD3(0, sky->radiance);
     *pdf = 0.25f * M_1_PI_F;
 #if FEATURE_ENVIRONMENT_MAP
-    if (!FEATURE_CONSTANT_LIGHT || sky->kind == LIGHT_ENVIRONMENT_MAP)
+    if (!FEATURE_CONSTANT_LIGHT || sky->kind & LIGHT_ENVIRONMENT_MAP)
         radiance = environment_radiance(&g->environment, direction, pdf);
 #endif
     return radiance;
@@ -182,6 +176,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
                                 Vec3 reference, Vec4 lit, Vec4 u)
 {
     LightSample sample;
+    sample.position = sample.direction = all3(0.0f);
 #if FEATURE_LIGHT_TREE
     __global const Light* light = lights + pick_from_tree(&g->light_tree, reference, lit, u.x, u.w, &sample.pdf);
 #else
@@ -193,7 +188,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.primitive = NONE;
     sample.is_delta = sample.is_infinite = false;
 #if FEATURE_POINT_LIGHTS
-    if (light->kind == LIGHT_POINT) {
+    if (light->kind & LIGHT_POINT) {
         sample.position = LOAD3(0, light->position);
         const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
@@ -203,7 +198,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     }
 #endif
 #if FEATURE_SPOT_LIGHTS
-    if (light->kind == LIGHT_SPOT) {
+    if (light->kind & LIGHT_SPOT) {
         sample.position = LOAD3(0, light->position);
         const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
@@ -213,14 +208,14 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     }
 #endif
 #if FEATURE_DIRECTIONAL_LIGHTS
-    if (light->kind == LIGHT_DIRECTIONAL) {
+    if (light->kind & LIGHT_DIRECTIONAL) {
         sample.direction = neg3(LOAD3(0, light->position));
         sample.is_delta = sample.is_infinite = true;
         return sample;
     }
 #endif
 #if FEATURE_ENVIRONMENT_MAP
-    if (light->kind == LIGHT_ENVIRONMENT_MAP) {
+    if (light->kind & LIGHT_ENVIRONMENT_MAP) {
         float density;
         sample.radiance = environment_sample(&g->environment, vec2(u.y, u.z), &sample.direction, &density);
         sample.pdf *= density;
@@ -229,7 +224,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     }
 #endif
 #if FEATURE_CONSTANT_LIGHT
-    if (light->kind == LIGHT_CONSTANT) {
+    if (light->kind & LIGHT_CONSTANT) {
         const float z = 1.0f - 2.0f * u.y, r = 2.0f * SQRT(GREATER(u.y * (1.0f - u.y), 0.0f));
         sample.direction = on_plane(scale2(circle(u.z), r), z);
         sample.pdf *= 0.25f * M_1_PI_F;
@@ -238,7 +233,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     }
 #endif
 #if FEATURE_AREA_LIGHTS
-    Surface s;
+    Surface s = no_surface();
     const float density = sample_surface(g, light, reference, vec2(u.y, u.z), &s);
     const Vec3 arm = sub3(s.position, reference);
     const float distance2 = dot3(arm, arm);
@@ -249,10 +244,10 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.position = s.position;
     sample.error = s.error;
     sample.normal = s.geometric_normal;
-    sample.primitive = light->kind == LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
+    sample.primitive = light->kind & LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
 #if FEATURE_SPHERE_LIGHTS || FEATURE_CYLINDER_LIGHTS
     // what shines inwards may be seen through itself: then it is not left out of the shadow ray
-    if ((light->kind == LIGHT_SPHERE || light->kind == LIGHT_CYLINDER) &&
+    if ((light->kind & (LIGHT_SPHERE | LIGHT_CYLINDER)) &&
         (g->shapes[g->analytics[light->primitive].shape].flags & SHAPE_FLIP_NORMALS))
         sample.primitive = NONE;
 #endif

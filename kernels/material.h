@@ -38,10 +38,10 @@ INLINE Vec3 bumped_normal(const Shading* at, const Surface* s)
 {
     Vec3 bumped = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (at->bsdf->kind == BSDF_NORMAL_MAP) bumped = sub3(scale3(rgb_parameter(at, 0), 2.0f), all3(1.0f));
+    if (at->bsdf->kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(rgb_parameter(at, 0), 2.0f), all3(1.0f));
 #endif
 #if FEATURE_BUMP
-    if (at->bsdf->kind == BSDF_BUMP) {
+    if (at->bsdf->kind & BSDF_BUMP) {
         const Vec2 slope = scale2(texture_gradient(at->textures, at->bsdf->textures[0], &at->point), at->bsdf->values[3]);
         const Vec3 along_u = add3(s->dp_du, scale3(s->normal, slope.x - dot3(s->normal, s->dp_du)));
         const Vec3 along_v = add3(s->dp_dv, scale3(s->normal, slope.y - dot3(s->normal, s->dp_dv)));

@@ -34,7 +34,7 @@ INLINE BsdfSample hg_sample(const Shading* at, Vec2 u)
     Vec3 x, y;
     basis(axis, &x, &y);
     const Vec2 around = scale2(circle(u.y), SQRT(GREATER(one_minus_cos * (2.0f - one_minus_cos), 0.0f)));
-    BsdfSample sample;
+    BsdfSample sample = nothing_sampled();
     sample.direction = unit(combine3(around.x, x, around.y, y, 1.0f - one_minus_cos, axis));
     sample.weight = all3(1.0f);
     sample.pdf = at->bsdf->flags & BSDF_UNLIT ? -1.0f : hg_density(narrow, one_minus_cos);

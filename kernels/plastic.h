@@ -31,7 +31,7 @@ INLINE Vec3 plastic_eval(const Shading* at, Vec3 wo, float* pdf)
     const float cos_o = dot3(at->normal, wo), eta = number_parameter(at, 2);
     *pdf = 0.0f;
     if (!(at->cos_i > 0.0f && cos_o > 0.0f)) return all3(0.0f);
-    float cos_t;
+    float cos_t = 0.0f;
     const float reflected_i = fresnel_dielectric(at->cos_i, eta, &cos_t);
     const float reflected_o = fresnel_dielectric(cos_o, eta, &cos_t);
     *pdf = (1.0f - boundary_probability(at, reflected_i)) * cos_o * M_1_PI_F;
@@ -40,10 +40,9 @@ INLINE Vec3 plastic_eval(const Shading* at, Vec3 wo, float* pdf)
 
 INLINE BsdfSample plastic_sample(const Shading* at, Vec3 u)
 {
-    BsdfSample sample;
-    sample.weight = all3(0.0f);
+    BsdfSample sample = nothing_sampled();
     if (!(at->cos_i > 0.0f)) return sample;
-    float cos_t;
+    float cos_t = 0.0f;
     const float eta = number_parameter(at, 2), reflected = fresnel_dielectric(at->cos_i, eta, &cos_t);
     const float probability = boundary_probability(at, reflected);
     sample.eta = 1.0f;
@@ -84,7 +83,7 @@ INLINE Vec3 rough_plastic_local(const Shading* at, const Microfacets* d, Vec3 w,
     *pdf = (1.0f - probability) * o.z * M_1_PI_F;
     Vec3 value = scale3(base_reflectance(at), through_w * through_o * o.z * M_1_PI_F);
     if (cos_m > 0.0f) {
-        float cos_t;
+        float cos_t = 0.0f;
         const float reflected = fresnel_dielectric(cos_m, number_parameter(at, 2), &cos_t);
         value = add3(value, scale3(rgb_parameter(at, 0), 0.25f * reflected * density * seen_per_cosine(d, w) * seen(d, o)));
         *pdf += probability * facet_pdf(d, w, m, density) / (4.0f * cos_m);
@@ -105,12 +104,11 @@ INLINE Vec3 rough_plastic_eval(const Shading* at, Vec3 wo, float* pdf)
 
 INLINE BsdfSample rough_plastic_sample(const Shading* at, Vec3 u)
 {
-    BsdfSample sample;
-    sample.weight = all3(0.0f);
+    BsdfSample sample = nothing_sampled();
     const Vec3 w = to_local(at, at->wi);
     if (!(w.z > 0.0f)) return sample;
     const Microfacets d = rough_plastic_microfacets(at);
-    Vec3 o;
+    Vec3 o = all3(0.0f);
     if (u.x < boundary_probability(at, 1.0f - boundary_transmittance(at, w.z))) {
         const Vec3 m = sample_facet(&d, w, vec2(u.y, u.z));
         o = unit(sub3(scale3(m, 2.0f * dot3(w, m)), w));

@@ -153,13 +153,12 @@ INLINE Vec3 principled_eval(const Shading* at, Vec3 wo, float* pdf)
 
 INLINE BsdfSample principled_sample(const Shading* at, Vec3 u)
 {
-    BsdfSample sample;
-    sample.weight = all3(0.0f);
+    BsdfSample sample = nothing_sampled();
     const Principled p = principled_parameters(at);
     const float side = with_sign(1.0f, at->cos_i);
     const Vec3 w = scale3(to_local(at, at->wi), side);
     if (!(w.z > 0.0f)) return sample;
-    Vec3 o;
+    Vec3 o = all3(0.0f);
     bool reflects = true;
     if (u.x < p.diffuse_rate) {
         o = square_to_hemisphere(vec2(u.y, u.z));
@@ -169,7 +168,7 @@ INLINE BsdfSample principled_sample(const Shading* at, Vec3 u)
     } else {
         const Vec3 m = sample_facet(&p.facets, w, vec2(u.y, u.z));
         const float cos_w = dot3(w, m);
-        float cos_t;
+        float cos_t = 0.0f;
         const float passed = transmission_probability(&p, fresnel_dielectric(cos_w, p.eta, &cos_t));
         reflects = u.x - p.diffuse_rate - p.clearcoat_rate >= p.specular_rate * passed;
         o = unit(reflects ? sub3(scale3(m, 2.0f * cos_w), w) : sub3(scale3(m, cos_w / p.eta - cos_t), over3(w, p.eta)));

@@ -31,8 +31,7 @@ INLINE Vec3 rough_conductor_eval(const Shading* at, Vec3 wo, float* pdf)
 
 INLINE BsdfSample rough_conductor_sample(const Shading* at, Vec2 u)
 {
-    BsdfSample sample;
-    sample.weight = all3(0.0f);
+    BsdfSample sample = nothing_sampled();
     const Vec3 w = to_local(at, at->wi);
     if (!(w.z > 0.0f)) return sample;
     const Microfacets d = rough_microfacets(at);
@@ -85,7 +84,7 @@ INLINE Vec3 rough_dielectric_eval(const Shading* at, Vec3 wo, float* pdf)
     const float side = with_sign(1.0f, at->cos_i), index = number_parameter(at, 2);
     const float eta = side > 0.0f ? index : 1.0f / index;
     const Vec3 w = scale3(to_local(at, at->wi), side), o = scale3(to_local(at, wo), side);
-    Vec3 m;
+    Vec3 m = all3(0.0f);
     float cos_w, cos_o, jacobian, cos_t;
     *pdf = 0.0f;
     if (!(w.z > 0.0f && o.z != 0.0f && boundary_facet(w, o, eta, &m, &cos_w, &cos_o, &jacobian))) return all3(0.0f);
@@ -99,8 +98,7 @@ INLINE Vec3 rough_dielectric_eval(const Shading* at, Vec3 wo, float* pdf)
 
 INLINE BsdfSample rough_dielectric_sample(const Shading* at, Vec3 u)
 {
-    BsdfSample sample;
-    sample.weight = all3(0.0f);
+    BsdfSample sample = nothing_sampled();
     const float side = with_sign(1.0f, at->cos_i), index = number_parameter(at, 2);
     const float eta = side > 0.0f ? index : 1.0f / index;
     const Vec3 w = scale3(to_local(at, at->wi), side);
@@ -110,7 +108,7 @@ INLINE BsdfSample rough_dielectric_sample(const Shading* at, Vec3 u)
     const float cos_w = dot3(w, m), density = facet_density(&sampled, m);
     const float facet = facet_pdf(&sampled, w, m, density);
     if (!(cos_w > 0.0f && facet > 0.0f)) return sample;
-    float cos_t;
+    float cos_t = 0.0f;
     const float reflectance = fresnel_dielectric(cos_w, eta, &cos_t);
     const bool reflects = u.x <= reflectance;
     const Vec3 o = reflects ? sub3(scale3(m, 2.0f * cos_w), w) : sub3(scale3(m, cos_w / eta - cos_t), over3(w, eta));

@@ -32,7 +32,7 @@ INLINE void next_event(const Geometry* g, __global const Light* lights, __global
 {
     const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, lit_side(at), u);
     if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
-    float bsdf_pdf;
+    float bsdf_pdf = 0.0f;
     const Vec3 scattered = bsdf_eval(at, light.direction, &bsdf_pdf);
     const float mis = light.is_delta ? 1.0f : mis_weight(light.pdf, bsdf_pdf);
     Vec3 radiance = scale3(mul3(mul3(weight, scattered), light.radiance), mis / light.pdf);
@@ -165,7 +165,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* restrict sample_
 #endif
             continue;
         }
-        Surface s;
+        Surface s = no_surface();
         if (!FEATURE_MEDIA || primitive != NONE) {
 #if FEATURE_INSTANCES
             s = instanced_surface_at(&geometry, instances, instance[i], primitive, origin, direction, h.x, h.y, h.z);
@@ -233,7 +233,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* restrict sample_
 #if HAS_WRAPPERS
         const bool passes = unwrap(&at, bsdfs, &s, random_block(seed, pixel, index, BLOCK_MATERIAL(event)).x);
 #else
-        const bool passes = FEATURE_NULL && at.bsdf->kind == BSDF_NULL;
+        const bool passes = FEATURE_NULL && (at.bsdf->kind & BSDF_NULL);
 #endif
 #if HAS_SEE_THROUGH && !FEATURE_VOLPATH
         if (passes) {  // next-event estimation did not see what is behind: it takes part in no weight

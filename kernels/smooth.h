@@ -34,7 +34,7 @@ INLINE Vec3 diffuse_eval(const Shading* at, Vec3 wo, float* pdf)
 INLINE BsdfSample diffuse_sample(const Shading* at, Vec2 u)
 {
     const Vec3 about_z = square_to_hemisphere(u);
-    BsdfSample sample;
+    BsdfSample sample = nothing_sampled();
     sample.direction = around(at->normal, about_z);
     sample.weight = at->cos_i > 0.0f && about_z.z > 0.0f ? rgb_parameter(at, 0) : all3(0.0f);
     sample.pdf = about_z.z * M_1_PI_F;
@@ -72,9 +72,9 @@ INLINE BsdfSample dielectric_sample(const Shading* at, float u)
     const bool inside = at->cos_i < 0.0f;
     const float index = number_parameter(at, 2), eta = inside ? 1.0f / index : index, cos_i = abs1(at->cos_i);
     const Vec3 facing = inside ? neg3(at->normal) : at->normal;
-    float cos_t;
+    float cos_t = 0.0f;
     const float reflectance = fresnel_dielectric(cos_i, eta, &cos_t);
-    BsdfSample sample;
+    BsdfSample sample = nothing_sampled();
     sample.pdf = -1.0f;
     if (u <= reflectance) {
         sample.direction = unit(sub3(scale3(facing, 2.0f * cos_i), at->wi));
@@ -94,7 +94,7 @@ INLINE BsdfSample dielectric_sample(const Shading* at, float u)
 // Two boundaries so close that what is refracted goes on as it came; reflections between them are summed.
 INLINE float thin_dielectric_reflectance(const Shading* at)
 {
-    float cos_t;
+    float cos_t = 0.0f;
     const float once = fresnel_dielectric(abs1(at->cos_i), number_parameter(at, 2), &cos_t);
     return 2.0f * once / (1.0f + once);
 }
@@ -102,7 +102,7 @@ INLINE float thin_dielectric_reflectance(const Shading* at)
 INLINE BsdfSample thin_dielectric_sample(const Shading* at, float u)
 {
     const bool reflects = u <= thin_dielectric_reflectance(at);
-    BsdfSample sample;
+    BsdfSample sample = nothing_sampled();
     sample.direction = reflects ? unit(sub3(scale3(at->normal, 2.0f * at->cos_i), at->wi)) : neg3(at->wi);
     sample.weight = rgb_parameter(at, reflects ? 0 : 1);
     sample.pdf = reflects ? -1.0f : STRAIGHT;
@@ -139,9 +139,8 @@ INLINE Vec3 fresnel_conductor(float cos_i, Vec3 eta, Vec3 k)
 #if FEATURE_CONDUCTOR
 INLINE BsdfSample conductor_sample(const Shading* at)
 {
-    BsdfSample sample;
+    BsdfSample sample = nothing_sampled();
     sample.direction = unit(sub3(scale3(at->normal, 2.0f * at->cos_i), at->wi));
-    sample.weight = all3(0.0f);
     if (at->cos_i > 0.0f)
         sample.weight = mul3(rgb_parameter(at, 0), fresnel_conductor(at->cos_i, rgb_parameter(at, 2), rgb_parameter(at, 3)));
     sample.pdf = -1.0f;

@@ -24,6 +24,24 @@ typedef struct {
 #endif
 } Surface;
 
+// Every member has a value, as in `nothing_sampled`.
+INLINE Surface no_surface(void)
+{
+    Surface s;
+    s.position = s.error = s.geometric_normal = s.normal = all3(0.0f);
+    s.bsdf = 0u;
+    s.light = NONE;
+#if FEATURE_MEDIA
+    s.media = NONE;
+#endif
+#if FEATURE_UVS
+    s.uv = s.barycentric = all2(0.0f);
+    s.dp_du = s.dp_dv = all3(0.0f);
+    s.triangle = NONE;
+#endif
+    return s;
+}
+
 #if FEATURE_TEXTURES
 INLINE TexturePoint texture_point(const Surface* s)
 {
@@ -80,16 +98,16 @@ INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float
     __global const float* record = g->triangles + TRIANGLE_FLOATS * triangle;
     const Vec3 corner = LOAD3(0, record), edge1 = LOAD3(0, record + 4), edge2 = LOAD3(0, record + 8);
     const Vec3 along1 = scale3(edge1, u), along2 = scale3(edge2, v);
-    const uint flags = as_uint(record[11]) ^ LANE_BIAS;
-    Surface s;
+    const uint flags = as_uint(record[11]);
+    Surface s = no_surface();
     s.position = add3(corner, add3(along1, along2));
     // the edges are differences of corners: their rounding is bounded by GAMMA(1) of themselves
     s.error = scale3(add3(add3(abs3(corner), abs3(along1)), abs3(along2)), GAMMA(5));
     s.geometric_normal = s.normal = LOAD3(0, record + 12);
-    s.bsdf = as_uint(record[3]) ^ LANE_BIAS;
-    s.light = as_uint(record[7]) ^ LANE_BIAS;
+    s.bsdf = as_uint(record[3]);
+    s.light = as_uint(record[7]);
 #if FEATURE_MEDIA
-    s.media = as_uint(record[15]) ^ LANE_BIAS;
+    s.media = as_uint(record[15]);
 #endif
 #if FEATURE_VERTEX_NORMALS
     if (flags & SHAPE_VERTEX_NORMALS) {
@@ -120,27 +138,24 @@ INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
     const float angle = turn < 0.0f ? turn + 1.0f : turn;
     s->triangle = NONE;
     s->barycentric = all2(0.0f);
-    switch (shape->kind) {
+    s->uv = vec2(angle, p.z);
+    s->dp_du = scale3(vec3(on.x, on.y, 0.0f), 2.0f * M_PI_F);
+    s->dp_dv = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_SPHERES
-    case ANALYTIC_SPHERE:
+    if (shape->kind & ANALYTIC_SPHERE) {
         s->uv = vec2(angle, atan2(around, p.z) * M_1_PI_F);
-        s->dp_du = transform_direction(m, scale3(vec3(on.x, on.y, 0.0f), 2.0f * M_PI_F));
-        s->dp_dv = transform_direction(m, scale3(on_plane(scale2(out, p.z), -around), M_PI_F));
-        break;
+        s->dp_dv = scale3(on_plane(scale2(out, p.z), -around), M_PI_F);
+    }
 #endif
 #if FEATURE_DISKS
-    case ANALYTIC_DISK:
+    if (shape->kind & ANALYTIC_DISK) {
         s->uv = vec2(around, angle);
-        s->dp_du = transform_direction(m, vec3(out.x, out.y, 0.0f));
-        s->dp_dv = transform_direction(m, vec3(-out.y, out.x, 0.0f));
-        break;
-#endif
-    default:
-        s->uv = vec2(angle, p.z);
-        s->dp_du = transform_direction(m, scale3(vec3(on.x, on.y, 0.0f), 2.0f * M_PI_F));
-        s->dp_dv = transform_direction(m, vec3(0.0f, 0.0f, 1.0f));
-        break;
+        s->dp_du = on_plane(out, 0.0f);
+        s->dp_dv = vec3(-out.y, out.x, 0.0f);
     }
+#endif
+    s->dp_du = transform_direction(m, s->dp_du);
+    s->dp_dv = transform_direction(m, s->dp_dv);
 }
 #endif
 
@@ -201,18 +216,18 @@ INLINE void transformed_surface(__global const Analytic* shape, Vec3 on_shape, V
 #if FEATURE_ANALYTICS
 INLINE Surface analytic_surface(const Geometry* g, uint index, Vec3 at)
 {
-    Surface s;
+    Surface s = no_surface();
     __global const Analytic* shape = g->analytics + index;
 #if FEATURE_SPHERES
-    if (shape->kind == ANALYTIC_SPHERE) sphere_surface(shape, unit(sub3(at, LOAD3(0, shape->center))), &s);
+    if (shape->kind & ANALYTIC_SPHERE) sphere_surface(shape, unit(sub3(at, LOAD3(0, shape->center))), &s);
 #endif
 #if FEATURE_DISKS || FEATURE_CYLINDERS
-    if (shape->kind != ANALYTIC_SPHERE) {
+    if (!(shape->kind & ANALYTIC_SPHERE)) {
         float to_object[12];
         load_matrix(shape->to_object, to_object);
         Vec3 on_shape = transform_point(to_object, at);
         Vec3 shape_normal = vec3(0.0f, 0.0f, 1.0f);
-        if (shape->kind == ANALYTIC_DISK) {
+        if (shape->kind & ANALYTIC_DISK) {
             on_shape.z = 0.0f;
         } else {
             const float from_axis = SQRT(on_shape.x * on_shape.x + on_shape.y * on_shape.y);
@@ -238,9 +253,7 @@ INLINE Surface surface_at(const Geometry* g, uint primitive, Vec3 origin, Vec3 d
 #if FEATURE_ANALYTICS
     return analytic_surface(g, primitive & ~ANALYTIC_BIT, add3(origin, scale3(direction, t)));
 #elif !FEATURE_TRIANGLES
-    Surface none;  // an empty scene: nothing is ever met
-    none.geometric_normal = all3(0.0f);
-    return none;
+    return no_surface();  // an empty scene: nothing is ever met
 #endif
 }
 

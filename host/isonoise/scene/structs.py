@@ -9,12 +9,9 @@ import numpy as np
 NONE = 0xFFFFFFFF
 """Marks 'no such index' (a shape without a light, a light without a primitive)."""
 
-LANE_BIAS = 0x40000000
-"""Indices that stand in the fourth lane of a float4 are XORed with it: as they are they would be denormal numbers, and
-arithmetic
-on the other lanes, which takes the whole register, would stall on them."""
-
-ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
+# Kinds are bits, each its own: kernels test them with `&`, which no compiler makes a jump table of. Loops with one are not
+# vectorised.
+ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = (1 << bit for bit in range(3))
 (
     BSDF_DIFFUSE,
     BSDF_DIELECTRIC,
@@ -32,7 +29,7 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
     BSDF_BUMP,
     BSDF_NORMAL_MAP,
     BSDF_HG,
-) = range(16)
+) = (1 << bit for bit in range(16))
 (
     LIGHT_TRIANGLE,
     LIGHT_SPHERE,
@@ -43,7 +40,7 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = range(3)
     LIGHT_DIRECTIONAL,
     LIGHT_CONSTANT,
     LIGHT_ENVIRONMENT_MAP,
-) = range(9)
+) = (1 << bit for bit in range(9))
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS, SHAPE_SEE_THROUGH = 1, 2, 4, 8
 BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
@@ -87,7 +84,7 @@ MEDIUM_NONE = 0xFFFF
 TRIANGLE = np.dtype(
     [
         ("corner", "f4", 3),  # the first one
-        ("bsdf", "u4"),  # XOR LANE_BIAS, like the next three
+        ("bsdf", "u4"),  # index
         ("edge1", "f4", 3),  # from the first corner to the second
         ("light", "u4"),  # NONE if it does not shine
         ("edge2", "f4", 3),  # to the third

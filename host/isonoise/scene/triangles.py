@@ -28,6 +28,4 @@ def triangle_records(scene: CompiledScene) -> np.ndarray:
     shines = shape["first_light"] != structs.NONE
     records["light"] = np.where(shines, shape["first_light"] + in_shape, structs.NONE)
     records["media"] = shape["media"]
-    for index in ("bsdf", "light", "flags", "media"):
-        records[index] ^= structs.LANE_BIAS
     return records
