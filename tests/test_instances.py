@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import references
 import trimesh
+from planes import as_planes, read_rows
 from scalar_mitsuba import as_mitsuba, assert_same_picture, import_mitsuba
 
 from isonoise.device import program
@@ -24,13 +25,14 @@ NONE = structs.NONE
 ANALYTIC_BIT = 0x80000000
 
 PROBE = """
+#include "paths.h"
 #include "surface.h"
 
-__kernel void probe(uint n, __global const float4* triangles, __global const uint* faces,
+__kernel void probe(uint n, __global const float* triangles, __global const uint* faces,
                     __global const float* vertex_normals, __global const Analytic* analytics,
                     __global const Shape* shapes, __global const Instance* instances, __global const uint* instance,
-                    __global const float4* ray_origin, __global const float4* ray_direction, __global const float4* hit,
-                    __global const float4* towards, __global float4* out)
+                    __global const float* ray_origin, __global const float* ray_direction, __global const float* hits,
+                    __global const float* towards, __global float* out)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
@@ -40,19 +42,22 @@ __kernel void probe(uint n, __global const float4* triangles, __global const uin
     g.vertex_normals = vertex_normals;
     g.analytics = analytics;
     g.shapes = shapes;
-    const float4 h = hit[i];
-    if (as_uint(h.w) == NONE) return;
+    const Vec4 hit = load_planes4(hits, i, n);
+    const uint primitive = as_uint(hit.w);
+    if (primitive == NONE) return;
+    const Vec3 origin = load_planes3(ray_origin, i, n), direction = load_planes3(ray_direction, i, n);
 #if FEATURE_INSTANCES
-    const Surface s = instanced_surface_at(&g, instances, instance[i], as_uint(h.w), ray_origin[i].xyz,
-                                           ray_direction[i].xyz, h.x, h.y, h.z);
+    const Surface s = instanced_surface_at(&g, instances, instance[i], primitive, origin, direction, hit.x, hit.y,
+                                           hit.z);
 #else
-    const Surface s = surface_at(&g, as_uint(h.w), ray_origin[i].xyz, ray_direction[i].xyz, h.x, h.y, h.z);
+    const Surface s = surface_at(&g, primitive, origin, direction, hit.x, hit.y, hit.z);
 #endif
-    out[5 * i] = (float4)(s.position, 0.0f);
-    out[5 * i + 1] = (float4)(s.error, 0.0f);
-    out[5 * i + 2] = (float4)(s.geometric_normal, 0.0f);
-    out[5 * i + 3] = (float4)(s.normal, 0.0f);
-    out[5 * i + 4] = (float4)(offset_origin(s.position, s.error, s.geometric_normal, towards[i].xyz), 0.0f);
+    const Vec3 leaving = load_planes3(towards, i, n);
+    STORE3(s.position, 5 * i, out);
+    STORE3(s.error, 5 * i + 1, out);
+    STORE3(s.geometric_normal, 5 * i + 2, out);
+    STORE3(s.normal, 5 * i + 3, out);
+    STORE3(offset_origin(s.position, s.error, s.geometric_normal, leaving), 5 * i + 4, out);
 }
 """
 
@@ -94,20 +99,20 @@ class Traced:
         rays = np.zeros((4, n, 4), np.float32)
         rays[0, :, :3], rays[0, :, 3], rays[1, :, :3] = origins, np.inf, directions
         rays[2, :, :3] = rays[1, :, :3] if towards is None else towards
-        path = np.zeros((n, 4), np.uint32)
-        path[:, 1] = skip
-        origin, direction, leaving, hit = (device.buffer(ray, "rays") for ray in rays)
+        path = np.zeros((4, n), np.uint32)
+        path[1] = skip
+        origin, direction, leaving, hit = (device.buffer(as_planes(ray), "rays") for ray in rays)
         instance = device.buffer(np.full(n, start, np.uint32), "instance")
         more = (self.instances, self.counts[1], instance) if self.features["INSTANCES"] else ()
         arguments = (
-            *(np.uint32(n), self.nodes, self.blocks, self.counts[0], self.analytics),
+            *(np.uint32(n), np.uint32(n), self.nodes, self.blocks, self.counts[0], self.analytics),
             *(origin, direction, device.buffer(path, "path"), hit, *more),
         )
         device.launch(self.intersect, n, arguments)
-        out = device.buffer(80 * n, "surfaces")
+        out = device.buffer(60 * n, "surfaces")
         device.launch(self.probe, n, (np.uint32(n), *self.surfaces, instance, origin, direction, hit, leaving, out))
-        found = device.read(hit, np.float32, 4 * n).reshape(n, 4)
-        of_surface = device.read(out, np.float32, 20 * n).reshape(n, 5, 4)[..., :3].transpose(1, 0, 2)
+        found = read_rows(device, hit, n, 4)
+        of_surface = device.read(out, np.float32, 15 * n).reshape(n, 5, 3).transpose(1, 0, 2)
         return {
             **{"t": found[:, 0], "uv": found[:, 1:3], "primitive": found[:, 3].copy().view(np.uint32)},
             "instance": device.read(instance, np.uint32, n),

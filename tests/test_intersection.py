@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from planes import as_planes, read_rows
 
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
@@ -24,26 +25,26 @@ def intersect(bvh, origins, directions, analytics=None, t_max=np.inf):
     rays = np.empty((2, n, 4), np.float32)
     rays[0, :, :3], rays[0, :, 3] = origins, t_max
     rays[1, :, :3], rays[1, :, 3] = directions, 0
-    path = np.full((n, 4), structs.NONE, np.uint32)  # no ray starts on a primitive
+    path = np.full((4, n), structs.NONE, np.uint32)  # no ray starts on a primitive
     buffers = {
         "nodes": bvh.nodes,
         "blocks": bvh.blocks,
         "analytics": np.zeros(0, structs.ANALYTIC) if analytics is None else analytics,
-        "origin": rays[0],
-        "direction": rays[1],
+        "origin": as_planes(rays[0]),
+        "direction": as_planes(rays[1]),
         "path": path,
-        "hit": np.zeros((n, 4), np.float32),
+        "hit": np.zeros((4, n), np.float32),
     }
     b = {name: device.buffer(array, name) if array.size else None for name, array in buffers.items()}
     device.launch(
         kernel,
         n,
         (
-            *(np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"]),
+            *(np.uint32(n), np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"]),
             *(b["origin"], b["direction"], b["path"], b["hit"]),
         ),
     )
-    found = device.read(b["hit"], np.float32, 4 * n).reshape(n, 4)
+    found = read_rows(device, b["hit"], n, 4)
     return found[:, 0], found[:, 3].copy().view(np.uint32)
 
 

@@ -23,15 +23,17 @@ Z = 5.0
 BATCHES = 12
 BY_SHARE = 2.0**-10  # in kernels/light_tree.h
 KERNELS = """
+#define LOAD4(i, p) with_w(LOAD3(0, (p) + 4 * (i)), (p)[4 * (i) + 3])
+
 __kernel void node_probabilities(__global const float8* nodes, __global const uint* places, uint lights,
-                                 __global const float4* points, __global const float4* normals,
+                                 __global const float* points, __global const float* normals,
                                  __global const uint* which, __global float8* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
     __global const float8* node = nodes + LIGHT_NODE_ROWS * which[i];
     Lanes weight;
-    weight.all = light_node_weights(node, points[i].xyz, normals[i]);
+    weight.all = light_node_weights(node, LOAD3(i, points), LOAD4(i, normals));
     const float total = sum_of(weight.all);
     for (uint k = 0u; k < 8u; ++k)
         weight.lane[k] = child_probability(weight.lane[k], total, ((__global const float*)(node + 4))[k]);
@@ -39,24 +41,26 @@ __kernel void node_probabilities(__global const float8* nodes, __global const ui
 }
 
 __kernel void probability(__global const float8* nodes, __global const uint* places, uint lights,
-                          __global const float4* points, __global const float4* normals,
+                          __global const float* points, __global const float* normals,
                           __global const uint* which, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     const LightTree tree = {nodes, places, lights};
-    if (i < n) out[i] = light_tree_probability(&tree, which[i], points[i].xyz, normals[i]);
+    if (i < n) out[i] = light_tree_probability(&tree, which[i], LOAD3(i, points), LOAD4(i, normals));
 }
 
 __kernel void pick(__global const float8* nodes, __global const uint* places, uint lights,
-                   __global const float4* points, __global const float4* normals,
-                   __global const uint2* u, __global float2* out, uint n)
+                   __global const float* points, __global const float* normals,
+                   __global const uint2* u, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     const LightTree tree = {nodes, places, lights};
     if (i >= n) return;
     float p;
-    const uint light = pick_from_tree(&tree, points[i].xyz, normals[i], u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p);
-    out[i] = (float2)(as_float(light), p);
+    const Vec3 point = LOAD3(i, points);
+    const uint light = pick_from_tree(&tree, point, LOAD4(i, normals), u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p);
+    out[2 * i] = as_float(light);
+    out[2 * i + 1] = p;
 }
 """
 
@@ -74,7 +78,8 @@ class OnDevice:
 
     def run(self, kernel, tree, lights, points, normals, what, row):
         n = len(points)
-        given = (tree.nodes, tree.places, np.uint32(lights), _four(points, 0), normals.astype(np.float32), what)
+        points, normals = points.astype(np.float32), normals.astype(np.float32)
+        given = (tree.nodes, tree.places, np.uint32(lights), points, normals, what)
         out = self.device.buffer(4 * row * n, "results")
         buffers = [self.device.buffer(a, "arguments") if a.ndim else a for a in given]
         self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from planes import read_rows
 from scalar_mitsuba import as_mitsuba, assert_same_picture, import_mitsuba
 from test_random import philox_4x32
 
@@ -42,19 +43,20 @@ def generated(description: dict) -> tuple[np.ndarray, np.ndarray]:
     """Origins with lengths, and directions, both (pixels, SAMPLES, 4), as the stage leaves them."""
     scene = compile_scene(load(description))
     device = Device()
-    kernel = device.build(*stage_source("generate.cl", STRUCTS, structs.CONSTANTS, features(scene)))["generate"]
+    constants = structs.CONSTANTS | {"LANES": device.lanes}
+    kernel = device.build(*stage_source("generate.cl", STRUCTS, constants, features(scene)))["generate"]
     pixels = scene.width * scene.height
     n = pixels * SAMPLES
     sample_pixel = np.repeat(np.arange(pixels, dtype=np.uint32), SAMPLES)
     out = {name: device.buffer(size * n, name) for name, size in zip("odtps", (16, 16, 16, 16, 12), strict=True)}
     zeros = device.buffer(4 * pixels, "counts")
     arguments = (
-        *(np.uint32(n), np.uint32(0), np.uint32(0), np.array(SEED, np.uint32), device.buffer(scene.camera, "camera")),
-        *(None, np.uint32(0), device.buffer(sample_pixel, "list")),
+        *(np.uint32(n), np.uint32(n), np.uint32(0), np.uint32(0), np.array(SEED, np.uint32)),
+        *(device.buffer(scene.camera, "camera"), None, np.uint32(0), device.buffer(sample_pixel, "list")),
         *(device.buffer(np.arange(0, n, SAMPLES, dtype=np.uint32), "offsets"), zeros, zeros, *out.values()),
     )
-    device.launch(kernel, n, arguments)
-    return tuple(device.read(out[name], np.float32, 4 * n).reshape(pixels, SAMPLES, 4) for name in "od")
+    device.launch(kernel, -(-n // device.lanes), arguments)
+    return tuple(read_rows(device, out[name], n, 4).reshape(pixels, SAMPLES, 4) for name in "od")
 
 
 @pytest.mark.parametrize("film", FILMS)

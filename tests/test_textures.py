@@ -14,18 +14,19 @@ from isonoise.scene.spectra import srgb_to_linear
 from isonoise.scene.textures import MeshAttributes, Textures
 
 KERNEL = """
-__kernel void look(__global const Texture* records, __global const uchar4* bytes, __global const float4* floats,
+__kernel void look(__global const Texture* records, __global const uchar* bytes, __global const float* floats,
                    __global const float* srgb, __global const float* attributes, __global const uint* faces,
-                   uint texture, __global const float4* points, __global const uint* triangles, __global float* out,
+                   uint texture, __global const float* points, __global const uint* triangles, __global float* out,
                    uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
     const Textures all = {records, bytes, floats, srgb, attributes, faces};
-    const TexturePoint at = {points[i].xy, triangles[i], points[i].zw};
-    const float2 gradient = texture_gradient(&all, texture, &at);
-    store3(texture_rgb(&all, texture, &at), 2 * i, out);
-    store3((float3)(texture_number(&all, texture, &at), gradient), 2 * i + 1, out);
+    const Vec2 uv = vec2(points[4 * i], points[4 * i + 1]), weights = vec2(points[4 * i + 2], points[4 * i + 3]);
+    const TexturePoint at = {uv, triangles[i], weights};
+    const Vec2 gradient = texture_gradient(&all, texture, &at);
+    STORE3(texture_rgb(&all, texture, &at), 2 * i, out);
+    STORE3(vec3(texture_number(&all, texture, &at), gradient.x, gradient.y), 2 * i + 1, out);
 }
 """
 KINDS = ("BITMAPS", "CHECKERBOARDS", "MESH_ATTRIBUTES")

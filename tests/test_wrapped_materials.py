@@ -27,9 +27,9 @@ KERNEL = """
 #include "material.h"
 
 __kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const float* tables,
-                      __global const Texture* textures, __global const uchar4* bytes, __global const float* srgb,
+                      __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
                       __global const float* surface, __global const float* wi, __global const float* wo,
-                      __global const float4* u, __global float* out, uint n)
+                      __global const float* u, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
@@ -40,9 +40,9 @@ __kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const flo
     s.geometric_normal = LOAD3(1, surface);
     s.dp_du = LOAD3(2, surface);
     s.dp_dv = LOAD3(3, surface);
-    s.uv = (float2)(surface[12], surface[13]);
+    s.uv = vec2(surface[12], surface[13]);
     s.triangle = NONE;
-    s.barycentric = (float2)(0.0f);
+    s.barycentric = all2(0.0f);
     Shading at;
     at.bsdf = bsdfs + first;
     at.normal = s.normal;
@@ -54,18 +54,19 @@ __kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const flo
     at.tables = tables;
     at.textures = &all;
     at.point = texture_point(&s);
-    out[12] = unwrap(&at, bsdfs, &s, u[i].w);
+    out[12] = unwrap(&at, bsdfs, &s, u[4 * i + 3]);
     if (out[12] != 0.0f) return;
     if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) turn_to_viewer(&at);
     float pdf = 0.0f;
-    float3 value = (float3)(0.0f);
-    if (bsdf_is_smooth(&at)) value = bsdf_eval(&at, LOAD3(i, wo), &pdf) * bump_share(&at, &s, LOAD3(i, wo));
-    store3(value, 0, out);
+    Vec3 value = all3(0.0f);
+    if (bsdf_is_smooth(&at))
+        value = scale3(bsdf_eval(&at, LOAD3(i, wo), &pdf), bump_share(&at, &s, LOAD3(i, wo)));
+    STORE3(value, 0, out);
     out[3] = pdf;
-    const BsdfSample sample = bsdf_sample(&at, u[i].xyz);
+    const BsdfSample sample = bsdf_sample(&at, LOAD3(0, u + 4 * i));
     if (sample.weight.x + sample.weight.y + sample.weight.z == 0.0f) return;
-    store3(sample.direction, 0, out + 4);
-    store3(sample.weight * bump_share(&at, &s, sample.direction), 0, out + 7);
+    STORE3(sample.direction, 0, out + 4);
+    STORE3(scale3(sample.weight, bump_share(&at, &s, sample.direction)), 0, out + 7);
     out[10] = sample.pdf;
     out[11] = sample.eta;
 }
