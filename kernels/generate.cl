@@ -34,7 +34,7 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
 #endif
                        )
 {
-    EACH_PATH(i) {
+    EACH_PATH(i, lane) {
         if (i >= count_new) continue;
         const size_t slot = first_slot + i;
         const uint sample = first_sample + (uint)i;

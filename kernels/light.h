@@ -12,6 +12,17 @@ typedef struct {
     bool is_delta, is_infinite;
 } LightSample;
 
+// Every member has a value, as in `nothing_sampled`.
+INLINE LightSample no_light(void)
+{
+    LightSample none;
+    none.position = none.error = none.normal = none.direction = none.radiance = all3(0.0f);
+    none.primitive = NONE;
+    none.pdf = 0.0f;
+    none.is_delta = none.is_infinite = false;
+    return none;
+}
+
 #if FEATURE_SPHERE_LIGHTS
 // 1 - cos of half the angle under which a sphere appears, without cancellation when it is far away.
 INLINE float sphere_one_minus_cos(float radius, float distance2)
@@ -175,8 +186,7 @@ INLINE Vec3 sky_radiance(const Geometry* g, __global const Light* sky, Vec3 dire
 INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
                                 Vec3 reference, Vec4 lit, Vec4 u)
 {
-    LightSample sample;
-    sample.position = sample.direction = all3(0.0f);
+    LightSample sample = no_light();
 #if FEATURE_LIGHT_TREE
     __global const Light* light = lights + pick_from_tree(&g->light_tree, reference, lit, u.x, u.w, &sample.pdf);
 #else
@@ -184,9 +194,6 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.pdf = light->pick_probability;
 #endif
     sample.radiance = LOAD3(0, light->radiance);
-    sample.normal = sample.error = all3(0.0f);
-    sample.primitive = NONE;
-    sample.is_delta = sample.is_infinite = false;
 #if FEATURE_POINT_LIGHTS
     if (light->kind & LIGHT_POINT) {
         sample.position = LOAD3(0, light->position);

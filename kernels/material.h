@@ -38,7 +38,7 @@ INLINE Vec3 bumped_normal(const Shading* at, const Surface* s)
 {
     Vec3 bumped = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (at->bsdf->kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(rgb_parameter(at, 0), 2.0f), all3(1.0f));
+    if (at->bsdf->kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(shown_rgb(at, 0), 2.0f), all3(1.0f));
 #endif
 #if FEATURE_BUMP
     if (at->bsdf->kind & BSDF_BUMP) {
@@ -97,7 +97,7 @@ INLINE bool choose(float p, float* u)
 // An opacity or a weight, within [0, 1].
 INLINE float share_parameter(const Shading* at)
 {
-    const float share = number_parameter(at, 0);
+    const float share = shown_number(at, 0);
     return LESSER(GREATER(share, 0.0f), 1.0f);
 }
 

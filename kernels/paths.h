@@ -11,12 +11,14 @@
 
 // A work-item takes LANES paths, one after the other; `continue` goes on to the next. On devices with vector instructions, if
 // their compiler doesn't do so with work-items, this is the loop that becomes some. Paths write to places of their own, so it may.
+#define EACH_PATH_ALONE(i, lane) \
+    for (size_t lane = 0, i = get_global_id(0) * LANES; lane < LANES; ++lane, ++i)
 #if LANES > 1
-#define EACH_PATH(i)                                                                          \
+#define EACH_PATH(i, lane)                                                                    \
     _Pragma("clang loop vectorize(assume_safety) vectorize_width(16) interleave(disable)")    \
-    for (size_t i = get_global_id(0) * LANES, end_ = i + LANES; i < end_; ++i)
+    EACH_PATH_ALONE(i, lane)
 #else
-#define EACH_PATH(i) for (size_t i = get_global_id(0), end_ = i + 1; i < end_; ++i)
+#define EACH_PATH(i, lane) EACH_PATH_ALONE(i, lane)
 #endif
 
 #define PLANE(k, planes, pool) ((planes) + (size_t)(k) * (pool))
@@ -43,3 +45,28 @@ INLINE void store_planes4(Vec4 v, __global float* planes, size_t i, uint pool)
     store_planes3(xyz(v), planes, i, pool);
     PLANE(3, planes, pool)[i] = v.w;
 }
+
+#if LANES > 1
+// Members of records that a work-item keeps from one loop over its paths to the next.
+INLINE void keep1(float x, float* kept, uint member, size_t lane)
+{
+    kept[member * LANES + lane] = x;
+}
+
+INLINE float kept1(const float* kept, uint member, size_t lane)
+{
+    return kept[member * LANES + lane];
+}
+
+INLINE void keep3(Vec3 v, float* kept, uint member, size_t lane)
+{
+    keep1(v.x, kept, member, lane);
+    keep1(v.y, kept, member + 1u, lane);
+    keep1(v.z, kept, member + 2u, lane);
+}
+
+INLINE Vec3 kept3(const float* kept, uint member, size_t lane)
+{
+    return vec3(kept1(kept, member, lane), kept1(kept, member + 1u, lane), kept1(kept, member + 2u, lane));
+}
+#endif

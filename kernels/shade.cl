@@ -1,58 +1,126 @@
 // Stage: what happens where the rays ended: emission, next-event estimation, the next direction, roulette.
 // Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and whether the path is alive.
-#include "bsdf.h"
-#include "light.h"
-#include "material.h"
-#include "medium.h"
-#include "paths.h"
-#include "random.h"
+//
+// On devices where a work-item takes several paths, what their loop cannot do as vector instructions is done before, path by
+// path, and kept: kept.h.
+#include "kept.h"
 
-// Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
-// A negative pdf stands for a delta function, which no other technique can sample.
-INLINE float mis_weight(float pdf, float other)
+// The light that next-event estimation looks at; of density 0 if it looks at none.
+INLINE LightSample light_for(const Scene* scene, const Path* p, const Surface* s, const Shading* at, bool looks)
 {
-    const float ratio = other / pdf;
-    return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
-}
-
-// Whether a ray's origin lies in the plane of the surface that it seems to have met, as far as rounding can tell: it grazes, from
-// a neighbour in the same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions,
-// where the light of the other side would be seen to leak through. Both points carry an error, the origin was moved by its own.
-INLINE bool in_plane(const Surface* s, Vec3 origin)
-{
-    const float distance = abs1(dot3(sub3(origin, s->position), s->geometric_normal));
-    return distance <= 1.25f * dot3(abs3(s->geometric_normal), add3(s->error, scale3(abs3(origin), GAMMA(7))));
+    LightSample light = no_light();
+#if FEATURE_NEXT_EVENT
+    if (looks && bsdf_is_smooth(at))
+        light = sample_light(&scene->geometry, scene->lights, scene->light_alias, scene->light_count, s->position, lit_side(at),
+                             path_random(scene, p, BLOCK_LIGHT(event_of(p))));
+#endif
+    return light;
 }
 
 #if FEATURE_NEXT_EVENT
-// Leaves a shadow ray for one light; returns without one if nothing could arrive.
-INLINE void next_event(const Geometry* g, __global const Light* lights, __global const Alias* light_alias,
-                       uint light_count, const Surface* s, const Shading* at, Vec4 u, Vec3 weight, uint medium, size_t i,
-                       uint pool, __global float* shadow_origin, __global float* shadow_direction, __global float* shadow_radiance)
+// Leaves a shadow ray for the light; none if nothing could arrive.
+INLINE void next_event(const Paths* of, size_t i, const Path* p, const Surface* s, const Shading* at, const LightSample* light)
 {
-    const LightSample light = sample_light(g, lights, light_alias, light_count, s->position, lit_side(at), u);
-    if (!(light.pdf > 0.0f) || !(largest(light.radiance) > 0.0f)) return;
+    if (!(light->pdf > 0.0f) || !(largest(light->radiance) > 0.0f)) return;
     float bsdf_pdf = 0.0f;
-    const Vec3 scattered = bsdf_eval(at, light.direction, &bsdf_pdf);
-    const float mis = light.is_delta ? 1.0f : mis_weight(light.pdf, bsdf_pdf);
-    Vec3 radiance = scale3(mul3(mul3(weight, scattered), light.radiance), mis / light.pdf);
+    const Vec3 scattered = bsdf_eval(at, light->direction, &bsdf_pdf);
+    const float mis = light->is_delta ? 1.0f : mis_weight(light->pdf, bsdf_pdf);
+    Vec3 radiance = scale3(mul3(mul3(p->weight, scattered), light->radiance), mis / light->pdf);
 #if HAS_BUMPS
-    radiance = scale3(radiance, bump_share(at, s, light.direction));
+    radiance = scale3(radiance, bump_share(at, s, light->direction));
 #endif
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
-    const Vec3 origin = leave(s, light.direction);
+    const Vec3 origin = leave(s, light->direction);
     // to a finite light the ray's length is 1, and both its ends are moved off their surfaces
-    const Vec3 direction =
-        light.is_infinite ? light.direction
-                          : sub3(offset_origin(light.position, light.error, light.normal, neg3(light.direction)), origin);
-    store_planes4(with_w(origin, as_float(light.primitive)), shadow_origin, i, pool);
-    store_planes4(with_w(direction, light.is_infinite ? INFINITY : 1.0f), shadow_direction, i, pool);
-    store_planes3(radiance, shadow_radiance, i, pool);
+    const Vec3 end = offset_origin(light->position, light->error, light->normal, neg3(light->direction));
+    const Vec3 direction = light->is_infinite ? light->direction : sub3(end, origin);
+    store_planes4(with_w(origin, as_float(light->primitive)), of->shadow_origin, i, of->pool);
+    store_planes4(with_w(direction, light->is_infinite ? INFINITY : 1.0f), of->shadow_direction, i, of->pool);
+    store_planes3(radiance, of->shadow_radiance, i, of->pool);
 #if FEATURE_MEDIA
-    PLANE(3, shadow_radiance, pool)[i] = as_float(medium_behind(s, direction, medium));
+    PLANE(3, of->shadow_radiance, of->pool)[i] = as_float(medium_behind(s, direction, p->within));
 #endif
 }
 #endif
+
+// Draws the direction in which the path goes on, if it does.
+INLINE void scatter(const Scene* scene, const Paths* of, size_t i, Path* p, const Surface* s, const Shading* at, bool passes,
+                    bool last, uint rr_depth)
+{
+    const Vec4 u = path_random(scene, p, BLOCK_BSDF(event_of(p)));
+    const BsdfSample next = passes ? straight_on(p->direction) : bsdf_sample(at, xyz(u));
+    const bool straight = FEATURE_VOLPATH && next.pdf == STRAIGHT;
+    if (last && !straight) return;
+    Vec3 weight = mul3(p->weight, next.weight);
+#if HAS_BUMPS
+    if (!straight) weight = scale3(weight, bump_share(at, s, next.direction));
+#endif
+    const float total = weight.x + weight.y + weight.z;
+    if (total == 0.0f) return;
+    if (!(total < INFINITY)) {  // the statistics count such a sample apart; it must not end as a black one
+        STORE3(all3(NAN), p->sample, of->samples);
+        return;
+    }
+    const float eta = p->eta * next.eta;
+#if FEATURE_RUSSIAN_ROULETTE
+    if (!straight && p->depth + 1u >= rr_depth) {  // Mitsuba 3's rule
+        const float survival = LESSER(largest(weight) * eta * eta, 0.95f);
+        if (u.w >= survival) return;
+        weight = over3(weight, survival);
+    }
+#endif
+    const uint pool = of->pool;
+    store_planes4(with_w(leave(s, next.direction), INFINITY), of->ray_origin, i, pool);
+    store_planes4(with_w(next.direction, straight ? p->direction_pdf : next.pdf), of->ray_direction, i, pool);
+    store_planes4(with_w(weight, eta), of->throughput, i, pool);
+    PLANE(PATH_START, of->path, pool)[i] = p->in_volume ? NONE : p->primitive;
+    PLANE(PATH_DEPTH, of->path, pool)[i] = p->depth + (straight ? 0u : 1u);
+#if FEATURE_VOLPATH
+    of->crossing[i] = as_uint(straight ? p->since_vertex : 0.0f);
+    PLANE(1, of->crossing, pool)[i] = p->crossed + (straight ? 1u : 0u);
+#endif
+#if FEATURE_MEDIA
+    of->medium[i] = medium_behind(s, next.direction, p->within);
+#endif
+#if FEATURE_LIGHT_TREE
+    if (!straight) store_planes4(lit_side(at), of->lit, i, pool);
+#endif
+    of->alive[i] = 1;
+}
+
+// All up to the light that is looked at. Returns whether the path may go on from the surface.
+INLINE bool begin_shading(const Scene* scene, const Paths* of, size_t i, uint max_depth, Path* p, Surface* s, Shading* at,
+                          bool* passes, LightSample* light)
+{
+    of->alive[i] = 0;
+#if FEATURE_NEXT_EVENT
+    PLANE(3, of->shadow_direction, of->pool)[i] = 0.0f;
+#endif
+    *p = load_path(of, i);
+    if (!arrive(scene, of, i, p, s)) return false;
+    const bool last = p->depth + 1u >= max_depth;
+    if (!FEATURE_VOLPATH && last) return false;
+    *passes = meet_material(scene, p, s, at);
+#if HAS_SEE_THROUGH && !FEATURE_VOLPATH
+    if (*passes) {  // next-event estimation did not see what is behind: it takes part in no weight
+        go_behind(of, i, p, s);
+        PLANE(3, of->ray_direction, of->pool)[i] = -1.0f;
+        PLANE(PATH_DEPTH, of->path, of->pool)[i] = p->depth + 1u;
+        return false;
+    }
+#endif
+    *light = light_for(scene, p, s, at, !*passes && !last);
+    return true;
+}
+
+INLINE void end_shading(const Scene* scene, const Paths* of, size_t i, uint max_depth, uint rr_depth, Path* p, const Surface* s,
+                        const Shading* at, bool passes, const LightSample* light)
+{
+#if FEATURE_NEXT_EVENT
+    next_event(of, i, p, s, at, light);
+#endif
+    scatter(scene, of, i, p, s, at, passes, p->depth + 1u >= max_depth, rr_depth);
+}
 
 __kernel void shade(uint paths, uint pool, __global const uint* restrict sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
                     __global const float* restrict triangles, __global const uint* restrict faces, __global const float* restrict vertex_normals,
@@ -90,209 +158,98 @@ __kernel void shade(uint paths, uint pool, __global const uint* restrict sample_
 #endif
                     )
 {
-    Geometry geometry;
-    geometry.triangles = triangles;
-    geometry.faces = faces;
-    geometry.vertex_normals = vertex_normals;
-    geometry.analytics = analytics;
-    geometry.shapes = shapes;
+    Scene scene;
+    Geometry* geometry = &scene.geometry;
+    geometry->triangles = triangles;
+    geometry->faces = faces;
+    geometry->vertex_normals = vertex_normals;
+    geometry->analytics = analytics;
+    geometry->shapes = shapes;
 #if FEATURE_UVS
-    geometry.uvs = uvs;
+    geometry->uvs = uvs;
 #endif
 #if FEATURE_ENVIRONMENT_MAP
-    geometry.environment.record = environment;
-    geometry.environment.texels = environment_texels;
-    geometry.environment.rows = environment_rows;
-    geometry.environment.columns = environment_columns;
+    geometry->environment.record = environment;
+    geometry->environment.texels = environment_texels;
+    geometry->environment.rows = environment_rows;
+    geometry->environment.columns = environment_columns;
 #endif
 #if FEATURE_LIGHT_TREE
     const LightTree light_tree = {light_nodes, light_places, light_count};
-    geometry.light_tree = light_tree;
+    geometry->light_tree = light_tree;
 #endif
 #if FEATURE_TEXTURES
     const Textures all_textures = {textures, texel_bytes, texel_floats, srgb, attributes, faces};
-    geometry.textures = all_textures;
+    geometry->textures = all_textures;
 #endif
-    EACH_PATH(i) {
-        if (i >= paths) continue;
-        alive[i] = 0;
-#if FEATURE_NEXT_EVENT
-        PLANE(3, shadow_direction, pool)[i] = 0.0f;
-#endif
-        const Vec4 h = load_planes4(hit, i, pool), carried = load_planes4(throughput, i, pool);
-        const Vec4 incoming = load_planes4(ray_direction, i, pool);
-        const Vec3 origin = load_planes3(ray_origin, i, pool), direction = xyz(incoming);
-        const float direction_pdf = incoming.w;
-        const uint primitive = as_uint(h.w), start = PLANE(PATH_START, path, pool)[i];
-        const uint sample = PLANE(PATH_SAMPLE, path, pool)[i], index = PLANE(PATH_INDEX, path, pool)[i];
-        const uint pixel = sample_pixel[sample], depth = PLANE(PATH_DEPTH, path, pool)[i];
-        Vec3 weight = xyz(carried);
-#if FEATURE_VOLPATH
-        // what lets a path through unturned is no vertex of it, but takes random numbers: the vertex before and these are kept
-        const float travelled = as_float(crossing[i]), since_vertex = travelled + h.x;
-        const Vec3 last_vertex = sub3(origin, scale3(direction, travelled));
-        const uint crossed = PLANE(1, crossing, pool)[i], event = depth + crossed;
-#else
-        const float since_vertex = h.x;
-        const Vec3 last_vertex = origin;
-        const uint event = depth;
-#endif
-#if FEATURE_LIGHT_TREE
-        const Vec4 was_lit = load_planes4(lit, i, pool);  // at the last vertex
-#else
-        const Vec4 was_lit = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-#endif
-#if FEATURE_MEDIA
-        const uint within = medium[i];
-        float flown = h.x;
-        const bool in_volume =
-            within != MEDIUM_NONE && fly(media + within, random_block(seed, pixel, index, BLOCK_MEDIUM(event)), &flown, &weight);
-        const bool from_volume = start == NONE;
-#else
-        const uint within = 0u;
-        const bool in_volume = false, from_volume = false;
-#endif
-
-        if (!in_volume && primitive == NONE) {
-#if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
-#if FEATURE_HIDE_EMITTERS
-            if (depth == 0u) continue;
-#endif
-            float pdf;
-            const Vec3 radiance = sky_radiance(&geometry, lights + environment_light, direction, &pdf);
-            pdf *= pick_probability(&geometry, lights, environment_light, last_vertex, was_lit, direction_pdf);
-            ADD3(scale3(mul3(weight, radiance), mis_weight(direction_pdf, pdf)), sample, samples);
-#endif
-            continue;
-        }
-        Surface s = no_surface();
-        if (!FEATURE_MEDIA || primitive != NONE) {
-#if FEATURE_INSTANCES
-            s = instanced_surface_at(&geometry, instances, instance[i], primitive, origin, direction, h.x, h.y, h.z);
-#else
-            s = surface_at(&geometry, primitive, origin, direction, h.x, h.y, h.z);
-#endif
-        }
-        if (!in_volume && dot3(s.geometric_normal, s.geometric_normal) == 0.0f) continue;
-#if FEATURE_TRIANGLES
-        if (!(in_volume || from_volume) && !(primitive & ANALYTIC_BIT) && in_plane(&s, origin)) continue;
-#endif
-#if FEATURE_MEDIA
-        if (in_volume) {
-            enter_volume(&s, primitive != NONE, origin, direction, flown, h.x, media[within].phase);
-            PLANE(3, hit, pool)[i] = as_float(NONE);  // the shadow ray starts on no primitive
-        }
-#endif
-
-#if FEATURE_AREA_LIGHTS
-        if (s.light != NONE) {
-#if FEATURE_HIDE_EMITTERS
-            if (depth == 0u) {  // seen by the camera, the light is not there: the ray goes on behind it
-                const Vec3 behind = offset_origin(s.position, s.error, s.geometric_normal, direction);
-                store_planes4(with_w(behind, INFINITY), ray_origin, i, pool);
-                PLANE(PATH_START, path, pool)[i] = primitive;
-#if FEATURE_VOLPATH
-                store_planes3(weight, throughput, i, pool);
-                PLANE(1, crossing, pool)[i] = crossed + 1u;
-#endif
-                alive[i] = 1;
-                continue;
-            }
-#endif
-            if (dot3(s.normal, direction) < 0.0f) {
-                __global const Light* light = lights + s.light;
-                const float pdf = pick_probability(&geometry, lights, s.light, last_vertex, was_lit, direction_pdf) *
-                                  light_pdf(&geometry, light, last_vertex, direction, since_vertex, s.normal);
-                const Vec3 emitted = scale3(mul3(weight, emitted_radiance(&geometry, light, &s)), mis_weight(direction_pdf, pdf));
-                ADD3(emitted, sample, samples);
-            }
-        }
-#endif
-
-        const bool last = depth + 1u >= max_depth;
-        if (!FEATURE_VOLPATH && last) continue;
-        Shading at;
-        at.bsdf = bsdfs + s.bsdf;
-        at.normal = s.normal;
-        at.wi = neg3(direction);
-        at.cos_i = dot3(at.normal, at.wi);
-#if HAS_BUMPS
-        at.turned = false;
-        at.shadow = NO_BUMP;
-#endif
-#if HAS_FRAMES
-        set_frame(&at, &s);
-#endif
+    scene.bsdfs = bsdfs;
 #if FEATURE_ROUGH_PLASTIC
-        at.tables = boundaries;
+    scene.boundaries = boundaries;
 #endif
-#if FEATURE_TEXTURES
-        at.textures = &geometry.textures;
-        at.point = texture_point(&s);
+    scene.lights = lights;
+    scene.light_alias = light_alias;
+    scene.light_count = light_count;
+    scene.environment_light = environment_light;
+    scene.seed = seed;
+    Paths of;
+    of.pool = pool;
+    of.sample_pixel = sample_pixel;
+    of.hit = hit;
+    of.ray_origin = ray_origin;
+    of.ray_direction = ray_direction;
+    of.throughput = throughput;
+    of.path = path;
+    of.shadow_origin = shadow_origin;
+    of.shadow_direction = shadow_direction;
+    of.shadow_radiance = shadow_radiance;
+    of.samples = samples;
+    of.alive = alive;
+#if FEATURE_INSTANCES
+    scene.instances = instances;
+    of.instance = instance;
 #endif
-#if HAS_WRAPPERS
-        const bool passes = unwrap(&at, bsdfs, &s, random_block(seed, pixel, index, BLOCK_MATERIAL(event)).x);
-#else
-        const bool passes = FEATURE_NULL && (at.bsdf->kind & BSDF_NULL);
-#endif
-#if HAS_SEE_THROUGH && !FEATURE_VOLPATH
-        if (passes) {  // next-event estimation did not see what is behind: it takes part in no weight
-            const Vec3 behind = offset_origin(s.position, s.error, s.geometric_normal, direction);
-            store_planes4(with_w(behind, INFINITY), ray_origin, i, pool);
-            PLANE(3, ray_direction, pool)[i] = -1.0f;
-            PLANE(PATH_START, path, pool)[i] = primitive;
-            PLANE(PATH_DEPTH, path, pool)[i] = depth + 1u;
-            alive[i] = 1;
-            continue;
-        }
-#endif
-#if FEATURE_TWOSIDED
-        if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) turn_to_viewer(&at);
-#endif
-#if FEATURE_NEXT_EVENT
-        if (!passes && !last && bsdf_is_smooth(&at)) {
-            next_event(&geometry, lights, light_alias, light_count, &s, &at,
-                       random_block(seed, pixel, index, BLOCK_LIGHT(event)), weight, within, i, pool, shadow_origin,
-                       shadow_direction, shadow_radiance);
-        }
-#endif
-        const Vec4 u = random_block(seed, pixel, index, BLOCK_BSDF(event));
-        const BsdfSample next = passes ? straight_on(direction) : bsdf_sample(&at, xyz(u));
-        const bool straight = FEATURE_VOLPATH && next.pdf == STRAIGHT;
-        if (last && !straight) continue;
-        weight = mul3(weight, next.weight);
-#if HAS_BUMPS
-        if (!straight) weight = scale3(weight, bump_share(&at, &s, next.direction));
-#endif
-        const float total = weight.x + weight.y + weight.z;
-        if (total == 0.0f) continue;
-        if (!(total < INFINITY)) {  // the statistics count such a sample apart; it must not end as a black one
-            STORE3(all3(NAN), sample, samples);
-            continue;
-        }
-        const float eta = carried.w * next.eta;
-#if FEATURE_RUSSIAN_ROULETTE
-        if (!straight && depth + 1u >= rr_depth) {  // Mitsuba 3's rule
-            const float survival = LESSER(largest(weight) * eta * eta, 0.95f);
-            if (u.w >= survival) continue;
-            weight = over3(weight, survival);
-        }
-#endif
-        store_planes4(with_w(leave(&s, next.direction), INFINITY), ray_origin, i, pool);
-        store_planes4(with_w(next.direction, straight ? direction_pdf : next.pdf), ray_direction, i, pool);
-        store_planes4(with_w(weight, eta), throughput, i, pool);
-        PLANE(PATH_START, path, pool)[i] = in_volume ? NONE : primitive;
-        PLANE(PATH_DEPTH, path, pool)[i] = depth + (straight ? 0u : 1u);
 #if FEATURE_VOLPATH
-        crossing[i] = as_uint(straight ? since_vertex : 0.0f);
-        PLANE(1, crossing, pool)[i] = crossed + (straight ? 1u : 0u);
+    of.crossing = crossing;
 #endif
 #if FEATURE_MEDIA
-        medium[i] = medium_behind(&s, next.direction, within);
+    scene.media = media;
+    of.medium = medium;
 #endif
 #if FEATURE_LIGHT_TREE
-        if (!straight) store_planes4(lit_side(&at), lit, i, pool);
+    of.lit = lit;
 #endif
-        alive[i] = 1;
+#if KEEPS
+    float kept[KEPT * LANES];
+    EACH_PATH_ALONE(i, lane) {
+        bool passes = false;
+        Path p;
+        Surface s;
+        Shading at;
+        LightSample light;
+        bool goes_on = false;
+        if (i < paths) goes_on = begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &light);
+        keep_mark(goes_on, kept, lane);
+        if (goes_on) keep(&scene, &s, &at, &light, kept, lane);
     }
+    EACH_PATH(i, lane) {
+        if (!kept_mark(kept, lane)) continue;
+        Path p = load_path(&of, i);
+        Surface s;
+        Shading at;
+        LightSample light;
+        take_back(&scene, &p, &s, &at, &light, kept, lane);
+        end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, false, &light);
+    }
+#else
+    EACH_PATH(i, lane) {
+        if (i >= paths) continue;
+        bool passes = false;
+        Path p;
+        Surface s;
+        Shading at;
+        LightSample light;
+        if (begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &light))
+            end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, passes, &light);
+    }
+#endif
 }

@@ -1,5 +1,6 @@
 // Where a path scatters: the material there, its frame and its parameters. Directions point away from the surface and are unit.
 #pragma once
+#include "paths.h"
 #include "texture.h"
 #include "vectors.h"
 
@@ -27,10 +28,13 @@ typedef struct {
     const Textures* textures;
     TexturePoint point;
 #endif
+#if FEATURE_TEXTURES && LANES > 1
+    const float* parameters;  // what textures show in the slots, LANES numbers a member: kept.h
+#endif
 } Shading;
 
 // A parameter of the material that is a colour, and one that is a number.
-INLINE Vec3 rgb_parameter(const Shading* at, uint slot)
+INLINE Vec3 shown_rgb(const Shading* at, uint slot)
 {
 #if FEATURE_TEXTURES
     const uint texture = at->bsdf->textures[slot];
@@ -39,7 +43,7 @@ INLINE Vec3 rgb_parameter(const Shading* at, uint slot)
     return LOAD3(slot, at->bsdf->values);
 }
 
-INLINE float number_parameter(const Shading* at, uint slot)
+INLINE float shown_number(const Shading* at, uint slot)
 {
 #if FEATURE_TEXTURES
     const uint texture = at->bsdf->textures[slot];
@@ -47,6 +51,22 @@ INLINE float number_parameter(const Shading* at, uint slot)
 #endif
     return at->bsdf->values[3u * slot];
 }
+
+// The same where light is scattered: there what textures show may have been kept (kept.h).
+#if FEATURE_TEXTURES && LANES > 1
+INLINE Vec3 rgb_parameter(const Shading* at, uint slot)
+{
+    return at->bsdf->textures[slot] == NONE ? LOAD3(slot, at->bsdf->values) : kept3(at->parameters, 3u * slot, 0);
+}
+
+INLINE float number_parameter(const Shading* at, uint slot)
+{
+    return at->bsdf->textures[slot] == NONE ? at->bsdf->values[3u * slot] : kept1(at->parameters, 3u * slot, 0);
+}
+#else
+#define rgb_parameter shown_rgb
+#define number_parameter shown_number
+#endif
 
 #if HAS_FRAMES
 INLINE Vec3 to_local(const Shading* at, Vec3 world)

@@ -124,6 +124,7 @@ class Wavefront:
         self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
+        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/kept.h knows no more
         shadow = "through" if self.features["VOLPATH"] else "shadow"
         self._shadow = shadow if self.features["NEXT_EVENT"] else None
         unused = {"shadow", "through"} - {self._shadow}
@@ -132,7 +133,7 @@ class Wavefront:
             device,
             table,
             self.features,
-            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": device.lanes},
+            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes},
             STRUCTS,
         )
         self._arguments = self._stages.arguments
@@ -291,7 +292,7 @@ class Wavefront:
 
     def _launch(self, kernel: str, items: int, **given) -> None:
         """Runs a kernel over at least `items` work-items, or paths where a work-item takes several."""
-        lanes = self.device.lanes if kernel in TAKE_LANES else 1
+        lanes = self.lanes if kernel in TAKE_LANES else 1
         self._stages.launch(kernel, -(-items // lanes), **given)
 
     def _bounce(self, paths: int) -> int:

@@ -118,6 +118,7 @@ class Bsdfs:
         def slot(number: int, value, kind: str = "reflectance") -> None:
             if isinstance(value, dict) and value["type"] not in ("rgb", "spectrum"):
                 record["textures"][0, number] = self._texture(value, kind)
+                record["numbers"] |= (kind == "number") << number
             else:
                 values[number] = colour_to_rgb(value, kind)
 

@@ -123,6 +123,7 @@ BSDF = np.dtype(
         ("nested", "u4", 2),  # materials that this one wraps: SIDES front, back; BLEND at weight 0, 1; else the first
         ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three
         ("textures", "u4", BSDF_SLOTS),  # that take the place of the values; NONE
+        ("numbers", "u4"),  # bits of the slots whose texture is read as a number
     ]
 )
 
