@@ -30,9 +30,10 @@ INLINE bool bsdf_is_smooth(const Shading* at)
 // From where light counts: the normal, its w 0; or (0, 0, 0, 1) if from all sides.
 INLINE Vec4 lit_side(const Shading* at)
 {
-    // the fifth value is spec_trans
-    const bool transmits = at->bsdf->values[12] > 0.0f || at->bsdf->textures[4] != NONE;
-    const uint from_all_sides = BSDF_HG | BSDF_ROUGH_DIELECTRIC | (transmits ? BSDF_PRINCIPLED : 0u);
+    uint from_all_sides = BSDF_HG | BSDF_ROUGH_DIELECTRIC;
+#if FEATURE_PRINCIPLED
+    if (at->bsdf->values[12] > 0.0f || at->bsdf->textures[4] != NONE) from_all_sides |= BSDF_PRINCIPLED;  // spec_trans
+#endif
     return at->bsdf->kind & from_all_sides ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
 }
 

@@ -22,7 +22,7 @@ INLINE Vec3 transmittance(__global const Medium* medium, float distance)
 // `u`: colour, distance, distance (low bits).
 INLINE bool fly(__global const Medium* medium, Vec4 u, float* distance, Vec3* weight)
 {
-    const Vec3 share = over3(*weight, weight->x + weight->y + weight->z), sigma_t = LOAD3(0, medium->sigma_t);
+    const Vec3 share = div3(*weight, all3(weight->x + weight->y + weight->z)), sigma_t = LOAD3(0, medium->sigma_t);
     const float sigma = u.x < share.x ? sigma_t.x : u.x < share.x + share.y ? sigma_t.y : sigma_t.z;
     // 48 bits, so that both a thin medium and the light through a thick one are met as often as they should be
     const float low = 0x1p-24f * u.z;
@@ -31,10 +31,10 @@ INLINE bool fly(__global const Medium* medium, Vec4 u, float* distance, Vec3* we
     const bool scatters = sigma > 0.0f && reached < *distance;
     if (scatters) *distance = reached;
     const Vec3 through = transmittance(medium, *distance);
-    const Vec3 density = scatters ? mul3(over3(sigma_t, sigma), through) : through;
+    const Vec3 density = scatters ? mul3(div3(sigma_t, all3(sigma)), through) : through;
     const float all = dot3(share, density);
     const Vec3 albedo = scatters ? LOAD3(0, medium->albedo) : all3(1.0f);
-    *weight = all > 0.0f ? mul3(*weight, over3(mul3(albedo, density), all)) : all3(0.0f);
+    *weight = all > 0.0f ? mul3(*weight, div3(mul3(albedo, density), all3(all))) : all3(0.0f);
     return scatters;
 }
 

@@ -64,7 +64,8 @@ INLINE void scatter(const Scene* scene, const Paths* of, size_t i, Path* p, cons
     const float eta = p->eta * next.eta;
 #if FEATURE_RUSSIAN_ROULETTE
     if (!straight && p->depth + 1u >= rr_depth) {  // Mitsuba 3's rule
-        const float survival = LESSER(largest(weight) * eta * eta, 0.95f);
+        // not below the least number that u may be under, 2^-24
+        const float survival = GREATER(LESSER(largest(weight) * eta * eta, 0.95f), 0x1p-24f);
         if (u.w >= survival) return;
         weight = over3(weight, survival);
     }

@@ -81,7 +81,7 @@ INLINE BsdfSample dielectric_sample(const Shading* at, float u)
         sample.weight = rgb_parameter(at, 0);
         sample.eta = 1.0f;
     } else {
-        sample.direction = unit(sub3(scale3(facing, cos_i / eta - cos_t), over3(at->wi, eta)));
+        sample.direction = unit(sub3(scale3(facing, cos_i / eta - cos_t), scale3(at->wi, 1.0f / eta)));
         // radiance is squeezed into a smaller solid angle: Veach's thesis, 5.2
         sample.weight = over3(rgb_parameter(at, 1), eta * eta);
         sample.eta = eta;

@@ -86,7 +86,7 @@ INLINE void triangle_uv(const Geometry* g, uint triangle, float u, float v, Vec3
     const Vec2 along2 = sub2(vec2(g->uvs[2 * corner[2]], g->uvs[2 * corner[2] + 1]), uv0);
     s->uv = add2(add2(uv0, scale2(along1, u)), scale2(along2, v));
     const float determinant = along1.x * along2.y - along1.y * along2.x;
-    if (determinant == 0.0f) return;
+    if (!(abs1(determinant) > 1e-37f)) return;
     s->dp_du = over3(sub3(scale3(edge1, along2.y), scale3(edge2, along1.y)), determinant);
     s->dp_dv = over3(sub3(scale3(edge2, along1.x), scale3(edge1, along2.x)), determinant);
 }

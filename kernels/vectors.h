@@ -23,15 +23,13 @@ INLINE Vec3 on_plane(Vec2 v, float z)
     return vec3(v.x, v.y, z);
 }
 
-// Unit vector along v, zero for zero. What would vanish or overflow when squared is scaled first.
+// Unit vector along v, zero for zero. What would vanish or overflow when squared is scaled first, by a power of two.
 INLINE Vec3 unit(Vec3 v)
 {
     const float square = dot3(v, v);
-    if (square > 1e-30f && square < 1e30f) return scale3(v, 1.0f / SQRT(square));
-    const float scale = largest(abs3(v));
-    if (!(scale > 0.0f)) return all3(0.0f);
-    v = over3(v, scale);
-    return over3(v, SQRT(dot3(v, v)));
+    v = scale3(v, square < 1e-30f ? 0x1p100f : square > 1e30f ? 0x1p-80f : 1.0f);
+    const float scaled = dot3(v, v);
+    return scale3(v, scaled > 0.0f ? 1.0f / SQRT(scaled) : 0.0f);
 }
 
 // Cosine and sine of an angle in [-pi/4, pi/4]: Taylor's polynomials, whose first omitted terms are below 3e-8 there.
