@@ -19,7 +19,7 @@ from isonoise.device.program import declare_struct, flatten, stage_source
 from isonoise.errors import DeviceError
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.wavefront import KERNELS, STRUCTS
+from isonoise.integrator.wavefront import KERNELS, STRUCTS, TAKE_LANES
 from isonoise.renderer import Renderer
 from isonoise.scene import structs, textures
 from isonoise.statistics import Needs
@@ -27,7 +27,9 @@ from isonoise.statistics import Needs
 FOLDER = resources.files("isonoise.kernels")
 FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
 STAGES = [name for name in FILES if name.endswith(".cl")]
-CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
+CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2)) | {"LANES": 1}
+MANY = CONSTANTS | {"LANES": 64}
+"""For work-items that take many paths: kernels/paths.h. There are none in scenes of the feature VOLPATH."""
 
 NEEDS = {  # no scene has the one without the others
     "VERTEX_NORMALS": {"TRIANGLES"},
@@ -165,15 +167,15 @@ def test_options_are_the_mentioned_features_alone(name):
     assert all(option.endswith("=0") for option in options[1:])
 
 
-def preprocessed(name: str, features: dict[str, bool]) -> str:
+def preprocessed(name: str, features: dict[str, bool], constants: dict[str, int]) -> str:
     cpp = shutil.which("cpp")
     if cpp is None:
         pytest.skip("no C preprocessor 'cpp' on PATH")
-    text, options = stage_source(name, STRUCTS, CONSTANTS, features)
+    text, options = stage_source(name, STRUCTS, constants, features)
     flags = [option for option in options if option.startswith("-D")]
     done = subprocess.run([cpp, "-P", "-xc", "-Wundef", *flags, "-"], input=text, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "FEATURE_" not in done.stderr
+    assert not re.search("FEATURE_|LANES", done.stderr)
     return done.stdout
 
 
@@ -190,7 +192,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "SPHERE_LIGHTS": "sample_sphere",
         "INSTANCES": "instanced_surface_at",
         "ENVIRONMENT_MAP": "environment_radiance",
-        "VOLPATH": "crossing",
+        "VOLPATH": "(of->|restrict )crossing",
         "MEDIA": "fly",
         "NEXT_EVENT": "next_event",
         "LIGHT_TREE": "pick_from_tree",
@@ -224,19 +226,34 @@ MARKERS = {  # functions and variables that belong to one feature
 }
 
 
-@pytest.mark.parametrize("name", STAGES)
-def test_absent_features_leave_no_code(name):
+@pytest.mark.parametrize(
+    ("name", "constants", "never"),
+    [
+        *(pytest.param(name, CONSTANTS, (), id=name) for name in STAGES),
+        *(pytest.param(f"{name}.cl", MANY, ("VOLPATH", "MEDIA"), id=f"{name}.cl, many") for name in sorted(TAKE_LANES)),
+    ],
+)
+def test_absent_features_leave_no_code(name, constants, never):
     """With one feature off, what belongs to it is gone; and every feature that a stage mentions makes a difference,
     among all others or alone: some share their code."""
-    everything, nothing = preprocessed(name, all_but()), preprocessed(name, only())
-    for feature in mentioned(flatten(name)):
-        without, alone = preprocessed(name, all_but(feature)), preprocessed(name, only(feature))
+
+    def without_all(*names):
+        return preprocessed(name, all_but(*never, *names), constants)
+
+    def with_only(*names):
+        return preprocessed(name, only(*names), constants)
+
+    everything, nothing = without_all(), with_only()
+    for feature in mentioned(flatten(name)) - set(never):
+        without, alone = without_all(feature), with_only(feature)
         used = len(without.split()) < len(everything.split()) or len(alone.split()) > len(nothing.split())
         assert used, f"{name} mentions {feature} and does not use it"
     for feature, marker in MARKERS.get(name, {}).items():
+        if feature in never:
+            continue
         pattern = rf"\b{marker}\b"
         assert re.search(pattern, everything), f"{marker} is no longer in {name}: mend this test"
-        assert not re.search(pattern, preprocessed(name, all_but(feature))), f"{marker} without {feature}"
+        assert not re.search(pattern, without_all(feature)), f"{marker} without {feature}"
 
 
 @pytest.fixture(scope="module")
@@ -245,12 +262,17 @@ def device():
 
 
 @pytest.mark.parametrize(
-    "features",
-    [pytest.param(all_but(), id="all"), pytest.param(only(), id="none")],
+    ("features", "constants"),
+    [
+        pytest.param(all_but(), CONSTANTS, id="all"),
+        pytest.param(only(), CONSTANTS, id="none"),
+        pytest.param(all_but("VOLPATH"), MANY, id="all, many"),
+        pytest.param(only(), MANY, id="none, many"),
+    ],
 )
-def test_stages_build_without_warnings(device, features):
+def test_stages_build_without_warnings(device, features, constants):
     for name in STAGES:
-        text, options = stage_source(name, STRUCTS, CONSTANTS, features)
+        text, options = stage_source(name, STRUCTS, constants, features)
         device.build(text, (*options, "-Werror"))
 
 
@@ -262,10 +284,10 @@ def test_every_feature_and_every_two_build_without_warnings(device):
         features = only(*pair)
         if not features["ANALYTICS"]:
             features |= {"TRIANGLES": True}
-        for name in STAGES:
-            text, options = stage_source(name, STRUCTS, CONSTANTS, features)
-            if (name, options) not in built:
-                built.add((name, options))
+        for name, constants in itertools.product(STAGES, [CONSTANTS] if features["VOLPATH"] else [CONSTANTS, MANY]):
+            text, options = stage_source(name, STRUCTS, constants, features)
+            if (hash(text), options) not in built:
+                built.add((hash(text), options))
                 device.build(text, (*options, "-Werror"))
     assert len(built) > 100
 
