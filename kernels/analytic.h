@@ -4,11 +4,6 @@
 
 #define ANALYTIC_BIT 0x80000000u  // set in a primitive number: the rest is an index into `analytics`
 
-INLINE void load_matrix(__global const float* from, float* to)
-{
-    for (int i = 0; i < 12; ++i) to[i] = from[i];
-}
-
 #if FEATURE_SPHERES
 // Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, 2019: the discriminant from the
 // distance of the centre to the line, the smaller root from the product of the roots.

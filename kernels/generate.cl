@@ -50,7 +50,7 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
         const Vec2 on_film = vec2((1.0f - 2.0f * (film_x + camera->principal_point[0])) * camera->tan_half_fov[0],
                                   (1.0f - 2.0f * (film_y + camera->principal_point[1])) * camera->tan_half_fov[1]);
         float m[12];
-        for (int k = 0; k < 12; ++k) m[k] = camera->to_world[k];
+        load_matrix(camera->to_world, m);
         Vec3 ahead = on_plane(on_film, 1.0f), center = vec3(m[3], m[7], m[11]);
 #if FEATURE_THIN_LENS
         if (camera->kind == CAMERA_THIN_LENS) {  // towards the point in focus, from a point of the lens

@@ -4,8 +4,8 @@
 #pragma once
 #include "arrival.h"
 
-#define KEEPS                                                                                                              \
-    (LANES > 1 && (FEATURE_DISKS || FEATURE_CYLINDERS || FEATURE_INSTANCES || FEATURE_TEXTURES || HAS_WRAPPERS || FEATURE_LIGHT_TREE ||     \
+#define KEEPS \
+    (LANES > 1 && (FEATURE_INSTANCES || FEATURE_TEXTURES || HAS_WRAPPERS || FEATURE_LIGHT_TREE ||     \
                    FEATURE_ENVIRONMENT_MAP || FEATURE_SPOT_LIGHTS))
 
 #if KEEPS

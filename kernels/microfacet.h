@@ -148,6 +148,7 @@ INLINE float visible_slope(float tangent, float u)
     const float t = 0.564189584f * tangent, target = u * (1.0f + most + t * end);  // 1 / sqrt(pi)
     float x = most - (most + 1.0f) * error_function(SQRT(-logarithm(u)), u);  // the solution at grazing incidence
     float slope = 0.0f, step = 0.0f;
+#pragma unroll
     for (uint i = 0; i < 2u; ++i) {
         x = LESSER(GREATER(x, -bound), bound);
         slope = inverse_error_function(x);

@@ -192,7 +192,9 @@ INLINE void sphere_surface(__global const Analytic* sphere, Vec3 outward, Surfac
 INLINE Vec3 round_trip_error(const float* to_world, const float* to_object, Vec3 on_object, Vec3 in_world)
 {
     float m[12], inverse[12];
+#pragma unroll
     for (int i = 0; i < 12; ++i) m[i] = abs1(to_world[i]);
+#pragma unroll
     for (int i = 0; i < 12; ++i) inverse[i] = abs1(to_object[i]);
     const Vec3 there = transform_point(m, abs3(on_object));
     const Vec3 and_back = transform_direction(m, transform_point(inverse, abs3(in_world)));
@@ -268,6 +270,7 @@ INLINE Surface instanced_surface_at(const Geometry* g, __global const Instance* 
     float m[12], inverse[12], magnitude[12];
     load_matrix(instances[instance].to_world, m);
     load_matrix(instances[instance].to_object, inverse);
+#pragma unroll
     for (int i = 0; i < 12; ++i) magnitude[i] = abs1(m[i]);
     const Vec3 on_object = s.position;
     s.position = transform_point(m, on_object);

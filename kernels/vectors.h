@@ -50,6 +50,12 @@ INLINE Vec2 circle(float u)
     return quadrant & 2 ? neg2(turned) : turned;
 }
 
+INLINE void load_matrix(__global const float* from, float* to)
+{
+#pragma unroll
+    for (int i = 0; i < 12; ++i) to[i] = from[i];
+}
+
 // Rows of an affine 3x4 matrix applied to a point and to a direction.
 INLINE Vec3 transform_point(const float* m, Vec3 p)
 {

@@ -99,6 +99,10 @@ TAKE_LANES = {"generate", "shade"}
 """Kernels of which a work-item takes several paths: kernels/paths.h."""
 
 
+PLANE_PADDING = 80
+"""Numbers by which a plane of the paths is longer than the pool: else the members of a path, a power of two apart, would
+all compete for the same few places of a cache."""
+
 PATH_STATE = {
     **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
     **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},
@@ -144,6 +148,7 @@ class Wavefront:
     def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
         scene, device, on = self.scene, self.device, self.features
         pool, samples = self.pool_size, self.slice_samples
+        plane = pool + PLANE_PADDING
         pixels = self.accumulator.pixels
         endless = 0xFFFFFFFF
 
@@ -151,7 +156,7 @@ class Wavefront:
             return device.buffer(array, what) if array.size else None
 
         def per_path(what: str, size: int = 16):
-            return device.buffer(size * pool, what)
+            return device.buffer(size * plane, what)
 
         camera = scene.camera[0]
         filter_table = nothing = np.zeros(0, np.float32)
@@ -192,7 +197,7 @@ class Wavefront:
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
-            "pool": np.uint32(pool),
+            "pool": np.uint32(plane),
             "alive": per_path("the flags of the paths", 1),
             "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
             "block_size": np.uint32(self.block_size),
