@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_scene import BUILT_IN, PIXELS, assert_same_bits, assert_sound, lamp_over_floor, without
 
+from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.renderer import Renderer
 from isonoise.rendering import render
@@ -46,6 +47,36 @@ def test_the_pool_changes_no_bit(thirty_spp, pool_size):
     """1,050 samples: in slices of 16 through one slot, of 160, in one with slots used again, all at once."""
     options = {"seed": 3, "strategy": "relative-median:warmup=30", "pool_size": pool_size}
     assert_same_bits(render(lamp_over_floor(), spp=30, **options).statistics, thirty_spp)
+
+
+def of_many_kinds() -> dict:
+    """Surfaces, textures, materials and lights of which paths side by side meet different ones."""
+    board = {"type": "checkerboard", "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
+    clear = {"type": "principled", "base_color": board, "spec_trans": 0.5}
+    glossy = {"type": "roughconductor", "alpha": board, "distribution": "ggx"}
+    tiles = {"type": "blendbsdf", "weight": board, "first": {"type": "roughplastic"}, "second": glossy}
+    hung = np.eye(4)
+    hung[:3, 3] = 0.3, 0.5, 0.2
+    return lamp_over_floor(width=32, height=24, max_depth=8) | {
+        "floor": {"type": "rectangle", "bsdf": {"type": "twosided", "inner": tiles}},
+        "ball": {"type": "sphere", "radius": 0.3, "bsdf": clear},
+        "glass": {"type": "sphere", "center": [-0.5, 0.0, 0.3], "radius": 0.2, "bsdf": {"type": "dielectric"}},
+        "net": {"type": "disk", "to_world": hung, "bsdf": {"type": "mask", "opacity": board, "inner": glossy}},
+        "group": {"type": "shapegroup", "box": {"type": "cube", "to_world": np.diag([0.1, 0.1, 0.1, 1.0])}},
+        "box": {"type": "instance", "to_world": hung, "group": {"type": "ref", "id": "group"}},
+        "spot": {"type": "spot", "to_world": hung, "intensity": 3.0},
+        "sky": {"type": "constant", "radiance": 0.2},
+    }
+
+
+@pytest.mark.parametrize("scene", [lamp_over_floor, of_many_kinds])
+def test_the_paths_of_a_work_item_change_no_bit(monkeypatch, scene):
+    renders = []
+    for lanes in (1, 64):
+        monkeypatch.setattr(Device, "lanes", lanes)
+        renders.append(render(scene(), spp=30, seed=3, strategy="uniform").statistics)
+    assert_sound(renders[0])
+    assert_same_bits(*renders)
 
 
 @pytest.mark.parametrize("wave_spp", [1, 10])
