@@ -49,20 +49,6 @@ INLINE Vec3 cell_radiance(const EnvironmentMap* map, const EnvironmentCell* c, f
     return scale3(add3(scale3(upper, 1.0f - c->t), scale3(lower, c->t)), map->record->scale);
 }
 
-// The angle of (x, y) in [-pi, pi]. The polynomial is fitted to atan(q) / q over |q| <= tan(pi / 8), off by 2e-8 of it.
-INLINE float angle_of(float y, float x)
-{
-    const float ax = abs1(x), ay = abs1(y), less = LESSER(ax, ay), more = GREATER(ax, ay);
-    const bool steep = less > 0.41421356f * more;  // then the angle is counted from the diagonal
-    const float q = (steep ? less - more : less) / GREATER(steep ? less + more : more, 1e-37f);
-    const float q2 = q * q;
-    float angle =
-        q + q * q2 * (-0.33332956f + q2 * (0.19977924f + q2 * (-0.13879836f + q2 * 0.080602668f)));
-    angle += steep ? M_PI_4_F : 0.0f;
-    angle = ay > ax ? M_PI_2_F - angle : angle;
-    return with_sign(x < 0.0f ? M_PI_F - angle : angle, y);
-}
-
 // Radiance from a unit direction, and the density with which `environment_sample` finds it.
 INLINE Vec3 environment_radiance(const EnvironmentMap* map, Vec3 direction, float* pdf)
 {
@@ -100,7 +86,9 @@ INLINE uint last_bound(__global const uint* bounds, uint stride, __global const 
 {
     guide += key >> shift;
     uint found = guide[0], count = guide[1] - found + 1u;
-    while (count > 1u) {
+    // as often as the longest search needs: loops over paths become vector instructions only without loops of their own
+#pragma unroll
+    for (uint step = 0; step < SEARCH_STEPS; ++step) {
         const uint half_way = count >> 1;
         found += bounds[stride * (found + half_way)] <= key ? half_way : 0u;
         count -= half_way;

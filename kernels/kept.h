@@ -4,9 +4,7 @@
 #pragma once
 #include "arrival.h"
 
-#define KEEPS \
-    (LANES > 1 && (FEATURE_INSTANCES || FEATURE_TEXTURES || HAS_WRAPPERS || FEATURE_LIGHT_TREE ||     \
-                   FEATURE_ENVIRONMENT_MAP || FEATURE_SPOT_LIGHTS))
+#define KEEPS (LANES > 1 && (FEATURE_TEXTURES || HAS_WRAPPERS || FEATURE_LIGHT_TREE))
 
 #if KEEPS
 // Members by number.

@@ -160,8 +160,8 @@ INLINE Vec3 emitted_radiance(const Geometry* g, __global const Light* light, con
 INLINE float spot_falloff(__global const Light* light, Vec3 direction)
 {
     const Vec3 off = sub3(direction, LOAD3(0, light->axis));
-    const float half_chord = 0.5f * SQRT(dot3(off, off));
-    const float angle = 2.0f * asin(LESSER(half_chord, 1.0f));
+    const float half_chord2 = LESSER(0.25f * dot3(off, off), 1.0f);
+    const float angle = 2.0f * angle_of(SQRT(half_chord2), SQRT(1.0f - half_chord2));
     const float share = (light->cutoff - angle) * light->inverse_transition;
     return LESSER(GREATER(share, 0.0f), 1.0f);
 }

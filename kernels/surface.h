@@ -133,7 +133,7 @@ INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
     load_matrix(shape->to_world, m);
     load_matrix(shape->to_object, inverse);
     const Vec3 p = transform_point(inverse, s->position);
-    const float around = SQRT(p.x * p.x + p.y * p.y), turn = atan2(p.y, p.x) * (0.5f * M_1_PI_F);
+    const float around = SQRT(p.x * p.x + p.y * p.y), turn = angle_of(p.y, p.x) * (0.5f * M_1_PI_F);
     const Vec2 out = around > 0.0f ? vec2(p.x / around, p.y / around) : vec2(1.0f, 0.0f), on = vec2(-p.y, p.x);
     const float angle = turn < 0.0f ? turn + 1.0f : turn;
     s->triangle = NONE;
@@ -143,7 +143,7 @@ INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
     s->dp_dv = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_SPHERES
     if (shape->kind & ANALYTIC_SPHERE) {
-        s->uv = vec2(angle, atan2(around, p.z) * M_1_PI_F);
+        s->uv = vec2(angle, angle_of(around, p.z) * M_1_PI_F);
         s->dp_dv = scale3(on_plane(scale2(out, p.z), -around), M_PI_F);
     }
 #endif

@@ -137,7 +137,7 @@ class Wavefront:
             device,
             table,
             self.features,
-            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes},
+            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes, "SEARCH_STEPS": scene.environment.steps if scene.environment else 0},
             STRUCTS,
         )
         self._arguments = self._stages.arguments

@@ -56,6 +56,8 @@ class Environment:
     rows: np.ndarray  # (height,) ENVIRONMENT_ROW
     columns: np.ndarray  # (row_guide + (height - 1) * column_guide,) uint32, guides: for the first bits of a number the
     # last bound that is not above it, by rows and then by columns of each row
+    steps: int  # comparisons that halve what a guide leaves to be searched, at most; a multiple of 4, so that many
+    # maps share a program
     mean: np.ndarray  # (3,) float64: mean radiance over the sphere
     largest: float  # luminance of the brightest texel
 
@@ -86,7 +88,7 @@ def make_environment(image: Image, to_world: np.ndarray, scale: float, where: st
     record["size"] = width, height
     record["scale"] = unit = np.ldexp(scale, -exponent)
     record["density"] = width * (height - 1) / (2 * np.pi**2 * total) if total > 0 else 0.0
-    return Environment(record, texels, rows, guides, mean * unit, brightest * scale)
+    return Environment(record, texels, rows, guides, _search_steps(record, guides), mean * unit, brightest * scale)
 
 
 def _brightest(pixels: np.ndarray) -> float:
@@ -157,6 +159,13 @@ def _guide_size(count: int) -> tuple[int, int]:
     """(shift, entries) of a guide to some bounds: a power of two of them, and the end of the last."""
     bits = max((count // _GUIDED).bit_length(), 1)
     return 32 - bits, (1 << bits) + 1
+
+
+def _search_steps(record: np.ndarray, guides: np.ndarray) -> int:
+    """Halvings that leave one of the most entries that lie between two of a guide, rounded up to a multiple of 4."""
+    entries = int(record["row_guide"][0])
+    most = max(int(np.diff(guides[:entries]).max()), int(np.diff(guides[entries:].reshape(-1, record["column_guide"][0])).max()))
+    return max(-(-most.bit_length() // 4) * 4, 4)  # of most + 1 entries: ceil(log2(most + 1)) = most.bit_length()
 
 
 def _guide(bounds: np.ndarray, shift: int, entries: int) -> np.ndarray:
