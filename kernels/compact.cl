@@ -3,12 +3,12 @@
 // Stable and without atomics: count per block, scan the blocks, move. One work-item a block.
 #include "paths.h"
 
-__kernel void count_alive(__global const uchar* alive, uint paths, uint block_size, __global uint* block_alive)
+__kernel void count_alive(__global const uchar* alive, uint paths, __global uint* block_alive)
 {
     const uint block = get_global_id(0);
-    const uint begin = block * block_size;
+    const uint begin = block * PATHS_PER_BLOCK;
     if (begin >= paths) return;
-    const uint end = LESSER(begin + block_size, paths);
+    const uint end = LESSER(begin + PATHS_PER_BLOCK, paths);
     uint sum = 0;
     for (uint i = begin; i < end; ++i) sum += alive[i];
     block_alive[block] = sum;
@@ -27,10 +27,24 @@ __kernel void scan_blocks(__global uint* block_alive, uint blocks, __global uint
     *total_alive = sum;
 }
 
-__kernel void move_paths(__global const uchar* alive, uint paths, uint pool, uint block_size, __global const uint* block_alive,
-                         __global const float* ray_origin, __global const float* ray_direction,
-                         __global const float* throughput, __global const uint* path, __global float* next_ray_origin,
-                         __global float* next_ray_direction, __global float* next_throughput, __global uint* next_path
+// A plane of the paths whose places are listed moves to where they are in a row.
+INLINE void move_plane(__global const uint* plane, __global uint* to, const uint* from, uint count)
+{
+#if LANES > 1
+#pragma clang loop vectorize(assume_safety)
+#endif
+    for (size_t k = 0; k < count; ++k) to[k] = plane[from[k]];
+}
+
+INLINE void move_planes(uint number, __global const uint* planes, __global uint* to, uint pool, const uint* from, uint count)
+{
+    for (uint k = 0; k < number; ++k) move_plane(PLANE(k, planes, pool), PLANE(k, to, pool), from, count);
+}
+
+__kernel void move_paths(__global const uchar* alive, uint paths, uint pool, __global const uint* block_alive,
+                         __global const uint* ray_origin, __global const uint* ray_direction,
+                         __global const uint* throughput, __global const uint* path, __global uint* next_ray_origin,
+                         __global uint* next_ray_direction, __global uint* next_throughput, __global uint* next_path
 #if FEATURE_INSTANCES
                          , __global const uint* instance, __global uint* next_instance
 #endif
@@ -41,33 +55,33 @@ __kernel void move_paths(__global const uchar* alive, uint paths, uint pool, uin
                          , __global const uint* medium, __global uint* next_medium
 #endif
 #if FEATURE_LIGHT_TREE
-                         , __global const float* lit, __global float* next_lit
+                         , __global const uint* lit, __global uint* next_lit
 #endif
                          )
 {
     const uint block = get_global_id(0);
-    const uint begin = block * block_size;
+    const uint begin = block * PATHS_PER_BLOCK;
     if (begin >= paths) return;
-    const uint end = LESSER(begin + block_size, paths);
-    uint to = block_alive[block];
+    const uint end = LESSER(begin + PATHS_PER_BLOCK, paths), to = block_alive[block];
+    uint from[PATHS_PER_BLOCK], count = 0;
     for (uint i = begin; i < end; ++i) {
-        if (!alive[i]) continue;
-        store_planes4(load_planes4(ray_origin, i, pool), next_ray_origin, to, pool);
-        store_planes4(load_planes4(ray_direction, i, pool), next_ray_direction, to, pool);
-        store_planes4(load_planes4(throughput, i, pool), next_throughput, to, pool);
-        for (uint k = 0; k < 4u; ++k) PLANE(k, next_path, pool)[to] = PLANE(k, path, pool)[i];
+        from[count] = i;
+        count += alive[i];
+    }
+    move_planes(4u, ray_origin, next_ray_origin + to, pool, from, count);
+    move_planes(4u, ray_direction, next_ray_direction + to, pool, from, count);
+    move_planes(4u, throughput, next_throughput + to, pool, from, count);
+    move_planes(4u, path, next_path + to, pool, from, count);
 #if FEATURE_INSTANCES
-        next_instance[to] = instance[i];
+    move_planes(1u, instance, next_instance + to, pool, from, count);
 #endif
 #if FEATURE_VOLPATH
-        for (uint k = 0; k < 2u; ++k) PLANE(k, next_crossing, pool)[to] = PLANE(k, crossing, pool)[i];
+    move_planes(2u, crossing, next_crossing + to, pool, from, count);
 #endif
 #if FEATURE_MEDIA
-        next_medium[to] = medium[i];
+    move_planes(1u, medium, next_medium + to, pool, from, count);
 #endif
 #if FEATURE_LIGHT_TREE
-        store_planes4(load_planes4(lit, i, pool), next_lit, to, pool);
+    move_planes(4u, lit, next_lit + to, pool, from, count);
 #endif
-        ++to;
-    }
 }

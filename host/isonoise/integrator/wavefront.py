@@ -74,11 +74,11 @@ KERNELS = {
         "shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
-    "count_alive": ("compact.cl", "alive paths block_size block_alive"),
+    "count_alive": ("compact.cl", "alive paths block_alive"),
     "scan_blocks": ("compact.cl", "block_alive blocks_in_use total_alive"),
     "move_paths": (
         "compact.cl",
-        "alive paths pool block_size block_alive ray_origin ray_direction throughput path "
+        "alive paths pool block_alive ray_origin ray_direction throughput path "
         "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
         "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium "
         "LIGHT_TREE:lit LIGHT_TREE:next_lit",
@@ -137,7 +137,7 @@ class Wavefront:
             device,
             table,
             self.features,
-            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes, "SEARCH_STEPS": scene.environment.steps if scene.environment else 0},
+            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size, "SEARCH_STEPS": scene.environment.steps if scene.environment else 0},
             STRUCTS,
         )
         self._arguments = self._stages.arguments
@@ -200,7 +200,6 @@ class Wavefront:
             "pool": np.uint32(plane),
             "alive": per_path("the flags of the paths", 1),
             "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
-            "block_size": np.uint32(self.block_size),
             "total_alive": device.buffer(4, "the compaction"),
             **{
                 name: per_path("the paths", size)
