@@ -55,14 +55,14 @@ INLINE float cylinder_distance(Vec3 origin, Vec3 direction, float t_max)
 #endif
 
 // Distance along the ray to an analytic primitive, INFINITY if it is not met in (0, t_max). The plane of a disk is not met by
-// rays that start or end on it: `skip`. Neither is a sphere or cylinder by those that end on it: `sample_light` names it only
+// rays that start or end on it. Neither is a sphere or cylinder by those that end on it: `sample_light` names it only
 // where nothing of it lies before, and far away its own rounding would. A ray that starts on it may meet its far side; there
 // the offset of the origin decides.
-INLINE float analytic_distance(__global const Analytic* analytics, uint index, Vec3 origin, Vec3 direction, uint2 skip,
-                               float t_max)
+INLINE float analytic_distance(__global const Analytic* analytics, uint index, Vec3 origin, Vec3 direction, uint starts_on,
+                               uint ends_on, float t_max)
 {
     __global const Analytic* shape = analytics + index;
-    if (skip.y == (ANALYTIC_BIT | index)) return INFINITY;
+    if (ends_on == (ANALYTIC_BIT | index)) return INFINITY;
 #if FEATURE_SPHERES
     if (shape->kind & ANALYTIC_SPHERE)
         return sphere_distance(origin, direction, LOAD3(0, shape->center), shape->radius, t_max);
@@ -75,7 +75,7 @@ INLINE float analytic_distance(__global const Analytic* analytics, uint index, V
 #endif
 #if FEATURE_DISKS
     if (shape->kind & ANALYTIC_DISK)
-        return skip.x == (ANALYTIC_BIT | index) ? INFINITY : disk_distance(o, d, t_max);
+        return starts_on == (ANALYTIC_BIT | index) ? INFINITY : disk_distance(o, d, t_max);
 #endif
 #if FEATURE_CYLINDERS
     if (shape->kind & ANALYTIC_CYLINDER) return cylinder_distance(o, d, t_max);

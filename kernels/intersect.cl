@@ -80,7 +80,7 @@ __kernel void intersect(uint paths, uint pool, __global const float8* nodes, __g
 #endif
 #if FEATURE_ANALYTICS
             if (leaf >= block_count) {
-                const float t = analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip, t_max);
+                const float t = analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip.x, skip.y, t_max);
                 if (t < t_max) {
                     t_max = t;
                     primitive = ANALYTIC_BIT | (leaf - block_count);

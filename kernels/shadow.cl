@@ -56,7 +56,7 @@ __kernel void shadow(uint paths, uint pool, __global const float8* nodes, __glob
 #endif
 #if FEATURE_ANALYTICS
             if (leaf >= block_count &&
-                analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip, t_max) < t_max)
+                analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip.x, skip.y, t_max) < t_max)
                 return;
 #endif
         }

@@ -162,7 +162,7 @@ __kernel void through(uint paths, uint pool, __global const float8* nodes, __glo
                 Vec3 from = ray.origin;
                 float t = 0.0f;
                 for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
-                    const float on = analytic_distance(analytics, index, from, ray.direction, skip, t_max - t);
+                    const float on = analytic_distance(analytics, index, from, ray.direction, skip.x, skip.y, t_max - t);
                     t += on;
                     if (!(t < t_max)) break;
                     if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;

@@ -13,6 +13,7 @@ import numpy as np
 from isonoise.device.opencl import Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
+from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
 from isonoise.scene import environment, structs, textures
@@ -95,6 +96,19 @@ KERNELS = {
 }
 
 
+FEW_KERNELS = {
+    "intersect": (
+        "few.cl",
+        "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count ray_origin ray_direction path hit",
+    ),
+    "shadow": (
+        "few.cl",
+        "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count shadow_origin shadow_direction shadow_radiance hit "
+        "path samples",
+    ),
+}
+"""What takes the place of their rows of `KERNELS` where there are so few primitives that no hierarchy is needed."""
+
 TAKE_LANES = {"generate", "shade"}
 """Kernels of which a work-item takes several paths: kernels/paths.h."""
 
@@ -132,12 +146,13 @@ class Wavefront:
         shadow = "through" if self.features["VOLPATH"] else "shadow"
         self._shadow = shadow if self.features["NEXT_EVENT"] else None
         unused = {"shadow", "through"} - {self._shadow}
-        table = {name: row for name, row in KERNELS.items() if name not in unused}
+        self.few = self.lanes > 1 and are_few(scene)
+        table = {name: row for name, row in (KERNELS | (FEW_KERNELS if self.few else {})).items() if name not in unused}
         self._stages = Stages(
             device,
             table,
             self.features,
-            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size, "SEARCH_STEPS": scene.environment.steps if scene.environment else 0},
+            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size, "MOST_CORNERS": MOST_CORNERS, "SEARCH_STEPS": scene.environment.steps if scene.environment else 0},
             STRUCTS,
         )
         self._arguments = self._stages.arguments
@@ -169,6 +184,9 @@ class Wavefront:
             "inverse_cdf_cells": np.uint32(CELLS),
             "nodes": table(bvh.nodes, "the hierarchy's nodes"),
             "blocks": table(bvh.blocks, "the hierarchy's triangles"),
+            **self._corners(),
+            "triangle_count": np.uint32(len(scene.faces)),
+            "analytic_count": np.uint32(len(scene.analytics)),
             "block_count": np.uint32(len(bvh.blocks)),
             "triangles": table(triangle_records(scene), "the triangles"),
             "faces": table(scene.faces if on["VERTEX_NORMALS"] or on["UVS"] else nothing, "the faces"),
@@ -213,6 +231,17 @@ class Wavefront:
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
             "pixel_offset": device.buffer(4 * pixels, "the allocation"),
+        }
+
+    def _corners(self) -> dict[str, object]:
+        """The corners of the triangles, where they are so few that there is no hierarchy."""
+        if not self.few or not len(self.scene.faces):
+            return {"corners": None, "corner_numbers": None, "corner_count": np.uint32(0)}
+        corners, numbers = distinct_corners(self.scene)
+        return {
+            "corners": self.device.buffer(corners, "the triangles"),
+            "corner_numbers": self.device.buffer(numbers, "the triangles"),
+            "corner_count": np.uint32(len(corners)),
         }
 
     def _environment(self) -> dict[str, object]:
@@ -296,16 +325,16 @@ class Wavefront:
 
     def _launch(self, kernel: str, items: int, **given) -> None:
         """Runs a kernel over at least `items` work-items, or paths where a work-item takes several."""
-        lanes = self.lanes if kernel in TAKE_LANES else 1
+        lanes = self.lanes if kernel in TAKE_LANES or (self.few and kernel in FEW_KERNELS) else 1
         self._stages.launch(kernel, -(-items // lanes), **given)
 
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
         bound = {"paths": np.uint32(paths)}
-        self._stages.launch("intersect", paths, **bound)
+        self._launch("intersect", paths, **bound)
         self._launch("shade", paths, **bound)
         if self._shadow:
-            self._stages.launch(self._shadow, paths, **bound)
+            self._launch(self._shadow, paths, **bound)
         blocks = -(-paths // self.block_size)
         self._stages.launch("count_alive", blocks, **bound)
         self._stages.launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
