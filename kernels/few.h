@@ -95,13 +95,13 @@ INLINE void meet_triangle(Rays* rays, uint ray, const SeenCorner* a, const SeenC
     const float lowest = LESSER(LESSER(edge_a, edge_b), edge_c), highest = GREATER(GREATER(edge_a, edge_b), edge_c);
     const float determinant = edge_a + edge_b + edge_c, inverse = 1.0f / determinant;
     const float t = (edge_a * a->z[ray] + edge_b * b->z[ray] + edge_c * c->z[ray]) * rays->shear_z[ray] * inverse;
-    if (((lowest >= 0.0f) | (highest <= 0.0f)) & (determinant != 0.0f) & (t > 0.0f) & (t < rays->t_max[ray]) &
-        (triangle != rays->starts_on[ray]) & (triangle != rays->ends_on[ray])) {
-        rays->t_max[ray] = t;
-        rays->u[ray] = edge_b * inverse;
-        rays->v[ray] = edge_c * inverse;
-        rays->primitive[ray] = triangle;
-    }
+    const bool met = ((lowest >= 0.0f) | (highest <= 0.0f)) & (determinant != 0.0f) & (t > 0.0f) & (t < rays->t_max[ray]) &
+                     (triangle != rays->starts_on[ray]) & (triangle != rays->ends_on[ray]);
+    // written whether met or not: what was written for some lanes alone is slow to be read again
+    rays->t_max[ray] = met ? t : rays->t_max[ray];
+    rays->u[ray] = met ? edge_b * inverse : rays->u[ray];
+    rays->v[ray] = met ? edge_c * inverse : rays->v[ray];
+    rays->primitive[ray] = met ? triangle : rays->primitive[ray];
 }
 #endif
 
@@ -112,10 +112,8 @@ INLINE void meet_analytic(Rays* rays, uint ray, __global const Analytic* analyti
     const Vec3 direction = vec3(rays->direction_x[ray], rays->direction_y[ray], rays->direction_z[ray]);
     const float t_max = rays->t_max[ray];
     const float t = analytic_distance(analytics, index, origin, direction, rays->starts_on[ray], rays->ends_on[ray], t_max);
-    if (t < t_max) {
-        rays->t_max[ray] = t;
-        rays->primitive[ray] = ANALYTIC_BIT | index;
-    }
+    rays->t_max[ray] = t < t_max ? t : t_max;
+    rays->primitive[ray] = t < t_max ? ANALYTIC_BIT | index : rays->primitive[ray];
 }
 #endif
 
