@@ -55,15 +55,16 @@ class OnDevice:
         records = {"Environment": environment.ENVIRONMENT, "EnvironmentRow": environment.ENVIRONMENT_ROW}
         text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, dtype) for name, dtype in records.items())]
         text += [flatten("environment.h"), KERNEL]
-        options = ("-cl-std=CL1.2", "-Werror", "-DFEATURE_ENVIRONMENT_MAP=1")
-        self.kernels = self.device.build("\n".join(text), options)
+        self._text = "\n".join(text)
 
     def _run(self, kernel: str, made: Environment, given: np.ndarray, rows: int) -> np.ndarray:
         n = len(given)
+        options = ("-cl-std=CL1.2", "-Werror", "-DFEATURE_ENVIRONMENT_MAP=1", f"-DSEARCH_STEPS={made.steps}")
+        kernels = self.device.build(self._text, options)  # once for every number of steps
         arrays = (made.record, made.texels, made.rows, made.columns, given)
         out = self.device.buffer(16 * rows * n, "results")
         buffers = [self.device.buffer(array, "a map") for array in arrays]
-        self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
+        self.device.launch(kernels[kernel], n, (*buffers, out, np.uint32(n)))
         return self.device.read(out, np.float32, 4 * rows * n).reshape(n, rows, 4).astype(np.float64)
 
     def sample(self, made: Environment, count: int = SAMPLES, seed: int = 1):

@@ -19,7 +19,8 @@ from isonoise.device.program import declare_struct, flatten, stage_source
 from isonoise.errors import DeviceError
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.wavefront import KERNELS, STRUCTS, TAKE_LANES
+from isonoise.integrator.few import MOST_CORNERS
+from isonoise.integrator.wavefront import FEW_KERNELS, KERNELS, STRUCTS, TAKE_LANES
 from isonoise.renderer import Renderer
 from isonoise.scene import structs, textures
 from isonoise.statistics import Needs
@@ -27,9 +28,11 @@ from isonoise.statistics import Needs
 FOLDER = resources.files("isonoise.kernels")
 FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
 STAGES = [name for name in FILES if name.endswith(".cl")]
-CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2)) | {"LANES": 1}
+CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
+CONSTANTS |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS, "SEARCH_STEPS": 4}
 MANY = CONSTANTS | {"LANES": 64}
 """For work-items that take many paths: kernels/paths.h. There are none in scenes of the feature VOLPATH."""
+TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in FEW_KERNELS.values()})
 
 NEEDS = {  # no scene has the one without the others
     "VERTEX_NORMALS": {"TRIANGLES"},
@@ -230,7 +233,7 @@ MARKERS = {  # functions and variables that belong to one feature
     ("name", "constants", "never"),
     [
         *(pytest.param(name, CONSTANTS, (), id=name) for name in STAGES),
-        *(pytest.param(f"{name}.cl", MANY, ("VOLPATH", "MEDIA"), id=f"{name}.cl, many") for name in sorted(TAKE_LANES)),
+        *(pytest.param(name, MANY, ("VOLPATH", "MEDIA"), id=f"{name}, many") for name in TAKE_MANY),
     ],
 )
 def test_absent_features_leave_no_code(name, constants, never):
@@ -344,8 +347,9 @@ def test_every_argument_of_a_kernel_has_a_name():
         for kernel, parameters in re.findall(
             r"__kernel void (\w+)\((.*?)\)\s*\{", (FOLDER / file).read_text(), re.DOTALL
         ):
-            found[kernel] = (file, len(parameters.split(",")))
-    assert found == {kernel: (file, len(names.split())) for kernel, (file, names) in KERNELS.items()}
+            found[file, kernel] = len(parameters.split(","))
+    tables = (*KERNELS.items(), *FEW_KERNELS.items())
+    assert found == {(file, kernel): len(names.split()) for kernel, (file, names) in tables}
 
 
 # Stages.
