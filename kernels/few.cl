@@ -1,11 +1,11 @@
 // Stages intersect and shadow of scenes of few primitives; what they read and write is told in intersect.cl and shadow.cl.
 #include "few.h"
 
-__kernel void intersect(uint paths, uint pool, __global const float* restrict corners, uint corner_count,
-                        __global const uint* restrict corner_numbers, uint triangle_count,
-                        __global const Analytic* restrict analytics, uint analytic_count,
-                        __global const float* restrict ray_origin, __global const float* restrict ray_direction,
-                        __global const uint* restrict path, __global float* restrict hit)
+__kernel void intersect(uint paths, uint pool, __global const float* corners, uint corner_count,
+                        __global const uint* corner_numbers, uint triangle_count,
+                        __global const Analytic* analytics, uint analytic_count,
+                        __global const float* ray_origin, __global const float* ray_direction,
+                        __global const uint* path, __global float* hit)
 {
     const Primitives all = {corners, corner_numbers, corner_count, triangle_count, analytics, analytic_count};
     for (size_t first = get_global_id(0) * LANES, end = first + LANES; first < end; first += RAYS) {
@@ -20,17 +20,18 @@ __kernel void intersect(uint paths, uint pool, __global const float* restrict co
         meet_all(&rays, &all);
         EACH_RAY(ray) {
             const size_t i = first + ray;
-            if (i < paths) store_planes4(vec4(rays.t_max[ray], rays.u[ray], rays.v[ray], as_float(rays.primitive[ray])), hit, i, pool);
+            const Vec4 met = vec4(rays.t_max[ray], rays.u[ray], rays.v[ray], as_float(rays.primitive[ray]));
+            if (i < paths) store_planes4(met, hit, i, pool);
         }
     }
 }
 
-__kernel void shadow(uint paths, uint pool, __global const float* restrict corners, uint corner_count,
-                     __global const uint* restrict corner_numbers, uint triangle_count,
-                     __global const Analytic* restrict analytics, uint analytic_count,
-                     __global const float* restrict shadow_origin, __global const float* restrict shadow_direction,
-                     __global const float* restrict shadow_radiance, __global const float* restrict hit,
-                     __global const uint* restrict path, __global float* restrict samples)
+__kernel void shadow(uint paths, uint pool, __global const float* corners, uint corner_count,
+                     __global const uint* corner_numbers, uint triangle_count,
+                     __global const Analytic* analytics, uint analytic_count,
+                     __global const float* shadow_origin, __global const float* shadow_direction,
+                     __global const float* shadow_radiance, __global const float* hit,
+                     __global const uint* path, __global float* samples)
 {
     const Primitives all = {corners, corner_numbers, corner_count, triangle_count, analytics, analytic_count};
     // not every path has a shadow ray: those that have one are listed

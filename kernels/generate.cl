@@ -19,18 +19,18 @@ INLINE float filter_offset(float u, float radius, __global const float* inverse_
 }
 
 __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sample, uint2 seed,
-                       __global const Camera* restrict camera, __global const float* restrict inverse_cdf, uint inverse_cdf_cells,
-                       __global const uint* restrict sample_pixel, __global const uint* restrict pixel_offset, __global const uint* restrict count,
-                       __global const uint* restrict rejected, __global float* restrict ray_origin, __global float* restrict ray_direction,
-                       __global float* restrict throughput, __global uint* restrict path, __global float* restrict samples
+                       __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
+                       __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
+                       __global const uint* rejected, __global float* ray_origin, __global float* ray_direction,
+                       __global float* throughput, __global uint* path, __global float* samples
 #if FEATURE_INSTANCES
-                       , __global uint* restrict instance
+                       , __global uint* instance
 #endif
 #if FEATURE_VOLPATH
-                       , __global uint* restrict crossing
+                       , __global uint* crossing
 #endif
 #if FEATURE_MEDIA
-                       , __global uint* restrict medium, uint sensor_medium
+                       , __global uint* medium, uint sensor_medium
 #endif
                        )
 {
@@ -45,8 +45,10 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
         const uint width = camera->crop_size[0], row = pixel / width;
         const Vec2 corner = vec2((float)(camera->crop_offset[0] + pixel - row * width), (float)(camera->crop_offset[1] + row));
         const float radius = camera->filter_radius;
-        const float film_x = (corner.x + 0.5f + filter_offset(u.x, radius, inverse_cdf, inverse_cdf_cells)) / (float)camera->film_size[0];
-        const float film_y = (corner.y + 0.5f + filter_offset(u.y, radius, inverse_cdf, inverse_cdf_cells)) / (float)camera->film_size[1];
+        const Vec2 offset = vec2(filter_offset(u.x, radius, inverse_cdf, inverse_cdf_cells),
+                                 filter_offset(u.y, radius, inverse_cdf, inverse_cdf_cells));
+        const float film_x = (corner.x + 0.5f + offset.x) / (float)camera->film_size[0];
+        const float film_y = (corner.y + 0.5f + offset.y) / (float)camera->film_size[1];
         const Vec2 on_film = vec2((1.0f - 2.0f * (film_x + camera->principal_point[0])) * camera->tan_half_fov[0],
                                   (1.0f - 2.0f * (film_y + camera->principal_point[1])) * camera->tan_half_fov[1]);
         float m[12];

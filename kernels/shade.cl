@@ -123,39 +123,39 @@ INLINE void end_shading(const Scene* scene, const Paths* of, size_t i, uint max_
     scatter(scene, of, i, p, s, at, passes, p->depth + 1u >= max_depth, rr_depth);
 }
 
-__kernel void shade(uint paths, uint pool, __global const uint* restrict sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
-                    __global const float* restrict triangles, __global const uint* restrict faces, __global const float* restrict vertex_normals,
+__kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
+                    __global const float* triangles, __global const uint* faces, __global const float* vertex_normals,
 #if FEATURE_UVS
-                    __global const float* restrict uvs,
+                    __global const float* uvs,
 #endif
 #if FEATURE_TEXTURES
-                    __global const Texture* restrict textures, __global const uchar* restrict texel_bytes,
-                    __global const float* restrict texel_floats, __global const float* restrict srgb, __global const float* restrict attributes,
+                    __global const Texture* textures, __global const uchar* texel_bytes,
+                    __global const float* texel_floats, __global const float* srgb, __global const float* attributes,
 #endif
-                    __global const Analytic* restrict analytics, __global const Shape* restrict shapes, __global const Bsdf* restrict bsdfs,
+                    __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
 #if FEATURE_ROUGH_PLASTIC
-                    __global const float* restrict boundaries,
+                    __global const float* boundaries,
 #endif
-                    __global const Light* restrict lights, __global const Alias* restrict light_alias, uint light_count,
+                    __global const Light* lights, __global const Alias* light_alias, uint light_count,
 #if FEATURE_ENVIRONMENT_MAP
-                    __global const Environment* restrict environment, __global const float* restrict environment_texels,
-                    __global const EnvironmentRow* restrict environment_rows, __global const uint* restrict environment_columns,
+                    __global const Environment* environment, __global const float* environment_texels,
+                    __global const EnvironmentRow* environment_rows, __global const uint* environment_columns,
 #endif
-                    uint environment_light, __global float* restrict hit, __global float* restrict ray_origin,
-                    __global float* restrict ray_direction, __global float* restrict throughput, __global uint* restrict path,
-                    __global float* restrict shadow_origin, __global float* restrict shadow_direction, __global float* restrict shadow_radiance,
-                    __global float* restrict samples, __global uchar* restrict alive
+                    uint environment_light, __global float* hit, __global float* ray_origin,
+                    __global float* ray_direction, __global float* throughput, __global uint* path,
+                    __global float* shadow_origin, __global float* shadow_direction, __global float* shadow_radiance,
+                    __global float* samples, __global uchar* alive
 #if FEATURE_INSTANCES
-                    , __global const Instance* restrict instances, __global const uint* restrict instance
+                    , __global const Instance* instances, __global const uint* instance
 #endif
 #if FEATURE_VOLPATH
-                    , __global uint* restrict crossing
+                    , __global uint* crossing
 #endif
 #if FEATURE_MEDIA
-                    , __global const Medium* restrict media, __global uint* restrict medium
+                    , __global const Medium* media, __global uint* medium
 #endif
 #if FEATURE_LIGHT_TREE
-                    , __global const float8* restrict light_nodes, __global const uint* restrict light_places, __global float* restrict lit
+                    , __global const float8* light_nodes, __global const uint* light_places, __global float* lit
 #endif
                     )
 {
