@@ -54,14 +54,20 @@ typedef struct {
 #define TRIANGLE_ROWS 4
 
 #if FEATURE_UVS && FEATURE_TRIANGLES
-// Texture coordinates of a triangle, and how its points change with them. Without any they are the barycentric ones, and the
-// changes some basis, as in Mitsuba 3.
+// Texture coordinates of a triangle, and how its points change with them. Without any they are the barycentric ones of its
+// corners in the mesh's order; where they change nowhere, the changes are some basis. As in Mitsuba 3 (3.9.1).
 INLINE void triangle_uv(const Geometry* g, uint triangle, float u, float v, float3 edge1, float3 edge2, uint flags, Surface* s)
 {
     s->triangle = triangle;
     s->uv = s->barycentric = (float2)(u, v);
+    if (!(flags & SHAPE_UVS)) {
+        const bool rewound = flags & TRIANGLE_REWOUND;
+        if (rewound) s->uv.y = 1.0f - u - v;
+        s->dp_du = rewound ? edge1 - edge2 : edge1;
+        s->dp_dv = rewound ? -edge2 : edge2;
+        return;
+    }
     basis(s->geometric_normal, &s->dp_du, &s->dp_dv);
-    if (!(flags & SHAPE_UVS)) return;
     const uint3 index = LOAD3U(triangle, g->faces);
     const float2 uv0 = (float2)(g->uvs[2 * index.x], g->uvs[2 * index.x + 1]);
     const float2 along1 = (float2)(g->uvs[2 * index.y], g->uvs[2 * index.y + 1]) - uv0;
