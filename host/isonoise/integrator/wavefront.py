@@ -131,6 +131,12 @@ class Wavefront:
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
+        self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
+
+    @property
+    def stages(self) -> Stages:
+        """The kernels, to be launched one by one by whoever measures them."""
+        return self._stages
 
     def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
         scene, device, on = self.scene, self.device, self.features
@@ -294,7 +300,10 @@ class Wavefront:
         of = self._arguments
         for name in self._path_state:
             of[name], of[f"next_{name}"] = of[f"next_{name}"], of[name]
-        return int(self.device.read(of["total_alive"], np.uint32, 1)[0])
+        alive = int(self.device.read(of["total_alive"], np.uint32, 1)[0])
+        if self.on_bounce:
+            self.on_bounce(paths)
+        return alive
 
 
 def _sphere_around(bounds: np.ndarray) -> np.ndarray:
