@@ -299,8 +299,8 @@ def _bench_epilog() -> str:
             "",
             "--peers takes turns with Mitsuba 3 (llvm_ad_rgb, path) on the same file, size, depth and roulette; and,",
             "where a scene is made of triangles alone, with Embree on one thread on the same rays: the camera's, and",
-            "those after one diffuse bounce. It needs the extra `peers`; DRJIT_LIBLLVM_PATH may have to name a libLLVM,",
-            "19 or newer.",
+            "those after one diffuse bounce. It needs the extra `peers`; DRJIT_LIBLLVM_PATH may have to name a",
+            "libLLVM, 19 or newer.",
             "",
             "exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C",
         ]

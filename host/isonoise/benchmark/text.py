@@ -1,11 +1,14 @@
 """A measurement for a terminal, in the order in which a person asks: how fast, how soon, where the time goes."""
 
 import io
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from isonoise.benchmark.against import Comparison
 from isonoise.progress import count, duration
 
+WIDTH = 100
+"""Letters of a line of text."""
 SHOWN_BOUNCES = 8
 SHOWN_BUFFERS = 5
 BUSY = 0.3
@@ -21,14 +24,17 @@ def head_text(result: Mapping) -> str:
         ("device", f"{device['name']}, {device['compute_units']} compute units, {_bytes(device['memory_bytes'])}"),
         ("driver", f"{device['platform']}, {device['opencl_version']}, driver {device['driver_version']}"),
         ("isonoise", f"{result['isonoise_version']}, {device['local_size']} work-items a group; {result['system']}"),
-        ("figures", f"medians of {_repeats(result['repeat'])} after a warm-up, in brackets the least and the most"),
+        (
+            "figures",
+            f"medians of {_number(result['repeat'], 'repeat')} after a warm-up, in brackets the least and the most",
+        ),
         *note,
     )
 
 
 def scene_text(scene: Mapping) -> str:
     """The block of one scene."""
-    return "\n\n".join(["", _scene_lines(scene), _kernel_table(scene), _ray_table(scene), _memory_lines(scene)])
+    return "\n" + "\n\n".join([_scene_lines(scene), _kernel_table(scene), _ray_table(scene), _memory_lines(scene)])
 
 
 def summary_text(result: Mapping) -> str:
@@ -85,7 +91,8 @@ def _scene_lines(scene: Mapping) -> str:
     depth = "no max_depth" if scene["max_depth"] < 0 else f"max_depth {scene['max_depth']}"
     parts = [(scene["triangles"], "triangle"), (scene["analytic_shapes"], "analytic shape")]
     parts += [(scene["instances"], "instance"), (scene["lights"], "light")]
-    holds = ", ".join(f"{number:,} {what}{'s' * (number != 1)}" for number, what in parts if number)
+    holds = ", ".join(_number(*part) for part in parts if part[0])
+    features = textwrap.wrap(", ".join(scene["features"]), WIDTH)
     start, uncached = scene["start"]["cached"], scene["start"]["uncached"]
     spp = scene["samples"] / (scene["width"] * scene["height"])
     phases = [
@@ -94,8 +101,9 @@ def _scene_lines(scene: Mapping) -> str:
     ]
     speed = f"{spread(scene['samples_per_s'], count)}, {duration(scene['run_s']['median'])} for {spp:.4g} per pixel"
     return lines(
-        (scene["scene"], f"{scene['width']}x{scene['height']}, {depth}, roulette from {scene['rr_depth']}; {holds}"),
-        ("built in", ", ".join(scene["features"])),
+        ("scene", scene["scene"]),
+        ("", f"{scene['width']}x{scene['height']}, {depth}, roulette from {scene['rr_depth']}; {holds}"),
+        *zip(("built in", *[""] * len(features)), features, strict=False),
         ("samples/s", speed),
         ("start", f"{spread(start['process_s'], duration)} to the first image"),
         ("", f"{duration(uncached['process_s'])} where nothing was compiled before; with / without a cache:"),
@@ -137,10 +145,12 @@ def _memory_lines(scene: Mapping) -> str:
     filled = tree["triangles_per_block"]
     largest = list(memory["buffers_bytes"].items())[:SHOWN_BUFFERS]
     cost = "" if tree["sah_cost"] is None else f", SAH cost {tree['sah_cost']:.4g}"
-    leaves = f"{tree['leaves']:,} leaves" + ("" if filled is None else f" ({filled:.3g} triangles a block)")
+    leaves = f"{tree['leaves']:,} lea{'f' if tree['leaves'] == 1 else 'ves'}" + (
+        "" if filled is None else f" ({filled:.3g} triangles a block)"
+    )
     return lines(
         ("pool", f"{scene['pool_paths']:,} paths, {_percent(scene['occupancy'] or 0)} of them in use"),
-        ("hierarchy", f"{tree['nodes']:,} nodes ({tree['children_per_node']:.3g} children), {leaves}{cost}"),
+        ("hierarchy", f"{_number(tree['nodes'], 'node')} ({tree['children_per_node']:.3g} children), {leaves}{cost}"),
         ("", f"depth {tree['depth']}, {tree['stack_entries']} stack entries, {_bytes(tree['size_bytes'])}"),
         ("memory", f"{_bytes(memory['total_bytes'])}, {memory['state_bytes_per_path']:g} bytes of state a path"),
         ("", ", ".join(f"{name} {_bytes(size)}" for name, size in largest)),
@@ -151,8 +161,8 @@ def _verdict(slower: bool, counts: bool) -> str:
     return "slower" if slower else "" if counts else "too short to count"
 
 
-def _repeats(number: int) -> str:
-    return f"{number} repeat{'s' * (number != 1)}"
+def _number(number: int, what: str) -> str:
+    return f"{number:,} {what}{'s' * (number != 1)}"
 
 
 def _rate(figure: Mapping | None) -> str:
