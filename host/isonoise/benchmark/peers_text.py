@@ -62,6 +62,7 @@ def _ray_table(meshes: list[Mapping]) -> str:
             mesh["scene"],
             f"{mesh['triangles']:,}",
             row["kind"],
+            f"{100 * row['hit_share']:.0f} %",
             spread(row["mrays_per_s"], _ratio),
             spread(row["embree_mrays_per_s"], _ratio),
             spread(row["ratio"], _ratio),
@@ -70,7 +71,7 @@ def _ray_table(meshes: list[Mapping]) -> str:
         for mesh in meshes
         for row in mesh["rays"]
     ]
-    head = ("Mrays/s", "triangles", "rays", "isonoise", "Embree", "ratio", "same triangle")
+    head = ("Mrays/s", "triangles", "rays", "hit", "isonoise", "Embree", "ratio", "same triangle")
     builds = ", ".join(
         f"{mesh['scene']} {duration(mesh['build_s'])} / {duration(mesh['embree_build_s'])}" for mesh in meshes
     )
