@@ -6,6 +6,7 @@ import json
 import os
 import re
 import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -506,5 +507,5 @@ def test_bounced_rays_are_diffuse():
 def test_the_render_path_imports_no_benchmark():
     code = "import sys, isonoise.commands.render; print([m for m in sys.modules if 'benchmark' in m])"
     environment = os.environ | {"PYTHONPATH": str(Path(subject.__file__).parents[2])}
-    done = subprocess.run([os.sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert done.stdout.strip() == "[]", done.stderr
