@@ -83,7 +83,9 @@ def lines(*pairs: tuple[str, str]) -> str:
 
 
 def spread(figure: Mapping[str, float], show: Callable[[float], str]) -> str:
-    """A median with what is around it."""
+    """A median with what is around it, if anything is."""
+    if figure["min"] == figure["max"]:
+        return show(figure["median"])
     return f"{show(figure['median'])} ({show(figure['min'])} to {show(figure['max'])})"
 
 
