@@ -1,18 +1,16 @@
-// Traversal of the 8-wide bounding volume hierarchy; its layout is told in host/isonoise/scene/bvh.py.
-// Included by the stages that trace rays; they differ in what they do with a leaf and in when they stop.
+// A ray against a node and against a block of triangles of the 8-wide bounding volume hierarchy, whose layout is told in
+// host/isonoise/scene/bvh.py.
 #pragma once
 #include "instance.h"
 #include "vectors.h"
 
-#define STACK_SIZE 256  // host/isonoise/scene/bvh.py never builds a tree that needs more
 #define NODE_STRIDE 7
 #define BLOCK_STRIDE 10
-#define LANE_BITS (int8)(1, 2, 4, 8, 16, 32, 64, 128)
 
 typedef struct {
     float3 origin, direction;
     float3 inverse;     // 1 / direction, finite: a zero component becomes +-10^37
-    int3 near;          // which row of a node holds the near plane of each axis
+    int3 flip;          // from a node's row of lower planes to that of the near ones: 3 for negative directions, else 0
     int3 axis;          // x, y, z permuted so that |direction| is largest along the last
     float3 shear;       // Woop's shear constants for the permuted axes
     float3 permuted;    // origin, permuted
@@ -30,7 +28,7 @@ INLINE Ray make_ray(float3 origin, float3 direction)
     ray.direction = direction;
     const float3 size = abs3(direction);
     ray.inverse = 1.0f / (size < 1e-37f ? with_sign3((float3)(1e-37f), direction) : direction);
-    ray.near = ray.inverse < 0.0f ? (int3)(3, 4, 5) : (int3)(0, 1, 2);
+    ray.flip = ray.inverse < 0.0f ? (int3)(3) : (int3)(0);
     const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
     const int next = kz == 2 ? 0 : kz + 1, after = 3 - kz - next;
     // exchanging the first two axes keeps the orientation of triangles for negative directions
@@ -51,25 +49,16 @@ INLINE Ray make_object_ray(__global const Instance* instance, float3 origin, flo
 }
 #endif
 
-INLINE uint mask_bits(int8 mask)
-{
-    const int8 lanes = mask & LANE_BITS;
-    const int4 half_lanes = lanes.lo | lanes.hi;
-    const int2 quarter = half_lanes.lo | half_lanes.hi;
-    return (uint)(quarter.x | quarter.y);
-}
-
 // Which of the node's children the ray meets before t_max, as bits; `entry` gets the distances at which it enters them.
 // The far planes are widened by 2 gamma(3), so that rounding never loses a child: Ize, "Robust BVH Ray Traversal", JCGT 2013.
 INLINE uint children_met(__global const float8* node, const Ray* ray, float t_max, float8* entry)
 {
-    const int3 near = ray->near, far = (int3)(3, 5, 7) - near;
-    const float8 near_x = (node[near.x] - ray->origin.x) * ray->inverse.x;
-    const float8 near_y = (node[near.y] - ray->origin.y) * ray->inverse.y;
-    const float8 near_z = (node[near.z] - ray->origin.z) * ray->inverse.z;
-    const float8 far_x = (node[far.x] - ray->origin.x) * ray->inverse.x;
-    const float8 far_y = (node[far.y] - ray->origin.y) * ray->inverse.y;
-    const float8 far_z = (node[far.z] - ray->origin.z) * ray->inverse.z;
+    const int3 flip = ray->flip;
+    __global const float8 *near_x_row = node + flip.x, *near_y_row = node + flip.y + 1, *near_z_row = node + flip.z + 2;
+    __global const float8 *far_x_row = node - flip.x + 3, *far_y_row = node - flip.y + 4, *far_z_row = node - flip.z + 5;
+    const float8 near_x = (*near_x_row - ray->origin.x) * ray->inverse.x, far_x = (*far_x_row - ray->origin.x) * ray->inverse.x;
+    const float8 near_y = (*near_y_row - ray->origin.y) * ray->inverse.y, far_y = (*far_y_row - ray->origin.y) * ray->inverse.y;
+    const float8 near_z = (*near_z_row - ray->origin.z) * ray->inverse.z, far_z = (*far_z_row - ray->origin.z) * ray->inverse.z;
     const float8 near_yz = GREATER(near_y, near_z), near_x0 = GREATER(near_x, (float8)(0.0f));
     const float8 far_yz = LESSER(far_y, far_z), far_xt = LESSER(far_x, (float8)(t_max));
     *entry = GREATER(near_yz, near_x0);
@@ -88,10 +77,11 @@ INLINE uint triangles_met(__global const float8* block, const Ray* ray, uint2 sk
 {
     const int3 k = ray->axis;
     const float3 o = ray->permuted, s = ray->shear;
-    const float8 az = block[k.z] - o.z, bz = block[3 + k.z] - o.z, cz = block[6 + k.z] - o.z;
-    const float8 ax = (block[k.x] - o.x) - s.x * az, ay = (block[k.y] - o.y) - s.y * az;
-    const float8 bx = (block[3 + k.x] - o.x) - s.x * bz, by = (block[3 + k.y] - o.y) - s.y * bz;
-    const float8 cx = (block[6 + k.x] - o.x) - s.x * cz, cy = (block[6 + k.y] - o.y) - s.y * cz;
+    __global const float8 *x = block + k.x, *y = block + k.y, *z = block + k.z;
+    const float8 az = z[0] - o.z, bz = z[3] - o.z, cz = z[6] - o.z;
+    const float8 ax = (x[0] - o.x) - s.x * az, ay = (y[0] - o.y) - s.y * az;
+    const float8 bx = (x[3] - o.x) - s.x * bz, by = (y[3] - o.y) - s.y * bz;
+    const float8 cx = (x[6] - o.x) - s.x * cz, cy = (y[6] - o.y) - s.y * cz;
     const float8 edge_a = cx * by - cy * bx, edge_b = ax * cy - ay * cx, edge_c = bx * ay - by * ax;
     const float8 lowest = LESSER(LESSER(edge_a, edge_b), edge_c), highest = GREATER(GREATER(edge_a, edge_b), edge_c);
     const float8 determinant = edge_a + edge_b + edge_c;

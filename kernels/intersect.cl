@@ -1,7 +1,8 @@
 // Stage: the closest surface along the ray of every path.
 // Reads ray_origin, ray_direction, path (the primitive that the ray starts on); writes hit = (t, u, v, primitive bits).
 // With instances: reads in which one the ray starts, writes in which one it ends; NONE is the world.
-#include "bvh.h"
+// To measure: writes how many nodes and blocks of triangles each ray was tested against.
+#include "traverse.h"
 
 __kernel void intersect(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
                         __global const Analytic* analytics, __global const float4* ray_origin,
@@ -9,103 +10,71 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
 #if FEATURE_INSTANCES
                         , __global const Instance* instances, uint first_instance, __global uint* instance
 #endif
+#if FEATURE_COUNT_TESTS
+                        , __global uint2* tests
+#endif
                         )
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
     const float4 origin = ray_origin[i];
     const float3 direction = ray_direction[i].xyz;
-    Ray ray = make_ray(origin.xyz, direction);
-
-    uint2 skip = (uint2)(path[i].y, NONE);
+    Walk walk;
 #if FEATURE_INSTANCES
-    const uint start = instance[i];
-    uint inside = NONE, hit_instance = NONE, bottom = 0;  // bottom: the part of the stack that is of the world
+    walk.instances = instances;
+    walk.first_instance = first_instance;
+    walk.start = instance[i];
+    uint hit_instance = NONE;
 #endif
+    ulong stack[STACK_SIZE];
+    begin_walk(&walk, stack, origin.xyz, direction, (uint2)(path[i].y, NONE));
 
     float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
     uint primitive = NONE;
-    int stack[STACK_SIZE];
-    float stack_entry[STACK_SIZE];
-    uint height = 0;
-    int reference = 0;
-    for (;;) {
-        if (reference >= 0) {
-            __global const float8* node = nodes + NODE_STRIDE * reference;
-            __global const int* children = (__global const int*)(node + 6);
-            Lanes entry;
-            uint met = children_met(node, &ray, t_max, &entry.all);
-            // nearest on top: insertion into the part of the stack that this node adds
-            const uint base = height;
-            for (; met; met &= met - 1u) {
-                const uint child = lowest_bit(met);
-                uint place = height++;
-                for (; place > base && stack_entry[place - 1] < entry.lane[child]; --place) {
-                    stack[place] = stack[place - 1];
-                    stack_entry[place] = stack_entry[place - 1];
-                }
-                stack[place] = children[child];
-                stack_entry[place] = entry.lane[child];
-            }
-        } else {
-            const uint leaf = (uint)(~reference);
-#if FEATURE_INSTANCES
-            if (leaf >= first_instance) {
-                inside = leaf - first_instance;
-                bottom = height;
-                skip.x = skip_inside(path[i].y, start, inside);
-                ray = make_object_ray(instances + inside, origin.xyz, direction);
-                reference = (int)instances[inside].root;
-                continue;
-            }
+#if FEATURE_COUNT_TESTS
+    uint blocks_tested = 0u;
 #endif
+    for (uint leaf; (leaf = next_leaf(&walk, stack, nodes, t_max, true)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
-            if (leaf < block_count) {
-                __global const float8* block = blocks + BLOCK_STRIDE * leaf;
-                Lanes t, u, v;
-                for (uint met = triangles_met(block, &ray, skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
-                    const uint lane = lowest_bit(met);
-                    if (t.lane[lane] < t_max) {
-                        t_max = t.lane[lane];
-                        hit_u = u.lane[lane];
-                        hit_v = v.lane[lane];
-                        primitive = ((__global const uint*)(block + 9))[lane];
-#if FEATURE_INSTANCES
-                        hit_instance = inside;
+        if (leaf < block_count) {
+#if FEATURE_COUNT_TESTS
+            ++blocks_tested;
 #endif
-                    }
+            __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+            Lanes t, u, v;
+            for (uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
+                const uint lane = lowest_bit(met);
+                if (t.lane[lane] < t_max) {
+                    t_max = t.lane[lane];
+                    hit_u = u.lane[lane];
+                    hit_v = v.lane[lane];
+                    primitive = ((__global const uint*)(block + 9))[lane];
+#if FEATURE_INSTANCES
+                    hit_instance = walk.inside;
+#endif
                 }
             }
+        }
 #endif
 #if FEATURE_ANALYTICS
-            if (leaf >= block_count) {
-                const float t = analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip, t_max);
-                if (t < t_max) {
-                    t_max = t;
-                    primitive = ANALYTIC_BIT | (leaf - block_count);
+        if (leaf >= block_count) {
+            const uint index = leaf - block_count;
+            const float t = analytic_distance(analytics, index, walk.ray.origin, walk.ray.direction, walk.skip, t_max);
+            if (t < t_max) {
+                t_max = t;
+                primitive = ANALYTIC_BIT | index;
 #if FEATURE_INSTANCES
-                    hit_instance = inside;
+                hit_instance = walk.inside;
 #endif
-                }
             }
-#endif
         }
-        do {
-#if FEATURE_INSTANCES
-            if (inside != NONE && height == bottom) {
-                inside = NONE;
-                ray = make_ray(origin.xyz, direction);
-            }
 #endif
-            if (height == 0) {
-                hit[i] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
-#if FEATURE_INSTANCES
-                instance[i] = hit_instance;
-#endif
-                return;
-            }
-            --height;
-        } while (stack_entry[height] >= t_max);
-        reference = stack[height];
     }
+    hit[i] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
+#if FEATURE_INSTANCES
+    instance[i] = hit_instance;
+#endif
+#if FEATURE_COUNT_TESTS
+    tests[i] = (uint2)(walk.nodes, blocks_tested);
+#endif
 }

@@ -1,7 +1,7 @@
 // Stage: the shadow rays that shade has left; what arrives unblocked is added to the path's sample.
 // Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
 // shadow_radiance, hit (the primitive it starts on); adds to samples.
-#include "bvh.h"
+#include "traverse.h"
 
 __kernel void shadow(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
                      __global const Analytic* analytics, __global const float4* shadow_origin,
@@ -19,53 +19,24 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
     const float t_max = direction.w;
     if (t_max == 0.0f) return;
     const float4 origin = shadow_origin[i];
-    uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
-    Ray ray = make_ray(origin.xyz, direction.xyz);
+    Walk walk;
 #if FEATURE_INSTANCES
-    const uint start = instance[i];
-    uint inside = NONE, bottom = 0;  // the part of the stack that is of the world
+    walk.instances = instances;
+    walk.first_instance = first_instance;
+    walk.start = instance[i];
 #endif
-
-    int stack[STACK_SIZE];
-    uint height = 0;
-    int reference = 0;
-    for (;;) {
-        if (reference >= 0) {
-            __global const float8* node = nodes + NODE_STRIDE * reference;
-            __global const int* children = (__global const int*)(node + 6);
-            float8 entry;
-            for (uint met = children_met(node, &ray, t_max, &entry); met; met &= met - 1u)
-                stack[height++] = children[lowest_bit(met)];
-        } else {
-            const uint leaf = (uint)(~reference);
-#if FEATURE_INSTANCES
-            if (leaf >= first_instance) {
-                inside = leaf - first_instance;
-                bottom = height;
-                skip.x = skip_inside(as_uint(hit[i].w), start, inside);
-                ray = make_object_ray(instances + inside, origin.xyz, direction.xyz);
-                reference = (int)instances[inside].root;
-                continue;
-            }
-#endif
+    ulong stack[STACK_SIZE];
+    begin_walk(&walk, stack, origin.xyz, direction.xyz, (uint2)(as_uint(hit[i].w), as_uint(origin.w)));
+    for (uint leaf; (leaf = next_leaf(&walk, stack, nodes, t_max, false)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
-            float8 t, u, v;
-            if (leaf < block_count && triangles_met(blocks + BLOCK_STRIDE * leaf, &ray, skip, t_max, &t, &u, &v)) return;
+        float8 t, u, v;
+        if (leaf < block_count && triangles_met(blocks + BLOCK_STRIDE * leaf, &walk.ray, walk.skip, t_max, &t, &u, &v)) return;
 #endif
 #if FEATURE_ANALYTICS
-            if (leaf >= block_count &&
-                analytic_distance(analytics, leaf - block_count, ray.origin, ray.direction, skip, t_max) < t_max)
-                return;
+        if (leaf >= block_count &&
+            analytic_distance(analytics, leaf - block_count, walk.ray.origin, walk.ray.direction, walk.skip, t_max) < t_max)
+            return;
 #endif
-        }
-#if FEATURE_INSTANCES
-        if (inside != NONE && height == bottom) {
-            inside = NONE;
-            ray = make_ray(origin.xyz, direction.xyz);
-        }
-#endif
-        if (height == 0) break;
-        reference = stack[--height];
     }
     const uint sample = path[i].x;
     store3(LOAD3(sample, samples) + shadow_radiance[i].xyz, sample, samples);

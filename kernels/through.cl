@@ -6,9 +6,9 @@
 // through ends the search. The medium behind a boundary holds to the next one, so these are put in order first. Summing
 // distance * (sigma before - sigma behind) would need no order, but would cancel where a thin layer of a dense medium is far away,
 // and go wrong where a scene does not name the media of both sides, which paths, that walk from one to the next, need not know.
-#include "bvh.h"
 #include "medium.h"
 #include "through.h"
+#include "traverse.h"
 
 typedef struct {
     float3 share;  // of the light that gets through the surfaces met so far
@@ -28,7 +28,7 @@ INLINE void fly_through(Passage* p, __global const Medium* media, float distance
     p->passed = distance;
 }
 
-INLINE void walk(Passage* p, __global const Medium* media, float length)
+INLINE void walk_media(Passage* p, __global const Medium* media, float length)
 {
     for (uint k = 0u; k < p->boundaries.count; ++k) {
         fly_through(p, media, p->boundaries.distance[k], length);
@@ -85,12 +85,6 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
     const float t_max = direction.w;
     if (t_max == 0.0f) return;
     const float4 origin = shadow_origin[i];
-    uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
-    Ray ray = make_ray(origin.xyz, direction.xyz);
-#if FEATURE_INSTANCES
-    const uint start = instance[i];
-    uint inside = NONE, bottom = 0;  // the part of the stack that is of the world
-#endif
     Geometry geometry;
     geometry.triangles = triangles;
     geometry.faces = faces;
@@ -114,94 +108,74 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
     const float length = SQRT(dot3(direction.xyz, direction.xyz));
 #endif
 
-    int stack[STACK_SIZE];
-    uint height = 0;
-    int reference = 0;
-    for (;;) {
-        if (reference >= 0) {
-            __global const float8* node = nodes + NODE_STRIDE * reference;
-            __global const int* children = (__global const int*)(node + 6);
-            float8 entry;
-            for (uint met = children_met(node, &ray, t_max, &entry); met; met &= met - 1u)
-                stack[height++] = children[lowest_bit(met)];
-        } else {
-            const uint leaf = (uint)(~reference);
+    Walk walk;
 #if FEATURE_INSTANCES
-            if (leaf >= first_instance) {
-                inside = leaf - first_instance;
-                bottom = height;
-                skip.x = skip_inside(as_uint(hit[i].w), start, inside);
-                ray = make_object_ray(instances + inside, origin.xyz, direction.xyz);
-                reference = (int)instances[inside].root;
+    walk.instances = instances;
+    walk.first_instance = first_instance;
+    walk.start = instance[i];
+#endif
+    ulong stack[STACK_SIZE];
+    const uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
+    begin_walk(&walk, stack, origin.xyz, direction.xyz, skip);
+    for (;;) {
+        const uint leaf = next_leaf(&walk, stack, nodes, t_max, false);
+        if (leaf == NO_LEAF) {
+#if FEATURE_MEDIA
+            const bool more = passage.boundaries.count == MOST_BOUNDARIES;
+            walk_media(&passage, media, length);
+            if (more) {
+                passage.again = true;
+                passage.boundaries.count = 0u;
+                begin_walk(&walk, stack, origin.xyz, direction.xyz, skip);
                 continue;
             }
-#endif
-#if FEATURE_TRIANGLES
-            if (leaf < block_count) {
-                __global const float8* block = blocks + BLOCK_STRIDE * leaf;
-                Lanes t, u, v;
-                for (uint met = triangles_met(block, &ray, skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
-                    const uint lane = lowest_bit(met), primitive = ((__global const uint*)(block + 9))[lane];
-                    const uint flags = as_uint(triangles[TRIANGLE_ROWS * primitive + 2u].w) ^ LANE_BIAS;
-                    if (!(flags & SHAPE_SEE_THROUGH)) return;
-#if FEATURE_INSTANCES
-                    const Surface s = instanced_surface_at(&geometry, instances, inside, primitive, origin.xyz,
-                                                           direction.xyz, t.lane[lane], u.lane[lane], v.lane[lane]);
-#else
-                    const Surface s = triangle_surface(&geometry, primitive, u.lane[lane], v.lane[lane]);
-#endif
-                    if (!pass(&geometry, bsdfs, &s, direction.xyz, t.lane[lane], &passage)) return;
-                }
+            float end = t_max;
+            if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
+                const float3 arm = origin.xyz - scene_sphere.xyz;
+                end = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
             }
+            fly_through(&passage, media, end, length);
+#endif
+            break;
+        }
+#if FEATURE_TRIANGLES
+        if (leaf < block_count) {
+            __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+            Lanes t, u, v;
+            for (uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
+                const uint lane = lowest_bit(met), primitive = ((__global const uint*)(block + 9))[lane];
+                const uint flags = as_uint(triangles[TRIANGLE_ROWS * primitive + 2u].w) ^ LANE_BIAS;
+                if (!(flags & SHAPE_SEE_THROUGH)) return;
+#if FEATURE_INSTANCES
+                const Surface s = instanced_surface_at(&geometry, instances, walk.inside, primitive, origin.xyz, direction.xyz,
+                                                       t.lane[lane], u.lane[lane], v.lane[lane]);
+#else
+                const Surface s = triangle_surface(&geometry, primitive, u.lane[lane], v.lane[lane]);
+#endif
+                if (!pass(&geometry, bsdfs, &s, direction.xyz, t.lane[lane], &passage)) return;
+            }
+        }
 #endif
 #if FEATURE_ANALYTICS
-            if (leaf >= block_count) {
-                const uint index = leaf - block_count;
-                float3 from = ray.origin;
-                float t = 0.0f;
-                for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
-                    const float on = analytic_distance(analytics, index, from, ray.direction, skip, t_max - t);
-                    t += on;
-                    if (!(t < t_max)) break;
-                    if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;
-                    Surface s = analytic_surface(&geometry, index, from + on * ray.direction);
-                    from = leave(&s, ray.direction);
+        if (leaf >= block_count) {
+            const uint index = leaf - block_count;
+            float3 from = walk.ray.origin;
+            float t = 0.0f;
+            for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
+                const float on = analytic_distance(analytics, index, from, walk.ray.direction, walk.skip, t_max - t);
+                t += on;
+                if (!(t < t_max)) break;
+                if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;
+                Surface s = analytic_surface(&geometry, index, from + on * walk.ray.direction);
+                from = leave(&s, walk.ray.direction);
 #if FEATURE_INSTANCES
-                    s = instanced_surface_at(&geometry, instances, inside, ANALYTIC_BIT | index, origin.xyz, direction.xyz, t,
-                                             0.0f, 0.0f);
+                s = instanced_surface_at(&geometry, instances, walk.inside, ANALYTIC_BIT | index, origin.xyz, direction.xyz, t,
+                                         0.0f, 0.0f);
 #endif
-                    if (!pass(&geometry, bsdfs, &s, direction.xyz, t, &passage)) return;
-                }
+                if (!pass(&geometry, bsdfs, &s, direction.xyz, t, &passage)) return;
             }
-#endif
-        }
-#if FEATURE_INSTANCES
-        if (inside != NONE && height == bottom) {
-            inside = NONE;
-            ray = make_ray(origin.xyz, direction.xyz);
         }
 #endif
-        if (height > 0u) {
-            reference = stack[--height];
-            continue;
-        }
-#if FEATURE_MEDIA
-        const bool more = passage.boundaries.count == MOST_BOUNDARIES;
-        walk(&passage, media, length);
-        if (more) {
-            passage.again = true;
-            passage.boundaries.count = 0u;
-            reference = 0;
-            continue;
-        }
-        float end = t_max;
-        if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
-            const float3 arm = origin.xyz - scene_sphere.xyz;
-            end = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
-        }
-        fly_through(&passage, media, end, length);
-#endif
-        break;
     }
     const uint sample = path[i].x;
     store3(LOAD3(sample, samples) + passage.share * shadow_radiance[i].xyz, sample, samples);

@@ -11,7 +11,8 @@ from isonoise.scene import structs
 from isonoise.scene.bounds import analytic_bounds
 from isonoise.scene.bvh import WIDTH, build_bvh
 
-FEATURES = dict.fromkeys(("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"), True) | {"INSTANCES": False}
+FEATURES = dict.fromkeys(("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"), True)
+FEATURES |= dict.fromkeys(("INSTANCES", "COUNT_TESTS"), False)
 ANALYTIC_BIT = 0x80000000
 
 

@@ -48,7 +48,7 @@ KERNELS = {
     "intersect": (
         "intersect.cl",
         "paths nodes blocks block_count analytics ray_origin ray_direction path hit "
-        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
+        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance COUNT_TESTS:tests",
     ),
     "shade": (
         "shade.cl",
@@ -199,6 +199,7 @@ class Wavefront:
                 for name in (state, f"next_{state}")
             },
             "hit": per_path("the hits"),
+            "tests": per_path("the counts of tests", 8) if on["COUNT_TESTS"] else None,
             "shadow_origin": per_path("the shadow rays") if shadowed else None,
             "shadow_direction": per_path("the shadow rays") if shadowed else None,
             "shadow_radiance": per_path("the shadow rays") if shadowed else None,

@@ -19,7 +19,7 @@ WIDTH = 8
 SPLIT_COST = 0.15
 """Cost of a binary split in tests of a block: a node of 8 children, about as dear as a block, stands for 7 splits."""
 STACK_SIZE = 256
-"""Entries of a ray's traversal stack (kernels/bvh.h); deeper trees are built again by halving."""
+"""Entries of a ray's traversal stack (kernels/traverse.h); deeper trees are built again by halving."""
 
 
 @dataclass(frozen=True)
