@@ -9,7 +9,9 @@
 
 typedef struct {
     float3 origin, direction;
-    float3 inverse;     // 1 / direction, finite: a zero component becomes +-10^37
+    // What takes a plane of a box to its distance along the ray: plane * scale + shift. Near planes are rounded down and far ones
+    // up, by more than all roundings can add up to, so that none ever loses a child.
+    float3 near_scale, near_shift, far_scale, far_shift;
     int3 flip;          // from a node's row of lower planes to that of the near ones: 3 for negative directions, else 0
     int3 axis;          // x, y, z permuted so that |direction| is largest along the last
     float3 shear;       // Woop's shear constants for the permuted axes
@@ -27,8 +29,17 @@ INLINE Ray make_ray(float3 origin, float3 direction)
     ray.origin = origin;
     ray.direction = direction;
     const float3 size = abs3(direction);
-    ray.inverse = 1.0f / (size < 1e-37f ? with_sign3((float3)(1e-37f), direction) : direction);
-    ray.flip = ray.inverse < 0.0f ? (int3)(3) : (int3)(0);
+    // A component of zero becomes one that moves the ray by nothing that counts and keeps the shifts finite.
+    const float3 least = 1e-30f * abs3(origin) + 1e-37f;
+    const float3 inverse = 1.0f / (size < least ? with_sign3(least, direction) : direction);
+    // The division, the products and the sum round by 2^-24 of a result each. What a shift rounds does not become smaller where it
+    // cancels against a plane: it is taken off and added. The rest widens the far side: Ize, "Robust BVH Ray Traversal", JCGT 2013.
+    const float3 shift = -origin * inverse, rounding = 0x1.8p-22f * abs3(shift);
+    ray.near_scale = inverse;
+    ray.near_shift = shift - rounding;
+    ray.far_scale = inverse * 1.0000008f;
+    ray.far_shift = shift * 1.0000008f + rounding;
+    ray.flip = inverse < 0.0f ? (int3)(3) : (int3)(0);
     const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
     const int next = kz == 2 ? 0 : kz + 1, after = 3 - kz - next;
     // exchanging the first two axes keeps the orientation of triangles for negative directions
@@ -50,20 +61,19 @@ INLINE Ray make_object_ray(__global const Instance* instance, float3 origin, flo
 #endif
 
 // Which of the node's children the ray meets before t_max, as bits; `entry` gets the distances at which it enters them.
-// The far planes are widened by 2 gamma(3), so that rounding never loses a child: Ize, "Robust BVH Ray Traversal", JCGT 2013.
 INLINE uint children_met(__global const float8* node, const Ray* ray, float t_max, float8* entry)
 {
     const int3 flip = ray->flip;
-    __global const float8 *near_x_row = node + flip.x, *near_y_row = node + flip.y + 1, *near_z_row = node + flip.z + 2;
-    __global const float8 *far_x_row = node - flip.x + 3, *far_y_row = node - flip.y + 4, *far_z_row = node - flip.z + 5;
-    const float8 near_x = (*near_x_row - ray->origin.x) * ray->inverse.x, far_x = (*far_x_row - ray->origin.x) * ray->inverse.x;
-    const float8 near_y = (*near_y_row - ray->origin.y) * ray->inverse.y, far_y = (*far_y_row - ray->origin.y) * ray->inverse.y;
-    const float8 near_z = (*near_z_row - ray->origin.z) * ray->inverse.z, far_z = (*far_z_row - ray->origin.z) * ray->inverse.z;
+    const float3 near = ray->near_scale, near_by = ray->near_shift, far = ray->far_scale, far_by = ray->far_shift;
+    __global const float8 *near_row_x = node + flip.x, *near_row_y = node + flip.y + 1, *near_row_z = node + flip.z + 2;
+    __global const float8 *far_row_x = node - flip.x + 3, *far_row_y = node - flip.y + 4, *far_row_z = node - flip.z + 5;
+    const float8 near_x = FMA8(*near_row_x, near.x, near_by.x), far_x = FMA8(*far_row_x, far.x, far_by.x);
+    const float8 near_y = FMA8(*near_row_y, near.y, near_by.y), far_y = FMA8(*far_row_y, far.y, far_by.y);
+    const float8 near_z = FMA8(*near_row_z, near.z, near_by.z), far_z = FMA8(*far_row_z, far.z, far_by.z);
     const float8 near_yz = GREATER(near_y, near_z), near_x0 = GREATER(near_x, (float8)(0.0f));
     const float8 far_yz = LESSER(far_y, far_z), far_xt = LESSER(far_x, (float8)(t_max));
     *entry = GREATER(near_yz, near_x0);
-    const float8 leave = LESSER(far_yz, far_xt) * 1.0000008f;
-    return mask_bits(*entry <= leave);
+    return mask_bits(*entry <= LESSER(far_yz, far_xt));
 }
 
 #if FEATURE_TRIANGLES

@@ -41,8 +41,14 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
             ++blocks_tested;
 #endif
             __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+            float8 t8, u8, v8;
+            uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t8, &u8, &v8);
+            if (!met) continue;
             Lanes t, u, v;
-            for (uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
+            t.all = t8;
+            u.all = u8;
+            v.all = v8;
+            for (; met; met &= met - 1u) {
                 const uint lane = lowest_bit(met);
                 if (t.lane[lane] < t_max) {
                     t_max = t.lane[lane];

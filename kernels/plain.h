@@ -32,6 +32,13 @@
 #define FMA(a, b, c) fma(a, b, c)
 #endif
 
+// The same for 8 lanes times a scalar.
+#if defined(__FMA__) && HAS_BUILTIN(__builtin_ia32_vfmaddps256)
+#define FMA8(a, b, c) __builtin_ia32_vfmaddps256(a, (float8)(b), (float8)(c))
+#else
+#define FMA8(a, b, c) fma(a, (float8)(b), (float8)(c))
+#endif
+
 INLINE float dot3(float3 a, float3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;

@@ -18,7 +18,9 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
     const float4 direction = shadow_direction[i];
     const float t_max = direction.w;
     if (t_max == 0.0f) return;
-    const float4 origin = shadow_origin[i];
+    // not with its fourth lane, which is a denormal number to arithmetic on four
+    const float3 origin = LOAD3(0, (__global const float*)(shadow_origin + i));
+    const uint end = ((__global const uint*)(shadow_origin + i))[3];
     Walk walk;
 #if FEATURE_INSTANCES
     walk.instances = instances;
@@ -26,7 +28,7 @@ __kernel void shadow(uint paths, __global const float8* nodes, __global const fl
     walk.start = instance[i];
 #endif
     ulong stack[STACK_SIZE];
-    begin_walk(&walk, stack, origin.xyz, direction.xyz, (uint2)(as_uint(hit[i].w), as_uint(origin.w)));
+    begin_walk(&walk, stack, origin, direction.xyz, (uint2)(as_uint(hit[i].w), end));
     for (uint leaf; (leaf = next_leaf(&walk, stack, nodes, t_max, false)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
         float8 t, u, v;

@@ -84,7 +84,9 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
     const float4 direction = shadow_direction[i];
     const float t_max = direction.w;
     if (t_max == 0.0f) return;
-    const float4 origin = shadow_origin[i];
+    // not with its fourth lane, which is a denormal number to arithmetic on four
+    const float3 origin = LOAD3(0, (__global const float*)(shadow_origin + i));
+    const uint end = ((__global const uint*)(shadow_origin + i))[3];
     Geometry geometry;
     geometry.triangles = triangles;
     geometry.faces = faces;
@@ -115,8 +117,8 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
     walk.start = instance[i];
 #endif
     ulong stack[STACK_SIZE];
-    const uint2 skip = (uint2)(as_uint(hit[i].w), as_uint(origin.w));
-    begin_walk(&walk, stack, origin.xyz, direction.xyz, skip);
+    const uint2 skip = (uint2)(as_uint(hit[i].w), end);
+    begin_walk(&walk, stack, origin, direction.xyz, skip);
     for (;;) {
         const uint leaf = next_leaf(&walk, stack, nodes, t_max, false);
         if (leaf == NO_LEAF) {
@@ -126,15 +128,15 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
             if (more) {
                 passage.again = true;
                 passage.boundaries.count = 0u;
-                begin_walk(&walk, stack, origin.xyz, direction.xyz, skip);
+                begin_walk(&walk, stack, origin, direction.xyz, skip);
                 continue;
             }
-            float end = t_max;
+            float end_of_flight = t_max;
             if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
-                const float3 arm = origin.xyz - scene_sphere.xyz;
-                end = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
+                const float3 arm = origin - scene_sphere.xyz;
+                end_of_flight = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
             }
-            fly_through(&passage, media, end, length);
+            fly_through(&passage, media, end_of_flight, length);
 #endif
             break;
         }
@@ -147,7 +149,7 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
                 const uint flags = as_uint(triangles[TRIANGLE_ROWS * primitive + 2u].w) ^ LANE_BIAS;
                 if (!(flags & SHAPE_SEE_THROUGH)) return;
 #if FEATURE_INSTANCES
-                const Surface s = instanced_surface_at(&geometry, instances, walk.inside, primitive, origin.xyz, direction.xyz,
+                const Surface s = instanced_surface_at(&geometry, instances, walk.inside, primitive, origin, direction.xyz,
                                                        t.lane[lane], u.lane[lane], v.lane[lane]);
 #else
                 const Surface s = triangle_surface(&geometry, primitive, u.lane[lane], v.lane[lane]);
@@ -169,7 +171,7 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
                 Surface s = analytic_surface(&geometry, index, from + on * walk.ray.direction);
                 from = leave(&s, walk.ray.direction);
 #if FEATURE_INSTANCES
-                s = instanced_surface_at(&geometry, instances, walk.inside, ANALYTIC_BIT | index, origin.xyz, direction.xyz, t,
+                s = instanced_surface_at(&geometry, instances, walk.inside, ANALYTIC_BIT | index, origin, direction.xyz, t,
                                          0.0f, 0.0f);
 #endif
                 if (!pass(&geometry, bsdfs, &s, direction.xyz, t, &passage)) return;

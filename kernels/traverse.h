@@ -94,6 +94,10 @@ INLINE uint next_leaf(Walk* walk, ulong* stack, __global const float8* nodes, fl
                 reference = (int)children[child];
                 continue;
             }
+            if (!met) {
+                reference = (int)children[child];
+                continue;
+            }
             // the nearest is next, the others go to the stack with the farthest lowest
             ulong nearest = stack_entry(entry.lane[child], children[child]);
             const uint base = height;
