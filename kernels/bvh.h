@@ -18,11 +18,6 @@ typedef struct {
     float3 permuted;    // origin, permuted
 } Ray;
 
-INLINE float component(float3 v, int i)
-{
-    return i == 0 ? v.x : i == 1 ? v.y : v.z;
-}
-
 INLINE Ray make_ray(float3 origin, float3 direction)
 {
     Ray ray;
@@ -42,12 +37,15 @@ INLINE Ray make_ray(float3 origin, float3 direction)
     ray.flip = inverse < 0.0f ? (int3)(3) : (int3)(0);
     const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
     const int next = kz == 2 ? 0 : kz + 1, after = 3 - kz - next;
+    FourLanes d, o;  // by number from memory: a choice among three components takes five instructions
+    d.all = (float4)(direction, 0.0f);
+    o.all = (float4)(origin, 0.0f);
     // exchanging the first two axes keeps the orientation of triangles for negative directions
-    const bool flip = component(direction, kz) < 0.0f;
+    const bool flip = d.lane[kz] < 0.0f;
     ray.axis = (int3)(flip ? after : next, flip ? next : after, kz);
-    const float scale = 1.0f / component(direction, kz);
-    ray.shear = (float3)(component(direction, ray.axis.x) * scale, component(direction, ray.axis.y) * scale, scale);
-    ray.permuted = (float3)(component(origin, ray.axis.x), component(origin, ray.axis.y), component(origin, kz));
+    const float scale = 1.0f / d.lane[kz];
+    ray.shear = (float3)(d.lane[ray.axis.x] * scale, d.lane[ray.axis.y] * scale, scale);
+    ray.permuted = (float3)(o.lane[ray.axis.x], o.lane[ray.axis.y], o.lane[kz]);
     return ray;
 }
 

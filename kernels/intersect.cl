@@ -4,8 +4,8 @@
 // To measure: writes how many nodes and blocks of triangles each ray was tested against.
 #include "traverse.h"
 
-__kernel void intersect(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
-                        __global const Analytic* analytics, __global const float4* ray_origin,
+__kernel void intersect(uint paths, uint rays_per_item, __global const float8* nodes, __global const float8* blocks,
+                        uint block_count, __global const Analytic* analytics, __global const float4* ray_origin,
                         __global const float4* ray_direction, __global const uint4* path, __global float4* hit
 #if FEATURE_INSTANCES
                         , __global const Instance* instances, uint first_instance, __global uint* instance
@@ -15,72 +15,73 @@ __kernel void intersect(uint paths, __global const float8* nodes, __global const
 #endif
                         )
 {
-    const uint i = get_global_id(0);
-    if (i >= paths) return;
-    const float4 origin = ray_origin[i];
-    const float3 direction = ray_direction[i].xyz;
-    Walk walk;
+    const uint first = get_global_id(0) * rays_per_item, end = LESSER(first + rays_per_item, paths);
+    for (uint i = first; i < end; ++i) {
+        const float4 origin = ray_origin[i];
+        const float3 direction = ray_direction[i].xyz;
+        Walk walk;
 #if FEATURE_INSTANCES
-    walk.instances = instances;
-    walk.first_instance = first_instance;
-    walk.start = instance[i];
-    uint hit_instance = NONE;
+        walk.instances = instances;
+        walk.first_instance = first_instance;
+        walk.start = instance[i];
+        uint hit_instance = NONE;
 #endif
-    ulong stack[STACK_SIZE];
-    begin_walk(&walk, stack, origin.xyz, direction, (uint2)(path[i].y, NONE));
+        ulong stack[STACK_SIZE];
+        begin_walk(&walk, stack, origin.xyz, direction, (uint2)(path[i].y, NONE));
 
-    float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
-    uint primitive = NONE;
+        float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
+        uint primitive = NONE;
 #if FEATURE_COUNT_TESTS
-    uint blocks_tested = 0u;
+        uint blocks_tested = 0u;
 #endif
-    for (uint leaf; (leaf = next_leaf(&walk, stack, nodes, t_max, true)) != NO_LEAF;) {
+        for (uint leaf; (leaf = next_leaf(&walk, stack, nodes, blocks, t_max, true)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
-        if (leaf < block_count) {
+            if (leaf < block_count) {
 #if FEATURE_COUNT_TESTS
-            ++blocks_tested;
+                ++blocks_tested;
 #endif
-            __global const float8* block = blocks + BLOCK_STRIDE * leaf;
-            float8 t8, u8, v8;
-            uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t8, &u8, &v8);
-            if (!met) continue;
-            Lanes t, u, v;
-            t.all = t8;
-            u.all = u8;
-            v.all = v8;
-            for (; met; met &= met - 1u) {
-                const uint lane = lowest_bit(met);
-                if (t.lane[lane] < t_max) {
-                    t_max = t.lane[lane];
-                    hit_u = u.lane[lane];
-                    hit_v = v.lane[lane];
-                    primitive = ((__global const uint*)(block + 9))[lane];
+                __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+                float8 t8, u8, v8;
+                uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t8, &u8, &v8);
+                if (!met) continue;
+                Lanes t, u, v;
+                t.all = t8;
+                u.all = u8;
+                v.all = v8;
+                for (; met; met &= met - 1u) {
+                    const uint lane = lowest_bit(met);
+                    if (t.lane[lane] < t_max) {
+                        t_max = t.lane[lane];
+                        hit_u = u.lane[lane];
+                        hit_v = v.lane[lane];
+                        primitive = ((__global const uint*)(block + 9))[lane];
+#if FEATURE_INSTANCES
+                        hit_instance = walk.inside;
+#endif
+                    }
+                }
+            }
+#endif
+#if FEATURE_ANALYTICS
+            if (leaf >= block_count) {
+                const uint index = leaf - block_count;
+                const float t = analytic_distance(analytics, index, walk.ray.origin, walk.ray.direction, walk.skip, t_max);
+                if (t < t_max) {
+                    t_max = t;
+                    primitive = ANALYTIC_BIT | index;
 #if FEATURE_INSTANCES
                     hit_instance = walk.inside;
 #endif
                 }
             }
+#endif
         }
-#endif
-#if FEATURE_ANALYTICS
-        if (leaf >= block_count) {
-            const uint index = leaf - block_count;
-            const float t = analytic_distance(analytics, index, walk.ray.origin, walk.ray.direction, walk.skip, t_max);
-            if (t < t_max) {
-                t_max = t;
-                primitive = ANALYTIC_BIT | index;
+        hit[i] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
 #if FEATURE_INSTANCES
-                hit_instance = walk.inside;
-#endif
-            }
-        }
-#endif
-    }
-    hit[i] = (float4)(t_max, hit_u, hit_v, as_float(primitive));
-#if FEATURE_INSTANCES
-    instance[i] = hit_instance;
+        instance[i] = hit_instance;
 #endif
 #if FEATURE_COUNT_TESTS
-    tests[i] = (uint2)(walk.nodes, blocks_tested);
+        tests[i] = (uint2)(walk.nodes, blocks_tested);
 #endif
+    }
 }

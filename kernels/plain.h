@@ -39,6 +39,13 @@
 #define FMA8(a, b, c) fma(a, (float8)(b), (float8)(c))
 #endif
 
+// Has the cache line at byte `at` of a buffer fetched, where a work-item runs on a core of its own and would wait for it.
+#if (defined(__x86_64__) || defined(__aarch64__)) && HAS_BUILTIN(__builtin_prefetch)
+#define FETCH_AHEAD(buffer, at) __builtin_prefetch((const void*)((size_t)(buffer) + (at)))
+#else
+#define FETCH_AHEAD(buffer, at)
+#endif
+
 INLINE float dot3(float3 a, float3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;
@@ -86,6 +93,11 @@ typedef union {
     float8 all;
     float lane[8];
 } Lanes;
+
+typedef union {
+    float4 all;
+    float lane[4];
+} FourLanes;
 
 // The lanes of a mask as bits: one or two instructions where the compiler can be told which.
 INLINE uint mask_bits(int8 mask)

@@ -86,7 +86,7 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
     if (t_max == 0.0f) return;
     // not with its fourth lane, which is a denormal number to arithmetic on four
     const float3 origin = LOAD3(0, (__global const float*)(shadow_origin + i));
-    const uint end = ((__global const uint*)(shadow_origin + i))[3];
+    const uint target = ((__global const uint*)(shadow_origin + i))[3];
     Geometry geometry;
     geometry.triangles = triangles;
     geometry.faces = faces;
@@ -117,10 +117,10 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
     walk.start = instance[i];
 #endif
     ulong stack[STACK_SIZE];
-    const uint2 skip = (uint2)(as_uint(hit[i].w), end);
+    const uint2 skip = (uint2)(as_uint(hit[i].w), target);
     begin_walk(&walk, stack, origin, direction.xyz, skip);
     for (;;) {
-        const uint leaf = next_leaf(&walk, stack, nodes, t_max, false);
+        const uint leaf = next_leaf(&walk, stack, nodes, blocks, t_max, false);
         if (leaf == NO_LEAF) {
 #if FEATURE_MEDIA
             const bool more = passage.boundaries.count == MOST_BOUNDARIES;

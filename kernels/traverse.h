@@ -69,9 +69,21 @@ INLINE void begin_walk(Walk* walk, ulong* stack, float3 origin, float3 direction
     walk->height = 2u;
 }
 
+// What waits on the stack is not in the cache when its turn comes: the lines of a node, or of most of a block.
+INLINE void fetch_ahead(__global const float8* nodes, __global const float8* blocks, int reference)
+{
+    const size_t from = reference < 0 ? (size_t)(blocks + BLOCK_STRIDE * (size_t)~reference)
+                                      : (size_t)(nodes + NODE_STRIDE * (size_t)reference);
+    FETCH_AHEAD(from, 0);
+    FETCH_AHEAD(from, 64);
+    FETCH_AHEAD(from, 128);
+    FETCH_AHEAD(from, 192);
+}
+
 // The next leaf whose box the ray meets before t_max, NO_LEAF if there is none. `in_order`: boxes met earlier come first, and
 // t_max may shrink from call to call.
-INLINE uint next_leaf(Walk* walk, ulong* stack, __global const float8* nodes, float t_max, bool in_order)
+INLINE uint next_leaf(Walk* walk, ulong* stack, __global const float8* nodes, __global const float8* blocks, float t_max,
+                      bool in_order)
 {
     uint height = walk->height;
     for (;;) {
@@ -106,6 +118,7 @@ INLINE uint next_leaf(Walk* walk, ulong* stack, __global const float8* nodes, fl
                 const ulong other = stack_entry(entry.lane[child], children[child]);
                 const ulong farther = GREATER(nearest, other);
                 nearest = LESSER(nearest, other);
+                fetch_ahead(nodes, blocks, (int)(uint)farther);
                 uint place = height++;
                 for (; place > base && stack[place - 1u] < farther; --place) stack[place] = stack[place - 1u];
                 stack[place] = farther;

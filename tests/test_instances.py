@@ -100,7 +100,7 @@ class Traced:
         instance = device.buffer(np.full(n, start, np.uint32), "instance")
         more = (self.instances, self.counts[1], instance) if self.features["INSTANCES"] else ()
         arguments = (
-            *(np.uint32(n), self.nodes, self.blocks, self.counts[0], self.analytics),
+            *(np.uint32(n), np.uint32(1), self.nodes, self.blocks, self.counts[0], self.analytics),
             *(origin, direction, device.buffer(path, "path"), hit, *more),
         )
         device.launch(self.intersect, n, arguments)

@@ -40,7 +40,7 @@ def intersect(bvh, origins, directions, analytics=None, t_max=np.inf):
         kernel,
         n,
         (
-            *(np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"]),
+            *(np.uint32(n), np.uint32(7), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"]),
             *(b["origin"], b["direction"], b["path"], b["hit"]),
         ),
     )

@@ -136,6 +136,10 @@ class Device:
     def is_cpu(self) -> bool:
         return bool(self.device.type & self._cl.device_type.CPU)
 
+    @property
+    def compute_units(self) -> int:
+        return self.device.max_compute_units
+
     def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
         """Builds one text; returns its kernels by name. Raises DeviceError with the compiler's log."""
         cached = _programs.get((self.context, source, options))

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from isonoise.device.opencl import Device
+from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
@@ -47,7 +47,7 @@ KERNELS = {
     ),
     "intersect": (
         "intersect.cl",
-        "paths nodes blocks block_count analytics ray_origin ray_direction path hit "
+        "paths rays_per_item nodes blocks block_count analytics ray_origin ray_direction path hit "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance COUNT_TESTS:tests",
     ),
     "shade": (
@@ -64,7 +64,8 @@ KERNELS = {
     ),
     "shadow": (
         "shadow.cl",
-        "paths nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples "
+        "paths rays_per_item nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path "
+        "samples "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "through": (
@@ -94,6 +95,9 @@ KERNELS = {
     ),
 }
 
+
+RAYS_PER_ITEM = 32
+"""Rays that a work-item of a CPU follows at most: PoCL gives every item of a group its own stack, which the cache cannot hold."""
 
 PATH_STATE = {
     **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
@@ -232,7 +236,7 @@ class Wavefront:
 
     def warm_up(self) -> None:
         """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid."""
-        bounds = ("pixels", "slice_samples", "count_new", "paths", "blocks_in_use")
+        bounds = ("pixels", "slice_samples", "count_new", "paths", "rays_per_item", "blocks_in_use")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (1, self.pool_size):
             for name in self._stages:
@@ -290,9 +294,11 @@ class Wavefront:
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
         bound = {"paths": np.uint32(paths)}
-        self._stages.launch("intersect", paths, **bound)
+        self._trace_rays("intersect", paths)
         self._stages.launch("shade", paths, **bound)
-        if self._shadow:
+        if self._shadow == "shadow":
+            self._trace_rays("shadow", paths)
+        elif self._shadow:
             self._stages.launch(self._shadow, paths, **bound)
         blocks = -(-paths // self.block_size)
         self._stages.launch("count_alive", blocks, **bound)
@@ -305,6 +311,13 @@ class Wavefront:
         if self.on_bounce:
             self.on_bounce(paths)
         return alive
+
+    def _trace_rays(self, stage: str, paths: int) -> None:
+        """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other, on the same stack."""
+        rays = 1
+        if self.device.is_cpu:  # and every core has some groups, as long as there are enough
+            rays = min(max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1), RAYS_PER_ITEM)
+        self._stages.launch(stage, -(-paths // rays), paths=np.uint32(paths), rays_per_item=np.uint32(rays))
 
 
 def _sphere_around(bounds: np.ndarray) -> np.ndarray:
