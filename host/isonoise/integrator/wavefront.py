@@ -64,8 +64,8 @@ KERNELS = {
     ),
     "shadow": (
         "shadow.cl",
-        "paths rays_per_item nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path "
-        "samples "
+        "paths rays_per_item nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit "
+        "path samples "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "through": (
@@ -97,7 +97,7 @@ KERNELS = {
 
 
 RAYS_PER_ITEM = 32
-"""Rays that a work-item of a CPU follows at most: PoCL gives every item of a group its own stack, which the cache cannot hold."""
+"""Rays that a work-item of a CPU follows at most: PoCL gives every item of a group a stack, too many for the cache."""
 
 PATH_STATE = {
     **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
@@ -313,7 +313,7 @@ class Wavefront:
         return alive
 
     def _trace_rays(self, stage: str, paths: int) -> None:
-        """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other, on the same stack."""
+        """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other."""
         rays = 1
         if self.device.is_cpu:  # and every core has some groups, as long as there are enough
             rays = min(max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1), RAYS_PER_ITEM)

@@ -47,9 +47,9 @@ def build_bvh(
     upper = np.concatenate([by_corner.max(axis=0), analytic_upper.T], axis=1).astype(np.float32)
     weight = np.ones(triangles + analytics, np.int32)
     weight[triangles:] = WIDTH + 1  # an analytic primitive never shares a leaf
-    bvh = _collapse(build_binary_tree(lower, upper), weight, by_corner, triangles)
+    bvh = _collapse(build_binary_tree(lower, upper), weight, corners)
     if bvh.stack > stack_size:
-        bvh = _collapse(_halve(lower, upper), weight, by_corner, triangles)
+        bvh = _collapse(_halve(lower, upper), weight, corners)
     return bvh
 
 
@@ -80,7 +80,7 @@ def _empty_nodes(n: int) -> np.ndarray:
     return nodes
 
 
-def _collapse(tree: BinaryTree, weight: np.ndarray, by_corner: np.ndarray, triangles: int) -> Bvh:
+def _collapse(tree: BinaryTree, weight: np.ndarray, corners: np.ndarray) -> Bvh:
     """Makes the wide nodes that cost least, level by level from the root."""
     primitives = tree.leaves
     size = np.ones(len(tree.left), np.int32)  # primitives below
@@ -111,7 +111,7 @@ def _collapse(tree: BinaryTree, weight: np.ndarray, by_corner: np.ndarray, trian
         frontier = slots[inner]
         need = np.repeat(need, inner.sum(axis=1))
     slots = np.concatenate(levels)
-    return Bvh(*_lay_out(tree, slots, plan.is_leaf, first, size, order, by_corner, triangles), stack_need, len(levels))
+    return Bvh(*_lay_out(tree, slots, plan.is_leaf, first, size, order, corners), stack_need, len(levels))
 
 
 @dataclass(frozen=True)
@@ -119,8 +119,8 @@ class _Plan:
     """What becomes of the binary nodes in the wide hierarchy of least cost."""
 
     is_leaf: np.ndarray  # (2n-1,) bool: as one tree it is a leaf
-    # (n-1, WIDTH+1) uint8, by inner node and the number of trees that it may become: how many it becomes, and how many of these
-    # are made of its left child
+    # (n-1, WIDTH+1) uint8, by inner node and the number of trees that it may become: how many it becomes, and how many
+    # of these are made of its left child
     trees: np.ndarray
     left_trees: np.ndarray
 
@@ -128,9 +128,9 @@ class _Plan:
 def _plan(tree: BinaryTree, load: np.ndarray) -> _Plan:
     """The hierarchy of least cost by the surface area heuristic (Goldsmith and Salmon 1987).
 
-    Ylitie, Karras, Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017, 3.1: from the
-    leaves up, the least cost of a binary node that becomes at most i trees, i = 1 to 7. As one tree it is a leaf or a wide node,
-    whose up to 8 children are the trees that its two sides become.
+    Ylitie, Karras, Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017, 3.1:
+    from the leaves up, the least cost of a binary node that becomes at most i trees, i = 1 to 7. As one tree it is a
+    leaf or a wide node, whose up to 8 children are the trees that its two sides become.
     """
     leaves = tree.leaves
     area = half_area(tree.lower, tree.upper)
@@ -191,7 +191,7 @@ def _children(tree: BinaryTree, frontier: np.ndarray, plan: _Plan) -> np.ndarray
     return slots
 
 
-def _lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles) -> tuple[np.ndarray, np.ndarray]:
+def _lay_out(tree, slots, is_leaf, first, size, order, corners) -> tuple[np.ndarray, np.ndarray]:
     used = slots >= 0
     nodes = _empty_nodes(len(slots))
     for axis in range(3):
@@ -204,11 +204,11 @@ def _lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles) -> 
     inner = used & ~is_leaf[slots]
     leaf = used & is_leaf[slots]
     members = slots[leaf]
-    is_block = order[first[members]] < triangles
+    is_block = order[first[members]] < len(corners)
     block_nodes = members[is_block]
     leaf_reference = np.empty(len(members), np.int32)
     leaf_reference[is_block] = np.arange(len(block_nodes))
-    leaf_reference[~is_block] = len(block_nodes) + order[first[members[~is_block]]] - triangles
+    leaf_reference[~is_block] = len(block_nodes) + order[first[members[~is_block]]] - len(corners)
     references = np.zeros(slots.shape, np.int32)
     references[inner] = 1 + np.arange(np.count_nonzero(inner))  # nodes stand in breadth-first order
     references[leaf] = ~leaf_reference
@@ -218,8 +218,8 @@ def _lay_out(tree, slots, is_leaf, first, size, order, by_corner, triangles) -> 
     lane = np.arange(WIDTH)
     filled = lane < size[block_nodes][:, None]
     ids = order[np.where(filled, first[block_nodes][:, None] + lane, 0)]
-    for corner in range(3):
-        for axis in range(3):
-            blocks[:, 3 * corner + axis][filled] = by_corner[corner, axis][ids[filled]]
+    rows = corners.reshape(-1, 9).take(ids, axis=0)  # (block, lane, coordinate)
+    rows[~filled] = 0
+    blocks[:, :9] = rows.transpose(0, 2, 1)
     blocks[:, 9] = np.where(filled, ids, -1).astype(np.int32).view(np.float32)
     return nodes, blocks
