@@ -25,7 +25,7 @@ INLINE Ray make_ray(float3 origin, float3 direction)
     ray.direction = direction;
     const float3 size = abs3(direction);
     // A component of zero becomes one that moves the ray by nothing that counts and keeps the shifts finite.
-    const float3 least = 1e-30f * abs3(origin) + 1e-37f;
+    const float3 least = 1e-37f * (1.0f + abs3(origin));
     const float3 inverse = 1.0f / (size < least ? with_sign3(least, direction) : direction);
     // The division, the products and the sum round by 2^-24 of a result each. What a shift rounds does not become smaller where it
     // cancels against a plane: it is taken off and added. The rest widens the far side: Ize, "Robust BVH Ray Traversal", JCGT 2013.

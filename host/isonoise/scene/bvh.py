@@ -217,7 +217,7 @@ def _lay_out(tree, slots, is_leaf, first, size, order, corners) -> tuple[np.ndar
     blocks = np.zeros((len(block_nodes), 10, WIDTH), np.float32)
     lane = np.arange(WIDTH)
     filled = lane < size[block_nodes][:, None]
-    ids = order[np.where(filled, first[block_nodes][:, None] + lane, 0)]
+    ids = order[first[block_nodes][:, None] + np.where(filled, lane, 0)]
     rows = corners.reshape(-1, 9).take(ids, axis=0)  # (block, lane, coordinate)
     rows[~filled] = 0
     blocks[:, :9] = rows.transpose(0, 2, 1)
