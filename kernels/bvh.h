@@ -4,8 +4,7 @@
 #include "instance.h"
 #include "vectors.h"
 
-#define NODE_STRIDE 7
-#define BLOCK_STRIDE 10
+#define NODE_ROWS 7u
 
 typedef struct {
     float3 origin, direction;
@@ -27,8 +26,8 @@ INLINE Ray make_ray(float3 origin, float3 direction)
     // A component of zero becomes one that moves the ray by nothing that counts and keeps the shifts finite.
     const float3 least = 1e-37f * (1.0f + abs3(origin));
     const float3 inverse = 1.0f / (size < least ? with_sign3(least, direction) : direction);
-    // The division, the products and the sum round by 2^-24 of a result each. What a shift rounds does not become smaller where it
-    // cancels against a plane: it is taken off and added. The rest widens the far side: Ize, "Robust BVH Ray Traversal", JCGT 2013.
+    // Every operation rounds by 2^-24 of its result. What is lost of a shift does not become smaller where it cancels against a
+    // plane: at most 5 of them, taken off and added. The others widen the far side: Ize, "Robust BVH Ray Traversal", JCGT 2013.
     const float3 shift = -origin * inverse, rounding = 0x1.8p-22f * abs3(shift);
     ray.near_scale = inverse;
     ray.near_shift = shift - rounding;
@@ -65,9 +64,9 @@ INLINE uint children_met(__global const float8* node, const Ray* ray, float t_ma
     const float3 near = ray->near_scale, near_by = ray->near_shift, far = ray->far_scale, far_by = ray->far_shift;
     __global const float8 *near_row_x = node + flip.x, *near_row_y = node + flip.y + 1, *near_row_z = node + flip.z + 2;
     __global const float8 *far_row_x = node - flip.x + 3, *far_row_y = node - flip.y + 4, *far_row_z = node - flip.z + 5;
-    const float8 near_x = FMA8(*near_row_x, near.x, near_by.x), far_x = FMA8(*far_row_x, far.x, far_by.x);
-    const float8 near_y = FMA8(*near_row_y, near.y, near_by.y), far_y = FMA8(*far_row_y, far.y, far_by.y);
-    const float8 near_z = FMA8(*near_row_z, near.z, near_by.z), far_z = FMA8(*far_row_z, far.z, far_by.z);
+    const float8 near_x = MAD8(*near_row_x, near.x, near_by.x), far_x = MAD8(*far_row_x, far.x, far_by.x);
+    const float8 near_y = MAD8(*near_row_y, near.y, near_by.y), far_y = MAD8(*far_row_y, far.y, far_by.y);
+    const float8 near_z = MAD8(*near_row_z, near.z, near_by.z), far_z = MAD8(*far_row_z, far.z, far_by.z);
     const float8 near_yz = GREATER(near_y, near_z), near_x0 = GREATER(near_x, (float8)(0.0f));
     const float8 far_yz = LESSER(far_y, far_z), far_xt = LESSER(far_x, (float8)(t_max));
     *entry = GREATER(near_yz, near_x0);

@@ -5,7 +5,7 @@
 #include "traverse.h"
 
 __kernel void intersect(uint paths, uint rays_per_item, __global const float8* nodes, __global const float8* blocks,
-                        uint block_count, __global const Analytic* analytics, __global const float4* ray_origin,
+                        uint first_analytic, __global const Analytic* analytics, __global const float4* ray_origin,
                         __global const float4* ray_direction, __global const uint4* path, __global float4* hit
 #if FEATURE_INSTANCES
                         , __global const Instance* instances, uint first_instance, __global uint* instance
@@ -36,11 +36,11 @@ __kernel void intersect(uint paths, uint rays_per_item, __global const float8* n
 #endif
         for (uint leaf; (leaf = next_leaf(&walk, stack, nodes, blocks, t_max, true)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
-            if (leaf < block_count) {
+            if (leaf < first_analytic) {
 #if FEATURE_COUNT_TESTS
                 ++blocks_tested;
 #endif
-                __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+                __global const float8* block = blocks + leaf;
                 float8 t8, u8, v8;
                 uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t8, &u8, &v8);
                 if (!met) continue;
@@ -63,8 +63,8 @@ __kernel void intersect(uint paths, uint rays_per_item, __global const float8* n
             }
 #endif
 #if FEATURE_ANALYTICS
-            if (leaf >= block_count) {
-                const uint index = leaf - block_count;
+            if (leaf >= first_analytic) {
+                const uint index = leaf - first_analytic;
                 const float t = analytic_distance(analytics, index, walk.ray.origin, walk.ray.direction, walk.skip, t_max);
                 if (t < t_max) {
                     t_max = t;

@@ -32,11 +32,13 @@
 #define FMA(a, b, c) fma(a, b, c)
 #endif
 
-// The same for 8 lanes times a scalar.
+// 8 lanes times a scalar and a scalar: rounded once where that costs nothing, else twice.
 #if defined(__FMA__) && HAS_BUILTIN(__builtin_ia32_vfmaddps256)
-#define FMA8(a, b, c) __builtin_ia32_vfmaddps256(a, (float8)(b), (float8)(c))
+#define MAD8(a, b, c) __builtin_ia32_vfmaddps256(a, (float8)(b), (float8)(c))
+#elif defined(FP_FAST_FMAF)
+#define MAD8(a, b, c) fma(a, (float8)(b), (float8)(c))
 #else
-#define FMA8(a, b, c) fma(a, (float8)(b), (float8)(c))
+#define MAD8(a, b, c) ((a) * (b) + (c))
 #endif
 
 // Has the cache line at byte `at` of a buffer fetched, where a work-item runs on a core of its own and would wait for it.

@@ -3,24 +3,25 @@
 // shadow_radiance, hit (the primitive it starts on); adds to samples.
 #include "traverse.h"
 
-INLINE bool blocked(Walk* walk, ulong* stack, __global const float8* nodes, __global const float8* blocks, uint block_count,
+INLINE bool blocked(Walk* walk, ulong* stack, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
                     __global const Analytic* analytics, float t_max)
 {
     for (uint leaf; (leaf = next_leaf(walk, stack, nodes, blocks, t_max, false)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
         float8 t, u, v;
-        if (leaf < block_count && triangles_met(blocks + BLOCK_STRIDE * leaf, &walk->ray, walk->skip, t_max, &t, &u, &v)) return true;
+        if (leaf < first_analytic && triangles_met(blocks + leaf, &walk->ray, walk->skip, t_max, &t, &u, &v))
+            return true;
 #endif
 #if FEATURE_ANALYTICS
-        if (leaf >= block_count &&
-            analytic_distance(analytics, leaf - block_count, walk->ray.origin, walk->ray.direction, walk->skip, t_max) < t_max)
+        if (leaf >= first_analytic &&
+            analytic_distance(analytics, leaf - first_analytic, walk->ray.origin, walk->ray.direction, walk->skip, t_max) < t_max)
             return true;
 #endif
     }
     return false;
 }
 
-__kernel void shadow(uint paths, uint rays_per_item, __global const float8* nodes, __global const float8* blocks, uint block_count,
+__kernel void shadow(uint paths, uint rays_per_item, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
                      __global const Analytic* analytics, __global const float4* shadow_origin,
                      __global const float4* shadow_direction,
                      __global const float4* shadow_radiance, __global const float4* hit, __global const uint4* path,
@@ -46,7 +47,7 @@ __kernel void shadow(uint paths, uint rays_per_item, __global const float8* node
 #endif
         ulong stack[STACK_SIZE];
         begin_walk(&walk, stack, origin, direction.xyz, (uint2)(as_uint(hit[i].w), target));
-        if (blocked(&walk, stack, nodes, blocks, block_count, analytics, t_max)) continue;
+        if (blocked(&walk, stack, nodes, blocks, first_analytic, analytics, t_max)) continue;
         const uint sample = path[i].x;
         store3(LOAD3(sample, samples) + shadow_radiance[i].xyz, sample, samples);
     }

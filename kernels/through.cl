@@ -57,7 +57,7 @@ INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s
     return largest(p->share) > 0.0f;
 }
 
-__kernel void through(uint paths, __global const float8* nodes, __global const float8* blocks, uint block_count,
+__kernel void through(uint paths, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
                       __global const float4* triangles, __global const uint* faces,
                       __global const float* vertex_normals,
 #if FEATURE_UVS
@@ -141,8 +141,8 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
             break;
         }
 #if FEATURE_TRIANGLES
-        if (leaf < block_count) {
-            __global const float8* block = blocks + BLOCK_STRIDE * leaf;
+        if (leaf < first_analytic) {
+            __global const float8* block = blocks + leaf;
             Lanes t, u, v;
             for (uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
                 const uint lane = lowest_bit(met), primitive = ((__global const uint*)(block + 9))[lane];
@@ -159,8 +159,8 @@ __kernel void through(uint paths, __global const float8* nodes, __global const f
         }
 #endif
 #if FEATURE_ANALYTICS
-        if (leaf >= block_count) {
-            const uint index = leaf - block_count;
+        if (leaf >= first_analytic) {
+            const uint index = leaf - first_analytic;
             float3 from = walk.ray.origin;
             float t = 0.0f;
             for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it

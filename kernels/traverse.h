@@ -72,8 +72,7 @@ INLINE void begin_walk(Walk* walk, ulong* stack, float3 origin, float3 direction
 // What waits on the stack is not in the cache when its turn comes: the lines of a node, or of most of a block.
 INLINE void fetch_ahead(__global const float8* nodes, __global const float8* blocks, int reference)
 {
-    const size_t from = reference < 0 ? (size_t)(blocks + BLOCK_STRIDE * (size_t)~reference)
-                                      : (size_t)(nodes + NODE_STRIDE * (size_t)reference);
+    const size_t from = reference < 0 ? (size_t)(blocks + ~reference) : (size_t)(nodes + reference);
     FETCH_AHEAD(from, 0);
     FETCH_AHEAD(from, 64);
     FETCH_AHEAD(from, 128);
@@ -91,7 +90,7 @@ INLINE uint next_leaf(Walk* walk, ulong* stack, __global const float8* nodes, __
         if (in_order && as_float((uint)(top >> 32)) >= t_max) continue;
         int reference = (int)(uint)top;
         while (reference >= 0) {
-            __global const float8* node = nodes + NODE_STRIDE * reference;
+            __global const float8* node = nodes + reference;
             __global const uint* children = (__global const uint*)(node + 6);
             Lanes entry;
             uint met = children_met(node, &walk->ray, t_max, &entry.all);
@@ -134,7 +133,7 @@ INLINE uint next_leaf(Walk* walk, ulong* stack, __global const float8* nodes, __
             } else {
                 enter_instance(walk, leaf - walk->first_instance);
                 stack[height++] = stack_entry(0.0f, ~END_OF_INSTANCE);
-                stack[height++] = stack_entry(0.0f, walk->instances[walk->inside].root);
+                stack[height++] = stack_entry(0.0f, NODE_ROWS * walk->instances[walk->inside].root);
             }
             continue;
         }

@@ -81,7 +81,7 @@ class Traced:
 
         self.nodes, self.blocks, self.analytics = table(bvh.nodes), table(bvh.blocks), table(scene.analytics)
         self.instances = table(scene.instances)
-        self.counts = np.uint32(len(bvh.blocks)), np.uint32(len(bvh.blocks) + len(scene.analytics))
+        self.counts = np.uint32(bvh.first_analytic), np.uint32(bvh.first_analytic + len(scene.analytics))
         self.surfaces = (
             *map(table, (triangle_records(scene), scene.faces, scene.vertex_normals)),
             *(self.analytics, table(scene.shapes), self.instances),

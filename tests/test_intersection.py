@@ -49,7 +49,7 @@ def traced(bvh, origins, directions, analytics=None, t_max=np.inf, count_tests=F
         kernel,
         n,
         (
-            *(np.uint32(n), np.uint32(7), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"]),
+            *(np.uint32(n), np.uint32(7), b["nodes"], b["blocks"], np.uint32(bvh.first_analytic), b["analytics"]),
             *(b["origin"], b["direction"], b["path"], b["hit"]),
             *((b["tests"],) if count_tests else ()),
         ),

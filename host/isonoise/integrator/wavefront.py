@@ -47,7 +47,7 @@ KERNELS = {
     ),
     "intersect": (
         "intersect.cl",
-        "paths rays_per_item nodes blocks block_count analytics ray_origin ray_direction path hit "
+        "paths rays_per_item nodes blocks first_analytic analytics ray_origin ray_direction path hit "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance COUNT_TESTS:tests",
     ),
     "shade": (
@@ -64,15 +64,15 @@ KERNELS = {
     ),
     "shadow": (
         "shadow.cl",
-        "paths rays_per_item nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit "
+        "paths rays_per_item nodes blocks first_analytic analytics shadow_origin shadow_direction shadow_radiance hit "
         "path samples "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "through": (
         "through.cl",
-        "paths nodes blocks block_count triangles faces vertex_normals UVS:uvs TEXTURES:textures TEXTURES:texel_bytes "
-        "TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs shadow_origin "
-        "shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
+        "paths nodes blocks first_analytic triangles faces vertex_normals UVS:uvs TEXTURES:textures "
+        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
+        "shadow_origin shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "count_alive": ("compact.cl", "alive paths block_size block_alive"),
@@ -165,7 +165,7 @@ class Wavefront:
             "inverse_cdf_cells": np.uint32(CELLS),
             "nodes": table(bvh.nodes, "the hierarchy's nodes"),
             "blocks": table(bvh.blocks, "the hierarchy's triangles"),
-            "block_count": np.uint32(len(bvh.blocks)),
+            "first_analytic": np.uint32(bvh.first_analytic),
             "triangles": table(triangle_records(scene), "the triangles"),
             "faces": table(scene.faces if on["VERTEX_NORMALS"] or on["UVS"] else nothing, "the faces"),
             "uvs": table(scene.uvs, "the texture coordinates"),
@@ -178,7 +178,7 @@ class Wavefront:
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
             "instances": table(scene.instances, "the instances"),
-            "first_instance": np.uint32(len(bvh.blocks) + len(scene.analytics)),
+            "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
             "media": table(scene.media, "the media"),
             "sensor_medium": np.uint32(scene.sensor_medium),

@@ -4,8 +4,8 @@ Layout on the device (all float8, see kernels/bvh.h):
 - node: lower x, y, z and upper x, y, z of 8 children, then 8 child references (int32 bits);
 - block: x, y, z of the first, second and third corners of 8 triangles, then 8 triangle indices (uint32 bits).
 
-A reference >= 0 is a node; ~reference of a negative one is a leaf: a block, or past the blocks an analytic primitive or
-anything else that is a box (`hierarchy`).
+A reference >= 0 is a node: the number of its first row, a float8. ~reference of a negative one is a leaf: the number of
+a block's first row, or past the blocks' rows an analytic primitive or anything else that is a box (`hierarchy`).
 Unused slots of a node are boxes that no ray meets; unused lanes of a block are triangles of zero area.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from isonoise.scene.ploc import BinaryTree, build_binary_tree, half_area, morton_order
 
 WIDTH = 8
+NODE_ROWS, BLOCK_ROWS = 7, 10
 NODE_COST = 1.0
 """Cost of a node in tests of a block."""
 CHUNK = 16384
@@ -30,6 +31,11 @@ class Bvh:
     blocks: np.ndarray  # (M, 10, 8) float32
     stack: int  # stack entries that a traversal may need
     depth: int  # levels of nodes
+
+    @property
+    def first_analytic(self) -> int:
+        """Number of the first leaf that is no block."""
+        return BLOCK_ROWS * len(self.blocks)
 
 
 def build_bvh(
@@ -207,10 +213,10 @@ def _lay_out(tree, slots, is_leaf, first, size, order, corners) -> tuple[np.ndar
     is_block = order[first[members]] < len(corners)
     block_nodes = members[is_block]
     leaf_reference = np.empty(len(members), np.int32)
-    leaf_reference[is_block] = np.arange(len(block_nodes))
-    leaf_reference[~is_block] = len(block_nodes) + order[first[members[~is_block]]] - len(corners)
+    leaf_reference[is_block] = BLOCK_ROWS * np.arange(len(block_nodes))
+    leaf_reference[~is_block] = BLOCK_ROWS * len(block_nodes) + order[first[members[~is_block]]] - len(corners)
     references = np.zeros(slots.shape, np.int32)
-    references[inner] = 1 + np.arange(np.count_nonzero(inner))  # nodes stand in breadth-first order
+    references[inner] = NODE_ROWS * (1 + np.arange(np.count_nonzero(inner)))  # nodes stand in breadth-first order
     references[leaf] = ~leaf_reference
     nodes[:, 6] = references.view(np.float32)
 
