@@ -54,7 +54,7 @@ class IntersectStage:
     def trace(self) -> float:
         """Seconds, up to the end of the device's work."""
         begun = time.perf_counter()
-        self._wavefront.stages.launch("intersect", self._rays, paths=np.uint32(self._rays))
+        self._wavefront.trace_rays("intersect", self._rays)
         self._device.finish()
         return time.perf_counter() - begun
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from isonoise.scene.bvh import Bvh
+from isonoise.scene.bvh import NODE_ROWS, Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.structs import NONE
 
@@ -39,7 +39,7 @@ def sah_cost(bvh: Bvh, scene: CompiledScene) -> float | None:
     cost = np.array([1 + b / a if a > 0 else 0.0 for b, a in zip(below, root_area, strict=True)])
     if len(scene.instances):
         leaf = ~references
-        beyond = len(bvh.blocks) + len(scene.analytics)
+        beyond = bvh.first_analytic + len(scene.analytics)
         which = (references < 0) & (leaf >= beyond)
         group_cost = cost[scene.instances["root"][leaf[which] - beyond]]
         cost[0] += float((area[which] * group_cost).sum() / root_area[0]) if root_area[0] > 0 else 0.0
@@ -53,7 +53,7 @@ def _tree_of(references: np.ndarray, used: np.ndarray, trees: int) -> np.ndarray
     frontier = np.arange(trees)
     while len(frontier):
         inner = (references[frontier] > 0) & used[frontier]
-        children = references[frontier][inner]
+        children = references[frontier][inner] // NODE_ROWS
         tree[children] = np.repeat(tree[frontier], inner.sum(axis=1))
         frontier = children
     return tree

@@ -105,7 +105,7 @@ class Device:
 
     With `profile` it keeps how often every kernel was launched (`launches`, by name) and for how many seconds the
     device worked on it (`seconds`), of the launches that have been waited for. `on_launch`, if there is one, then gets
-    every launch in its order: kernel, work-items, seconds.
+    every launch in its order: kernel, items, seconds.
     """
 
     def __init__(self, choice: str | int | None = None, profile: bool = False):
@@ -114,7 +114,7 @@ class Device:
         self.context = _context(self.device)
         self.allocated = 0
         self.on_launch: Callable[[str, int, float], None] | None = None
-        self._running: list[tuple] = []  # kernel, work-items and event of the launches since the last wait
+        self._running: list[tuple] = []  # kernel, items and event of the launches since the last wait
         self._open_queue(profile)
         self.forget_profile()
 
@@ -175,9 +175,9 @@ class Device:
         self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, whole_words)
         return buffer
 
-    def launch(self, kernel, items: int, arguments: tuple) -> None:
-        """Runs a kernel over at least `items` work-items; kernels return at once beyond their own bound."""
-        groups = (items + LOCAL_SIZE - 1) // LOCAL_SIZE
+    def launch(self, kernel, items: int, arguments: tuple, per_work_item: int = 1) -> None:
+        """Runs a kernel over at least `items`; kernels return at once beyond their own bound."""
+        groups = -(-items // (per_work_item * LOCAL_SIZE))
         event = kernel(self.queue, (groups * LOCAL_SIZE,), (LOCAL_SIZE,), *arguments)
         if self.profile:
             self._running.append((kernel, items, event))

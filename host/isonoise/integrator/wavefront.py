@@ -294,10 +294,10 @@ class Wavefront:
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
         bound = {"paths": np.uint32(paths)}
-        self._trace_rays("intersect", paths)
+        self.trace_rays("intersect", paths)
         self._stages.launch("shade", paths, **bound)
         if self._shadow == "shadow":
-            self._trace_rays("shadow", paths)
+            self.trace_rays("shadow", paths)
         elif self._shadow:
             self._stages.launch(self._shadow, paths, **bound)
         blocks = -(-paths // self.block_size)
@@ -312,12 +312,12 @@ class Wavefront:
             self.on_bounce(paths)
         return alive
 
-    def _trace_rays(self, stage: str, paths: int) -> None:
+    def trace_rays(self, stage: str, paths: int) -> None:
         """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other."""
         rays = 1
         if self.device.is_cpu:  # and every core has some groups, as long as there are enough
             rays = min(max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1), RAYS_PER_ITEM)
-        self._stages.launch(stage, -(-paths // rays), paths=np.uint32(paths), rays_per_item=np.uint32(rays))
+        self._stages.launch(stage, paths, rays, paths=np.uint32(paths), rays_per_item=np.uint32(rays))
 
 
 def _sphere_around(bounds: np.ndarray) -> np.ndarray:
