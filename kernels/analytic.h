@@ -46,6 +46,7 @@ INLINE float cylinder_distance(Vec3 origin, Vec3 direction, float t_max)
     const float c = (distance - 1.0f) * (distance + 1.0f);
     const float q = b + with_sign(SQRT(a * discriminant), b);
     const float roots[2] = {LESSER(c / q, q / a), GREATER(c / q, q / a)};
+#pragma unroll
     for (int i = 0; i < 2; ++i) {
         const float t = roots[i], z = origin.z + t * direction.z;
         if (t > 0.0f && t < t_max && z >= 0.0f && z <= 1.0f) return t;

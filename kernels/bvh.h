@@ -1,85 +1,98 @@
-// Traversal of the 8-wide bounding volume hierarchy; its layout is told in host/isonoise/scene/bvh.py.
-// Included by the stages that trace rays; they differ in what they do with a leaf and in when they stop.
+// A ray against a node and against a block of triangles of the 8-wide bounding volume hierarchy, whose layout is told in
+// host/isonoise/scene/bvh.py.
 #pragma once
 #include "instance.h"
 #include "vectors.h"
 
-#define STACK_SIZE 256  // host/isonoise/scene/bvh.py never builds a tree that needs more
-#define NODE_STRIDE 7
-#define BLOCK_STRIDE 10
-#define LANE_BITS (int8)(1, 2, 4, 8, 16, 32, 64, 128)
+#define NODE_ROWS 7u
+
+// The walk of one ray is not done for many paths at once, so its triples are vectors.
+INLINE float3 packed(Vec3 v)
+{
+    return (float3)(v.x, v.y, v.z);
+}
+
+INLINE Vec3 unpacked(float3 v)
+{
+    return vec3(v.x, v.y, v.z);
+}
+
+INLINE float3 packed_abs(float3 v)
+{
+    return as_float3(as_uint3(v) & 0x7FFFFFFFu);
+}
+
+INLINE float3 packed_sign(float3 magnitude, float3 sign)
+{
+    return as_float3(as_uint3(magnitude) | (as_uint3(sign) & 0x80000000u));
+}
 
 typedef struct {
-    Vec3 origin, direction;
-    Vec3 inverse;     // 1 / direction, finite: a zero component becomes +-10^37
-    int3 near;          // which row of a node holds the near plane of each axis
+    float3 origin, direction;
+    // What takes a plane of a box to its distance along the ray: plane * scale + shift. Near planes are rounded down and far ones
+    // up, by more than all roundings can add up to, so that none ever loses a child.
+    float3 near_scale, near_shift, far_scale, far_shift;
+    int3 flip;          // from a node's row of lower planes to that of the near ones: 3 for negative directions, else 0
     int3 axis;          // x, y, z permuted so that |direction| is largest along the last
-    Vec3 shear;         // Woop's shear constants for the permuted axes
-    Vec3 permuted;      // origin, permuted
+    float3 shear;       // Woop's shear constants for the permuted axes
+    float3 permuted;    // origin, permuted
 } Ray;
 
-INLINE float component(Vec3 v, int i)
-{
-    return i == 0 ? v.x : i == 1 ? v.y : v.z;
-}
-
-INLINE float inverse_of(float d)
-{
-    return 1.0f / (abs1(d) < 1e-37f ? with_sign(1e-37f, d) : d);
-}
-
-INLINE Ray make_ray(Vec3 origin, Vec3 direction)
+INLINE Ray make_ray(float3 origin, float3 direction)
 {
     Ray ray;
     ray.origin = origin;
     ray.direction = direction;
-    const Vec3 size = abs3(direction);
-    ray.inverse = vec3(inverse_of(direction.x), inverse_of(direction.y), inverse_of(direction.z));
-    ray.near = (int3)(ray.inverse.x < 0.0f ? 3 : 0, ray.inverse.y < 0.0f ? 4 : 1, ray.inverse.z < 0.0f ? 5 : 2);
+    const float3 size = packed_abs(direction);
+    // A component of zero becomes one that moves the ray by nothing that counts and keeps the shifts finite.
+    const float3 least = 1e-37f * (1.0f + packed_abs(origin));
+    const float3 inverse = 1.0f / (size < least ? packed_sign(least, direction) : direction);
+    // Every operation rounds by 2^-24 of its result. What is lost of a shift does not become smaller where it cancels against a
+    // plane: at most 5 of them, taken off and added. The others widen the far side: Ize, "Robust BVH Ray Traversal", JCGT 2013.
+    const float3 shift = -origin * inverse, rounding = 0x1.8p-22f * packed_abs(shift);
+    ray.near_scale = inverse;
+    ray.near_shift = shift - rounding;
+    ray.far_scale = inverse * 1.0000008f;
+    ray.far_shift = shift * 1.0000008f + rounding;
+    ray.flip = inverse < 0.0f ? (int3)(3) : (int3)(0);
     const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
     const int next = kz == 2 ? 0 : kz + 1, after = 3 - kz - next;
+    FourLanes d, o;  // by number from memory: a choice among three components takes five instructions
+    d.all = (float4)(direction, 0.0f);
+    o.all = (float4)(origin, 0.0f);
     // exchanging the first two axes keeps the orientation of triangles for negative directions
-    const bool flip = component(direction, kz) < 0.0f;
+    const bool flip = d.lane[kz] < 0.0f;
     ray.axis = (int3)(flip ? after : next, flip ? next : after, kz);
-    const float scale = 1.0f / component(direction, kz);
-    ray.shear = vec3(component(direction, ray.axis.x) * scale, component(direction, ray.axis.y) * scale, scale);
-    ray.permuted = vec3(component(origin, ray.axis.x), component(origin, ray.axis.y), component(origin, kz));
+    const float scale = 1.0f / d.lane[kz];
+    ray.shear = (float3)(d.lane[ray.axis.x] * scale, d.lane[ray.axis.y] * scale, scale);
+    ray.permuted = (float3)(o.lane[ray.axis.x], o.lane[ray.axis.y], o.lane[kz]);
     return ray;
 }
 
 #if FEATURE_INSTANCES
 // The same for a ray of the world, in the space of an instance's group.
-INLINE Ray make_object_ray(__global const Instance* instance, Vec3 origin, Vec3 direction)
+INLINE Ray make_object_ray(__global const Instance* instance, float3 origin, float3 direction)
 {
-    ray_to_object(instance, &origin, &direction);
-    return make_ray(origin, direction);
+    Vec3 o = unpacked(origin), d = unpacked(direction);
+    ray_to_object(instance, &o, &d);
+    return make_ray(packed(o), packed(d));
 }
 #endif
 
-INLINE uint mask_bits(int8 mask)
-{
-    const int8 lanes = mask & LANE_BITS;
-    const int4 half_lanes = lanes.lo | lanes.hi;
-    const int2 quarter = half_lanes.lo | half_lanes.hi;
-    return (uint)(quarter.x | quarter.y);
-}
-
 // Which of the node's children the ray meets before t_max, as bits; `entry` gets the distances at which it enters them.
-// The far planes are widened by 2 gamma(3), so that rounding never loses a child: Ize, "Robust BVH Ray Traversal", JCGT 2013.
 INLINE uint children_met(__global const float8* node, const Ray* ray, float t_max, float8* entry)
 {
-    const int3 near = ray->near, far = (int3)(3, 5, 7) - near;
-    const float8 near_x = (node[near.x] - ray->origin.x) * ray->inverse.x;
-    const float8 near_y = (node[near.y] - ray->origin.y) * ray->inverse.y;
-    const float8 near_z = (node[near.z] - ray->origin.z) * ray->inverse.z;
-    const float8 far_x = (node[far.x] - ray->origin.x) * ray->inverse.x;
-    const float8 far_y = (node[far.y] - ray->origin.y) * ray->inverse.y;
-    const float8 far_z = (node[far.z] - ray->origin.z) * ray->inverse.z;
+    const int3 flip = ray->flip;
+    const float3 near = ray->near_scale, near_by = ray->near_shift, far = ray->far_scale, far_by = ray->far_shift;
+    __global const float8 *near_row_x = node + flip.x, *near_row_y = node + flip.y + 1, *near_row_z = node + flip.z + 2;
+    __global const float8 *far_row_x = node - flip.x + 3, *far_row_y = node - flip.y + 4, *far_row_z = node - flip.z + 5;
+    const float8 near_x = MAD8(*near_row_x, near.x, near_by.x), far_x = MAD8(*far_row_x, far.x, far_by.x);
+    const float8 near_y = MAD8(*near_row_y, near.y, near_by.y), far_y = MAD8(*far_row_y, far.y, far_by.y);
+    const float8 near_z = MAD8(*near_row_z, near.z, near_by.z), far_z = MAD8(*far_row_z, far.z, far_by.z);
     const float8 near_yz = GREATER(near_y, near_z), near_x0 = GREATER(near_x, (float8)(0.0f));
     const float8 far_yz = LESSER(far_y, far_z), far_xt = LESSER(far_x, (float8)(t_max));
     *entry = GREATER(near_yz, near_x0);
-    const float8 leave = LESSER(far_yz, far_xt) * 1.0000008f;
-    return mask_bits(*entry <= leave);
+    return mask_bits(*entry <= LESSER(far_yz, far_xt));
 }
 
 #if FEATURE_TRIANGLES
@@ -92,11 +105,12 @@ INLINE uint children_met(__global const float8* node, const Ray* ray, float t_ma
 INLINE uint triangles_met(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t, float8* u, float8* v)
 {
     const int3 k = ray->axis;
-    const Vec3 o = ray->permuted, s = ray->shear;
-    const float8 az = block[k.z] - o.z, bz = block[3 + k.z] - o.z, cz = block[6 + k.z] - o.z;
-    const float8 ax = (block[k.x] - o.x) - s.x * az, ay = (block[k.y] - o.y) - s.y * az;
-    const float8 bx = (block[3 + k.x] - o.x) - s.x * bz, by = (block[3 + k.y] - o.y) - s.y * bz;
-    const float8 cx = (block[6 + k.x] - o.x) - s.x * cz, cy = (block[6 + k.y] - o.y) - s.y * cz;
+    const float3 o = ray->permuted, s = ray->shear;
+    __global const float8 *x = block + k.x, *y = block + k.y, *z = block + k.z;
+    const float8 az = z[0] - o.z, bz = z[3] - o.z, cz = z[6] - o.z;
+    const float8 ax = (x[0] - o.x) - s.x * az, ay = (y[0] - o.y) - s.y * az;
+    const float8 bx = (x[3] - o.x) - s.x * bz, by = (y[3] - o.y) - s.y * bz;
+    const float8 cx = (x[6] - o.x) - s.x * cz, cy = (y[6] - o.y) - s.y * cz;
     const float8 edge_a = cx * by - cy * bx, edge_b = ax * cy - ay * cx, edge_c = bx * ay - by * ax;
     const float8 lowest = LESSER(LESSER(edge_a, edge_b), edge_c), highest = GREATER(GREATER(edge_a, edge_b), edge_c);
     const float8 determinant = edge_a + edge_b + edge_c;

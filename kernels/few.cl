@@ -26,6 +26,7 @@ __kernel void intersect(uint paths, uint pool, __global const float* corners, ui
     }
 }
 
+#if FEATURE_NEXT_EVENT
 __kernel void shadow(uint paths, uint pool, __global const float* corners, uint corner_count,
                      __global const uint* corner_numbers, uint triangle_count,
                      __global const Analytic* analytics, uint analytic_count,
@@ -58,3 +59,4 @@ __kernel void shadow(uint paths, uint pool, __global const float* corners, uint 
         }
     }
 }
+#endif

@@ -13,12 +13,15 @@
 #define LESSER(a, b) ((a) < (b) ? (a) : (b))
 #define GREATER(a, b) ((a) > (b) ? (a) : (b))
 
-#if defined(__has_builtin)
-#if __has_builtin(__builtin_sqrtf)
+#ifdef __has_builtin
+#define HAS_BUILTIN(name) __has_builtin(name)
+#else
+#define HAS_BUILTIN(name) 0
+#endif
+
+#if HAS_BUILTIN(__builtin_sqrtf)
 #define SQRT(x) __builtin_sqrtf(x)
-#endif
-#endif
-#ifndef SQRT
+#else
 #define SQRT(x) sqrt(x)
 #endif
 
@@ -27,6 +30,22 @@
 #define FMA(a, b, c) __builtin_fmaf(a, b, c)
 #else
 #define FMA(a, b, c) fma(a, b, c)
+#endif
+
+// 8 lanes times a scalar and a scalar: rounded once where that costs nothing, else twice.
+#if defined(__FMA__) && HAS_BUILTIN(__builtin_ia32_vfmaddps256)
+#define MAD8(a, b, c) __builtin_ia32_vfmaddps256(a, (float8)(b), (float8)(c))
+#elif defined(FP_FAST_FMAF)
+#define MAD8(a, b, c) fma(a, (float8)(b), (float8)(c))
+#else
+#define MAD8(a, b, c) ((a) * (b) + (c))
+#endif
+
+// Has the cache line at byte `at` of a buffer fetched, where a work-item runs on a core of its own and would wait for it.
+#if (defined(__x86_64__) || defined(__aarch64__)) && HAS_BUILTIN(__builtin_prefetch)
+#define FETCH_AHEAD(buffer, at) __builtin_prefetch((const void*)((size_t)(buffer) + (at)))
+#else
+#define FETCH_AHEAD(buffer, at)
 #endif
 
 // Triples and the like are records of numbers, not OpenCL's vectors: a compiler that makes one vector instruction of the same
@@ -204,10 +223,34 @@ typedef union {
     float lane[8];
 } Lanes;
 
-// Place of the lowest bit of a number below 2^24 that is not zero: the exponent of that bit as a float.
+typedef union {
+    float4 all;
+    float lane[4];
+} FourLanes;
+
+// The lanes of a mask as bits: one or two instructions where the compiler can be told which.
+INLINE uint mask_bits(int8 mask)
+{
+#if defined(__AVX512VL__) && defined(__AVX512DQ__) && HAS_BUILTIN(__builtin_ia32_cvtd2mask256)
+    return (uint)(uchar)__builtin_ia32_cvtd2mask256(mask);
+#elif defined(__AVX__) && HAS_BUILTIN(__builtin_ia32_movmskps256)
+    return (uint)__builtin_ia32_movmskps256(as_float8(mask));
+#else
+    const int8 lanes = mask & (int8)(1, 2, 4, 8, 16, 32, 64, 128);
+    const int4 half_lanes = lanes.lo | lanes.hi;
+    const int2 quarter = half_lanes.lo | half_lanes.hi;
+    return (uint)(quarter.x | quarter.y);
+#endif
+}
+
+// Place of the lowest bit of a number that is not zero.
 INLINE uint lowest_bit(uint bits)
 {
-    return (as_uint((float)(int)(bits & -bits)) >> 23) - 127u;
+#if HAS_BUILTIN(__builtin_ctz)
+    return (uint)__builtin_ctz(bits);
+#else
+    return 31u - clz(bits & -bits);
+#endif
 }
 
 // The i-th triple of an array without padding. Macros: the address space of `p` may be any.

@@ -72,14 +72,20 @@ typedef struct {
 #define TRIANGLE_FLOATS 16u
 
 #if FEATURE_UVS && FEATURE_TRIANGLES
-// Texture coordinates of a triangle, and how its points change with them. Without any they are the barycentric ones, and the
-// changes some basis, as in Mitsuba 3.
+// Texture coordinates of a triangle, and how its points change with them. Without any they are the barycentric ones of its
+// corners in the mesh's order; where they change nowhere, the changes are some basis. As in Mitsuba 3 (3.9.1).
 INLINE void triangle_uv(const Geometry* g, uint triangle, float u, float v, Vec3 edge1, Vec3 edge2, uint flags, Surface* s)
 {
     s->triangle = triangle;
     s->uv = s->barycentric = vec2(u, v);
+    if (!(flags & SHAPE_UVS)) {
+        const bool rewound = flags & TRIANGLE_REWOUND;
+        if (rewound) s->uv = vec2(u, 1.0f - u - v);
+        s->dp_du = rewound ? sub3(edge1, edge2) : edge1;
+        s->dp_dv = rewound ? neg3(edge2) : edge2;
+        return;
+    }
     basis(s->geometric_normal, &s->dp_du, &s->dp_dv);
-    if (!(flags & SHAPE_UVS)) return;
     __global const uint* corner = g->faces + 3u * triangle;
     const Vec2 uv0 = vec2(g->uvs[2 * corner[0]], g->uvs[2 * corner[0] + 1]);
     const Vec2 along1 = sub2(vec2(g->uvs[2 * corner[1]], g->uvs[2 * corner[1] + 1]), uv0);

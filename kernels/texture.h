@@ -137,10 +137,10 @@ INLINE Vec3 mesh_attribute_rgb(const Textures* textures, __global const Texture*
     const Vec3 scale = LOAD3(0, t->colour);
     if (t->flags & TEXTURE_PER_FACE) return mul3(scale, LOAD3(t->first + at->triangle, textures->attributes));
     __global const uint* corner = textures->faces + 3u * at->triangle;
-    __global const float* colours = textures->attributes + 3u * t->first;
     const float u = at->barycentric.x, v = at->barycentric.y;
-    return mul3(scale, combine3(1.0f - u - v, LOAD3(corner[0], colours), u, LOAD3(corner[1], colours), v,
-                                LOAD3(corner[2], colours)));
+    const uint first = t->first;  // it may be below 0: with a corner's number it is none of these that wraps around
+    return mul3(scale, combine3(1.0f - u - v, LOAD3(first + corner[0], textures->attributes), u,
+                                LOAD3(first + corner[1], textures->attributes), v, LOAD3(first + corner[2], textures->attributes)));
 }
 #endif
 

@@ -6,10 +6,9 @@
 // through ends the search. The medium behind a boundary holds to the next one, so these are put in order first. Summing
 // distance * (sigma before - sigma behind) would need no order, but would cancel where a thin layer of a dense medium is far away,
 // and go wrong where a scene does not name the media of both sides, which paths, that walk from one to the next, need not know.
-#include "bvh.h"
-#include "paths.h"
 #include "medium.h"
 #include "through.h"
+#include "traverse.h"
 
 typedef struct {
     Vec3 share;  // of the light that gets through the surfaces met so far
@@ -29,7 +28,7 @@ INLINE void fly_through(Passage* p, __global const Medium* media, float distance
     p->passed = distance;
 }
 
-INLINE void walk(Passage* p, __global const Medium* media, float length)
+INLINE void walk_media(Passage* p, __global const Medium* media, float length)
 {
     for (uint k = 0u; k < p->boundaries.count; ++k) {
         fly_through(p, media, p->boundaries.distance[k], length);
@@ -58,7 +57,7 @@ INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s
     return largest(p->share) > 0.0f;
 }
 
-__kernel void through(uint paths, uint pool, __global const float8* nodes, __global const float8* blocks, uint block_count,
+__kernel void through(uint paths, uint pool, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
                       __global const float* triangles, __global const uint* faces,
                       __global const float* vertex_normals,
 #if FEATURE_UVS
@@ -73,7 +72,7 @@ __kernel void through(uint paths, uint pool, __global const float8* nodes, __glo
                       __global const float* shadow_radiance, __global const float* hit, __global const uint* path,
                       __global float* samples
 #if FEATURE_MEDIA
-                      , __global const Medium* media, Vec4 scene_sphere
+                      , __global const Medium* media, float4 scene_sphere
 #endif
 #if FEATURE_INSTANCES
                       , __global const Instance* instances, uint first_instance, __global const uint* instance
@@ -82,17 +81,9 @@ __kernel void through(uint paths, uint pool, __global const float8* nodes, __glo
 {
     const uint i = get_global_id(0);
     if (i >= paths) return;
-    const Vec3 direction = load_planes3(shadow_direction, i, pool);
+    const Vec3 direction = load_planes3(shadow_direction, i, pool), origin = load_planes3(shadow_origin, i, pool);
     const float t_max = PLANE(3, shadow_direction, pool)[i];
     if (t_max == 0.0f) return;
-    const Vec3 origin = load_planes3(shadow_origin, i, pool);
-    const uint start_primitive = as_uint(PLANE(3, hit, pool)[i]);
-    uint2 skip = (uint2)(start_primitive, as_uint(PLANE(3, shadow_origin, pool)[i]));
-    Ray ray = make_ray(origin, direction);
-#if FEATURE_INSTANCES
-    const uint start = instance[i];
-    uint inside = NONE, bottom = 0;  // the part of the stack that is of the world
-#endif
     Geometry geometry;
     geometry.triangles = triangles;
     geometry.faces = faces;
@@ -116,95 +107,76 @@ __kernel void through(uint paths, uint pool, __global const float8* nodes, __glo
     const float length = SQRT(dot3(direction, direction));
 #endif
 
-    int stack[STACK_SIZE];
-    uint height = 0;
-    int reference = 0;
-    for (;;) {
-        if (reference >= 0) {
-            __global const float8* node = nodes + NODE_STRIDE * reference;
-            __global const int* children = (__global const int*)(node + 6);
-            float8 entry;
-            for (uint met = children_met(node, &ray, t_max, &entry); met; met &= met - 1u)
-                stack[height++] = children[lowest_bit(met)];
-        } else {
-            const uint leaf = (uint)(~reference);
+    Walk walk;
 #if FEATURE_INSTANCES
-            if (leaf >= first_instance) {
-                inside = leaf - first_instance;
-                bottom = height;
-                skip.x = skip_inside(start_primitive, start, inside);
-                ray = make_object_ray(instances + inside, origin, direction);
-                reference = (int)instances[inside].root;
+    walk.instances = instances;
+    walk.first_instance = first_instance;
+    walk.start = instance[i];
+#endif
+    ulong stack[STACK_SIZE];
+    const uint2 skip = (uint2)(as_uint(PLANE(3, hit, pool)[i]), as_uint(PLANE(3, shadow_origin, pool)[i]));
+    begin_walk(&walk, stack, origin, direction, skip);
+    for (;;) {
+        const uint leaf = next_leaf(&walk, stack, nodes, blocks, t_max, false);
+        if (leaf == NO_LEAF) {
+#if FEATURE_MEDIA
+            const bool more = passage.boundaries.count == MOST_BOUNDARIES;
+            walk_media(&passage, media, length);
+            if (more) {
+                passage.again = true;
+                passage.boundaries.count = 0u;
+                begin_walk(&walk, stack, origin, direction, skip);
                 continue;
             }
-#endif
-#if FEATURE_TRIANGLES
-            if (leaf < block_count) {
-                __global const float8* block = blocks + BLOCK_STRIDE * leaf;
-                Lanes t, u, v;
-                for (uint met = triangles_met(block, &ray, skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
-                    const uint lane = lowest_bit(met), primitive = ((__global const uint*)(block + 9))[lane];
-                    const uint flags = as_uint(triangles[TRIANGLE_ROWS * primitive + 2u].w) ^ LANE_BIAS;
-                    if (!(flags & SHAPE_SEE_THROUGH)) return;
-#if FEATURE_INSTANCES
-                    const Surface s = instanced_surface_at(&geometry, instances, inside, primitive, origin,
-                                                           direction, t.lane[lane], u.lane[lane], v.lane[lane]);
-#else
-                    const Surface s = triangle_surface(&geometry, primitive, u.lane[lane], v.lane[lane]);
-#endif
-                    if (!pass(&geometry, bsdfs, &s, direction, t.lane[lane], &passage)) return;
-                }
+            float end_of_flight = t_max;
+            if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
+                const Vec3 arm = sub3(origin, vec3(scene_sphere.x, scene_sphere.y, scene_sphere.z));
+                end_of_flight = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
             }
+            fly_through(&passage, media, end_of_flight, length);
+#endif
+            break;
+        }
+#if FEATURE_TRIANGLES
+        if (leaf < first_analytic) {
+            __global const float8* block = blocks + leaf;
+            Lanes t, u, v;
+            for (uint met = triangles_met(block, &walk.ray, walk.skip, t_max, &t.all, &u.all, &v.all); met; met &= met - 1u) {
+                const uint lane = lowest_bit(met), primitive = ((__global const uint*)(block + 9))[lane];
+                const uint flags = as_uint(triangles[TRIANGLE_FLOATS * primitive + 11u]);
+                if (!(flags & SHAPE_SEE_THROUGH)) return;
+#if FEATURE_INSTANCES
+                const Surface s = instanced_surface_at(&geometry, instances, walk.inside, primitive, origin, direction,
+                                                       t.lane[lane], u.lane[lane], v.lane[lane]);
+#else
+                const Surface s = triangle_surface(&geometry, primitive, u.lane[lane], v.lane[lane]);
+#endif
+                if (!pass(&geometry, bsdfs, &s, direction, t.lane[lane], &passage)) return;
+            }
+        }
 #endif
 #if FEATURE_ANALYTICS
-            if (leaf >= block_count) {
-                const uint index = leaf - block_count;
-                Vec3 from = ray.origin;
-                float t = 0.0f;
-                for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
-                    const float on = analytic_distance(analytics, index, from, ray.direction, skip.x, skip.y, t_max - t);
-                    t += on;
-                    if (!(t < t_max)) break;
-                    if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;
-                    Surface s = analytic_surface(&geometry, index, add3(from, scale3(ray.direction, on)));
-                    from = leave(&s, ray.direction);
+        if (leaf >= first_analytic) {
+            const uint index = leaf - first_analytic;
+            const Vec3 towards = unpacked(walk.ray.direction);
+            Vec3 from = unpacked(walk.ray.origin);
+            float t = 0.0f;
+            for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
+                const float on = analytic_distance(analytics, index, from, towards, walk.skip.x, walk.skip.y, t_max - t);
+                t += on;
+                if (!(t < t_max)) break;
+                if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;
+                Surface s = analytic_surface(&geometry, index, add3(from, scale3(towards, on)));
+                from = leave(&s, towards);
 #if FEATURE_INSTANCES
-                    s = instanced_surface_at(&geometry, instances, inside, ANALYTIC_BIT | index, origin, direction, t,
-                                             0.0f, 0.0f);
+                s = instanced_surface_at(&geometry, instances, walk.inside, ANALYTIC_BIT | index, origin, direction, t,
+                                         0.0f, 0.0f);
 #endif
-                    if (!pass(&geometry, bsdfs, &s, direction, t, &passage)) return;
-                }
+                if (!pass(&geometry, bsdfs, &s, direction, t, &passage)) return;
             }
-#endif
-        }
-#if FEATURE_INSTANCES
-        if (inside != NONE && height == bottom) {
-            inside = NONE;
-            ray = make_ray(origin, direction);
         }
 #endif
-        if (height > 0u) {
-            reference = stack[--height];
-            continue;
-        }
-#if FEATURE_MEDIA
-        const bool more = passage.boundaries.count == MOST_BOUNDARIES;
-        walk(&passage, media, length);
-        if (more) {
-            passage.again = true;
-            passage.boundaries.count = 0u;
-            reference = 0;
-            continue;
-        }
-        float end = t_max;
-        if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
-            const Vec3 arm = sub3(origin, xyz(scene_sphere));
-            end = GREATER(2.0f * GREATER(scene_sphere.w, SQRT(dot3(arm, arm))), passage.passed);
-        }
-        fly_through(&passage, media, end, length);
-#endif
-        break;
     }
-    const uint sample = path[i];
+    const uint sample = PLANE(PATH_SAMPLE, path, pool)[i];
     ADD3(mul3(passage.share, load_planes3(shadow_radiance, i, pool)), sample, samples);
 }

@@ -105,6 +105,7 @@ class _Writer:
             self.instances()
         self.lights()
         path = self.folder / "scene.xml"
+        _leave_out_faults(self.root)
         if self.old:
             _as_of_old(self.root)
         ElementTree.indent(self.root)
@@ -609,6 +610,35 @@ def _text(value) -> str:
     if isinstance(value, (int, float)):
         return f"{value:.6g}"
     return ", ".join(f"{v:.6g}" for v in value)
+
+
+def _leave_out_faults(root: ElementTree.Element):
+    """Takes out of a file what Mitsuba (3.9.1) does not render as it says itself."""
+    bumpy = {material.get("id") for material in root.findall("bsdf") if _with(material, "bumpmap")}
+    for shape in [shape for shape in root.iter("shape") if shape.find("transform") is not None]:
+        to_world = shape.find("transform")
+        # a mirrored mesh has its geometric normals turned, not its shading normals, and bumps are turned to the former:
+        # a bump map of height 0 swaps both sides
+        if _with(shape, "bumpmap") or any(ref.get("id") in bumpy for ref in shape.findall("ref")):
+            for scale in [tag for tag in to_world.findall("scale") if "-1" in tag.attrib.values()]:
+                to_world.remove(scale)
+        # points sampled on a turned sphere (eval_parameterization) have other uv than those asked for
+        if shape.get("type") == "sphere" and shape.find("emitter/texture") is not None:
+            for turn in to_world.findall("rotate"):
+                to_world.remove(turn)
+    # the frame of a bump is laid along dp/du of the world as if that was of the frame without it, so that what is
+    # stretched is stretched along another direction
+    for bsdf in [bsdf for bump in root.iter("bsdf") if bump.get("type") == "bumpmap" for bsdf in bump.iter("bsdf")]:
+        for tag in list(bsdf):
+            if tag.get("name") in ("alpha_v", "anisotropic"):
+                bsdf.remove(tag)
+            elif tag.get("name") == "alpha_u":
+                tag.set("name", "alpha")
+
+
+def _with(element: ElementTree.Element, kind: str) -> bool:
+    """Whether some material of a kind is part of an element."""
+    return any(bsdf.get("type") == kind for bsdf in element.iter("bsdf"))
 
 
 def _as_of_old(root: ElementTree.Element):

@@ -37,6 +37,10 @@ LAYERS = {  # what each may import beside itself; the table in host/README.md
         *("errors", "statistics", "student", "device", "scene", "strategies", "integrator", "film"),
         *("renderer", "rendering", "progress"),
     },
+    "benchmark": {
+        *("errors", "statistics", "student", "device", "scene", "strategies", "integrator", "film"),
+        *("renderer", "rendering", "progress", "comparison"),
+    },
     "rendering": {"errors", "statistics", "device", "scene", "strategies", "integrator", "film", "renderer"},
 }
 

@@ -86,7 +86,7 @@ class Traced:
 
         self.nodes, self.blocks, self.analytics = table(bvh.nodes), table(bvh.blocks), table(scene.analytics)
         self.instances = table(scene.instances)
-        self.counts = np.uint32(len(bvh.blocks)), np.uint32(len(bvh.blocks) + len(scene.analytics))
+        self.counts = np.uint32(bvh.first_analytic), np.uint32(bvh.first_analytic + len(scene.analytics))
         self.surfaces = (
             *map(table, (triangle_records(scene), scene.faces, scene.vertex_normals)),
             *(self.analytics, table(scene.shapes), self.instances),
@@ -105,7 +105,7 @@ class Traced:
         instance = device.buffer(np.full(n, start, np.uint32), "instance")
         more = (self.instances, self.counts[1], instance) if self.features["INSTANCES"] else ()
         arguments = (
-            *(np.uint32(n), np.uint32(n), self.nodes, self.blocks, self.counts[0], self.analytics),
+            *(np.uint32(n), np.uint32(n), np.uint32(1), self.nodes, self.blocks, self.counts[0], self.analytics),
             *(origin, direction, device.buffer(path, "path"), hit, *more),
         )
         device.launch(self.intersect, n, arguments)

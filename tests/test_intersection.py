@@ -1,5 +1,7 @@
 """The intersect stage and the hierarchy against brute force in float64, and rays that must not leak."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -12,14 +14,21 @@ from isonoise.scene import structs
 from isonoise.scene.bounds import analytic_bounds
 from isonoise.scene.bvh import WIDTH, build_bvh
 
-FEATURES = dict.fromkeys(("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"), True) | {"INSTANCES": False}
+FEATURES = dict.fromkeys(("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"), True)
+FEATURES |= dict.fromkeys(("INSTANCES", "COUNT_TESTS"), False)
 ANALYTIC_BIT = 0x80000000
 
 
 def intersect(bvh, origins, directions, analytics=None, t_max=np.inf):
     """t and primitive of the closest hit of every ray, (n,) each; NONE where there is none."""
+    return traced(bvh, origins, directions, analytics, t_max)[:2]
+
+
+def traced(bvh, origins, directions, analytics=None, t_max=np.inf, count_tests=False):
+    """The same, and the nodes and blocks that each ray was tested against, (n, 2), where they are to be counted."""
     device = Device()
-    source, options = stage_source("intersect.cl", STRUCTS, structs.CONSTANTS, FEATURES)
+    features = FEATURES | {"COUNT_TESTS": count_tests}
+    source, options = stage_source("intersect.cl", STRUCTS, structs.CONSTANTS, features)
     kernel = device.build(source, options)["intersect"]
     n = len(origins)
     rays = np.empty((2, n, 4), np.float32)
@@ -34,18 +43,28 @@ def intersect(bvh, origins, directions, analytics=None, t_max=np.inf):
         "direction": as_planes(rays[1]),
         "path": path,
         "hit": np.zeros((4, n), np.float32),
+        "tests": np.zeros((n, 2), np.uint32),
     }
     b = {name: device.buffer(array, name) if array.size else None for name, array in buffers.items()}
     device.launch(
         kernel,
         n,
         (
-            *(np.uint32(n), np.uint32(n), b["nodes"], b["blocks"], np.uint32(len(bvh.blocks)), b["analytics"]),
+            *(
+                np.uint32(n),
+                np.uint32(n),
+                np.uint32(7),
+                b["nodes"],
+                b["blocks"],
+                np.uint32(bvh.first_analytic),
+                b["analytics"],
+            ),
             *(b["origin"], b["direction"], b["path"], b["hit"]),
+            *((b["tests"],) if count_tests else ()),
         ),
     )
     found = read_rows(device, b["hit"], n, 4)
-    return found[:, 0], found[:, 3].copy().view(np.uint32)
+    return found[:, 0], found[:, 3].copy().view(np.uint32), device.read(b["tests"], np.uint32, 2 * n).reshape(n, 2)
 
 
 def no_analytics():
@@ -120,6 +139,39 @@ def test_no_ray_leaks_through_edges_and_vertices_of_a_closed_mesh(scale, offset)
         t, which = intersect(bvh, np.broadcast_to(origin, targets.shape), targets - origin)
         assert (which != structs.NONE).all()
         assert t == pytest.approx(1, rel=1e-3)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1.0, 1e4, 1e7])
+def test_boxes_lose_no_hit(distance):
+    """Against the same triangles in boxes without end. Corners on a grid and directions with components of zero and
+    nearly so: rays start on, and run in, the planes of boxes."""
+    random = np.random.default_rng(5)
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    bvh = build_bvh((np.round(8 * mesh.vertices) / 8).astype(np.float32)[mesh.faces], *no_analytics())
+    nodes = bvh.nodes.copy()
+    nodes[:, 0:3][np.isfinite(nodes[:, 0:3])] = -3e38
+    nodes[:, 3:6][np.isfinite(nodes[:, 3:6])] = 3e38
+    directions = random.standard_normal((20000, 3))
+    directions *= random.choice([1, 1, 1, 0, 1e-20, 1e-42], directions.shape)
+    directions[:, 0] += np.where((np.abs(directions) < 1e-3).all(axis=1), 1, 0)
+    directions = directions.astype(np.float32)
+    targets = np.round(8 * random.uniform(-1.1, 1.1, (20000, 3))) / 8
+    origins = (targets - distance * directions).astype(np.float32)
+    t, _ = intersect(bvh, origins, directions)
+    expected, _ = intersect(replace(bvh, nodes=nodes), origins, directions)
+    assert 0.2 < np.isfinite(expected).mean() < 0.99
+    assert np.array_equal(t, expected)
+
+
+def test_tests_are_counted():
+    """Nine triangles apart from each other: one block holds eight, so a ray through the root and one of two blocks."""
+    near = np.array([[0, 0, 5], [1, 0, 5], [0, 1, 5]], np.float32)
+    corners = near + np.array([[4 * i, 0, 0] for i in range(9)], np.float32)[:, None]
+    bvh = build_bvh(corners, *no_analytics())
+    origins = np.array([[0.1, 0.1, 0], [0.1, 0.1, 9]], np.float32)
+    _, which, tests = traced(bvh, origins, np.array([[0, 0, 1], [0, 0, 1]], np.float32), count_tests=True)
+    assert which.tolist() == [0, structs.NONE]
+    assert tests.tolist() == [[1, 1], [1, 0]]
 
 
 def test_hits_respect_the_length_of_the_ray():

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from small_scene import lamp_over_floor
 
+import isonoise
 from isonoise.errors import SceneError
 from isonoise.scene.meshes import read_shape
 from isonoise.scene.obj import _indexed, read_obj
@@ -231,3 +233,29 @@ def test_cube(mitsuba):
     np.testing.assert_array_equal(mesh.faces, theirs["faces"])
     np.testing.assert_array_equal(mesh.vertices, theirs["vertex_positions"])
     np.testing.assert_array_equal(mesh.uvs, theirs["vertex_texcoords"])
+
+
+@pytest.mark.parametrize("normals", ["", "0 0 1", "0 0 -1"])
+@pytest.mark.parametrize("flip", [False, True])
+def test_without_coordinates_they_are_barycentric(flip, normals, write):
+    """As if a triangle's corners, in the file's order, had (0, 0), (1, 0) and (0, 1): so it is in Mitsuba 3.9.1.
+
+    The floor is stretched along u and chequered. Its normals may be against the order of its corners, which turns it.
+    """
+    corners = ["-1 -1 0", "1.2 -1 0", "-1 1 0", "1.1 1 0", "-1 1.1 0", "1.2 -1 0"]
+
+    def picture(uvs):
+        rows = [" ".join(filter(None, row)) for row in zip(corners, [normals] * 6, uvs, strict=True)]
+        names = ["x", "y", "z", *(("nx", "ny", "nz") if normals else ()), *(("u", "v") if uvs[0] else ())]
+        head = ["ply", "format ascii 1.0", "element vertex 6", *(f"property float {name}" for name in names)]
+        head += ["element face 2", "property list uchar int vertex_indices", "end_header"]
+        path = write("floor.ply", "\n".join([*head, *rows, "3 0 1 2", "3 3 4 5", ""]))
+        checks = {"type": "checkerboard", "to_uv": np.diag([4.0, 3.0, 1.0, 1.0])}
+        metal = {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.5, "specular_reflectance": checks}
+        floor = {"type": "ply", "filename": str(path), "flip_normals": flip}
+        scene = lamp_over_floor() | {"floor": floor | {"bsdf": {"type": "twosided", "bsdf": metal}}}
+        return isonoise.render(scene, spp=16).statistics.rgb
+
+    without, told = picture([""] * 6), picture(["0 0", "1 0", "0 1"] * 2)
+    assert without.mean() > 0.01
+    np.testing.assert_allclose(without, told, rtol=1e-4, atol=1e-6)

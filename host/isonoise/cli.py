@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
     _add_render(commands)
     _add_compare(commands)
+    _add_bench(commands)
     devices = "list the OpenCL devices and say which one is the default"
     commands.add_parser("devices", help=devices, description=devices.capitalize() + ".")
     plugins = commands.add_parser(
@@ -175,6 +176,45 @@ def _add_compare(commands) -> None:
     )
 
 
+def _add_bench(commands) -> None:
+    bench = commands.add_parser(
+        "bench",
+        help="measure how fast scenes render, kernel by kernel",
+        description="Measure scenes: samples per second, start-up, and where the time goes, kernel by kernel and\n"
+        "bounce by bounce. Every run traces the same samples; throughput is measured without OpenCL's profiling,\n"
+        "kernels with it, in turn. Keep the machine idle meanwhile.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    bench.make_epilog = _bench_epilog
+    bench.add_argument("scenes", metavar="SCENE", nargs="*", help="a scene file, a built-in scene, or one listed below")
+    what = bench.add_argument_group("what to measure")
+    what.add_argument(
+        "--repeat", metavar="N", type=arguments.count, default=5, help="runs of each kind (default: %(default)s)"
+    )
+    what.add_argument("--spp", metavar="N", type=arguments.positive, help="samples per pixel of a run; see below")
+    what.add_argument("--size", metavar="WxH", type=arguments.size, help="image size in pixels instead of the scenes'")
+    what.add_argument(
+        "--max-depth", metavar="N", type=arguments.max_depth, help="longest path: 1 is emitters only, -1 no end"
+    )
+    what.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
+    what.add_argument(
+        "--peers",
+        action="store_true",
+        help="measure the speed over that of Mitsuba 3 and, for rays, of Embree, instead; see below",
+    )
+    output = bench.add_argument_group("what to do with it")
+    output.add_argument("--json", metavar="FILE", help="write all figures; host/README.md documents the fields")
+    output.add_argument(
+        "--against", metavar="FILE", help="compare with what --json wrote before; exit code 1 if slower"
+    )
+    output.add_argument(
+        "--threshold",
+        metavar="R",
+        type=arguments.positive,
+        help="speed over the earlier speed below which something is slower (default: 0.9)",
+    )
+
+
 def _add_definitions(parser) -> None:
     parser.add_argument(
         "-D",
@@ -239,6 +279,32 @@ def _compare_epilog() -> str:
         "exit codes: 0 done; 2 bad input, or another plan than the one in DIR; 130 after Ctrl-C",
     ]
     return "\n".join(lines)
+
+
+def _bench_epilog() -> str:
+    from isonoise.benchmark.made_scenes import MADE_SCENES
+    from isonoise.commands.bench import DEFAULT_SCENES
+
+    return "\n".join(
+        [
+            f"scenes beside files and built-in ones: {', '.join(MADE_SCENES)}: a mesh of as many triangles under an",
+            "environment map, made on the spot; `python -m isonoise.benchmark.made_scenes NAME FOLDER` writes it.",
+            f"Without SCENE: {', '.join(DEFAULT_SCENES)}; with --peers mesh-1.3m as well.",
+            "",
+            "A run has about 2 million samples on a CPU and 16 million on a GPU unless --spp says otherwise.",
+            "",
+            "--against compares samples/s and every kernel's time by their medians. Kernels with at most 5 % of the",
+            "time are shown but not judged. Device, scene, size, depth and samples have to be the same; the driver may",
+            "differ.",
+            "",
+            "--peers takes turns with Mitsuba 3 (llvm_ad_rgb, path) on the same file, size, depth and roulette; and,",
+            "where a scene is made of triangles alone, with Embree on one thread on the same rays: the camera's, and",
+            "those after one diffuse bounce. It needs the extra `peers`; DRJIT_LIBLLVM_PATH may have to name a",
+            "libLLVM, 19 or newer.",
+            "",
+            "exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C",
+        ]
+    )
 
 
 class _CommandParser(argparse.ArgumentParser):

@@ -37,7 +37,7 @@ class Peers:
 
     def __init__(self, scene: SceneEntry, size: tuple[int, int] | None, max_depth: int | None):
         self._scene, self._size, self._max_depth = scene, size, max_depth
-        self._workers: dict[str, _Worker] = {}
+        self._workers: dict[str, Worker] = {}
 
     def __enter__(self) -> "Peers":
         return self
@@ -60,7 +60,7 @@ class Peers:
         worker = self._workers.get(strategy)
         if worker is None:
             xml = mitsuba_xml(Path(self._scene.source), PEERS[strategy], self._size, self._max_depth)
-            worker = self._workers[strategy] = _Worker(self._scene.name, xml, pixels)
+            worker = self._workers[strategy] = Worker(self._scene.name, xml, pixels)
             worker.warm_up(stops)
         recorder = Recorder(stops, reference[0])
         total, spp, elapsed, speed = 0.0, 0, 0.0, None
@@ -114,7 +114,7 @@ def _wanted(stops: Stops, growth: float, spp: int, elapsed: float, speed: float 
     return min(wanted, share * speed * left)
 
 
-class _Worker:
+class Worker:
     """Mitsuba in a process of its own, with one scene. Raises UserError if no variant can render it.
 
     `sizes`: samples per pixel that a pass may have, rising: near powers of two, where the sampler does not round them

@@ -6,7 +6,7 @@ import platform
 import tempfile
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -104,19 +104,29 @@ class Device:
     """Context, in-order queue, buffers and programs on one OpenCL device.
 
     With `profile` it keeps how often every kernel was launched (`launches`, by name) and for how many seconds the
-    device worked on it (`seconds`), of the launches that have been waited for.
+    device worked on it (`seconds`), of the launches that have been waited for. `on_launch`, if there is one, then gets
+    every launch in its order: kernel, items, seconds.
     """
 
     def __init__(self, choice: str | int | None = None, profile: bool = False):
         self._cl = _opencl()
         self.device = select_device(choice)
         self.context = _context(self.device)
+        self.allocated = 0
+        self.on_launch: Callable[[str, int, float], None] | None = None
+        self._running: list[tuple] = []  # kernel, items and event of the launches since the last wait
+        self._open_queue(profile)
+        self.forget_profile()
+
+    def _open_queue(self, profile: bool) -> None:
         self.profile = profile
         properties = self._cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self.queue = self._cl.CommandQueue(self.context, properties=properties)
-        self.allocated = 0
-        self._running: list[tuple] = []  # kernel and event of the launches since the last wait
-        self.forget_profile()
+
+    def set_profiling(self, on: bool) -> None:
+        """Goes on with a queue that keeps times, or with one that doesn't; waits for the device."""
+        self.finish()
+        self._open_queue(on)
 
     @property
     def name(self) -> str:
@@ -134,6 +144,10 @@ class Device:
     @property
     def is_cpu(self) -> bool:
         return bool(self.device.type & self._cl.device_type.CPU)
+
+    @property
+    def compute_units(self) -> int:
+        return self.device.max_compute_units
 
     def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
         """Builds one text; returns its kernels by name. Raises DeviceError with the compiler's log."""
@@ -170,12 +184,12 @@ class Device:
         self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, whole_words)
         return buffer
 
-    def launch(self, kernel, items: int, arguments: tuple) -> None:
-        """Runs a kernel over at least `items` work-items; kernels return at once beyond their own bound."""
-        groups = (items + LOCAL_SIZE - 1) // LOCAL_SIZE
+    def launch(self, kernel, items: int, arguments: tuple, per_work_item: int = 1) -> None:
+        """Runs a kernel over at least `items`; kernels return at once beyond their own bound."""
+        groups = -(-items // (per_work_item * LOCAL_SIZE))
         event = kernel(self.queue, (groups * LOCAL_SIZE,), (LOCAL_SIZE,), *arguments)
         if self.profile:
-            self._running.append((kernel, event))
+            self._running.append((kernel, items, event))
 
     def write(self, buffer, array: np.ndarray, offset: int = 0) -> None:
         self._cl.enqueue_copy(self.queue, buffer, np.ascontiguousarray(array), dst_offset=offset)
@@ -214,8 +228,10 @@ class Device:
 
     def _sum_profile(self) -> None:
         """After a wait: the queue is in order, so all that was launched is done."""
-        for kernel, event in self._running:
-            name = kernel.function_name
+        for kernel, items, event in self._running:
+            name, seconds = kernel.function_name, 1e-9 * (event.profile.end - event.profile.start)
             self.launches[name] += 1
-            self.seconds[name] += 1e-9 * (event.profile.end - event.profile.start)
+            self.seconds[name] += seconds
+            if self.on_launch:
+                self.on_launch(name, items, seconds)
         self._running.clear()

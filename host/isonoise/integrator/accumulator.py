@@ -31,8 +31,11 @@ class Accumulator:
         self._shape, self._needs = shape, needs
         self.pixels = shape[0] * shape[1]
 
+        self._planes: list[tuple] = []  # every buffer of the state and its size
+
         def planes(number: int, what: str):
-            return self._device.buffer(4 * number * self.pixels, what)
+            self._planes.append((self._device.buffer(4 * number * self.pixels, what), number * self.pixels))
+            return self._planes[-1][0]
 
         self.count = planes(1, "the sample counts")
         self.rejected = planes(1, "the counts of rejected samples")
@@ -57,6 +60,11 @@ class Accumulator:
             stages.arguments["power"] = np.float32(needs.power)
         if needs.half:
             stages.arguments["halves"] = planes(6, "the sums of every second sample")
+
+    def forget(self) -> None:
+        """Begins anew, as if no sample had entered: the next samples are the first ones again."""
+        for buffer, size in self._planes:
+            self._device.write(buffer, np.zeros(size, np.uint32))
 
     def statistics(self, scale: float = 1.0) -> Statistics:
         """Reads the statistics; samples on the device are `scale` (a power of two) times those of the scene.

@@ -88,6 +88,7 @@ FEATURES = {
     "BATCHES": Feature("chunks of means of several samples", "8 bytes a pixel, a division an entry in reduce"),
     "POWER": Feature("mean of a power of the samples", "8 bytes a pixel, a power or logarithm a sample in reduce"),
     "HALF": Feature("mean of every second sample", "24 bytes a pixel, three sums in reduce"),
+    "COUNT_TESTS": Feature("nodes and blocks of triangles tested, counted", "8 bytes a path, code in intersect"),
 }
 
 
@@ -164,6 +165,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "ORTHOGRAPHIC": bool(scene.camera["kind"][0] == structs.CAMERA_ORTHOGRAPHIC),
         "FILTER_TABLE": scene.filter != "box",
         **statistics_features(needs),
+        "COUNT_TESTS": False,  # a picture never needs it: it is switched on to measure
     }
 
 

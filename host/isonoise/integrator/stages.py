@@ -36,10 +36,10 @@ class Stages:
     def __iter__(self):
         return iter(self._kernels)
 
-    def launch(self, kernel: str, items: int, **given) -> None:
-        """Runs a kernel over at least `items` work-items; `given` are the arguments of this launch alone."""
+    def launch(self, kernel: str, items: int, per_work_item: int = 1, **given) -> None:
+        """Runs a kernel over at least `items`; `given` are the arguments of this launch alone."""
         arguments = tuple(given[name] if name in given else self.arguments[name] for name in self._names[kernel])
-        self.device.launch(self._kernels[kernel], items, arguments)
+        self.device.launch(self._kernels[kernel], items, arguments, per_work_item)
 
 
 def present(named: Mapping[str, object], features: Mapping[str, bool]) -> dict[str, object]:

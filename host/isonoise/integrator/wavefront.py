@@ -10,118 +10,26 @@ from functools import partial
 
 import numpy as np
 
-from isonoise.device.opencl import Device
+from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
+from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
-from isonoise.scene import environment, structs, textures
+from isonoise.scene import structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.light_tree import build_light_tree
 from isonoise.scene.triangles import triangle_records
 from isonoise.statistics import NOTHING_MORE, Needs
 
-STRUCTS = {
-    "Camera": structs.CAMERA,
-    "Shape": structs.SHAPE,
-    "Analytic": structs.ANALYTIC,
-    "Instance": structs.INSTANCE,
-    "Bsdf": structs.BSDF,
-    "Texture": textures.TEXTURE,
-    "Environment": environment.ENVIRONMENT,
-    "EnvironmentRow": environment.ENVIRONMENT_ROW,
-    "Light": structs.LIGHT,
-    "Alias": structs.ALIAS,
-    "Medium": structs.MEDIUM,
-}
-
-# Kernel -> file and arguments, by the names in `Stages.arguments` or given at the launch.
-KERNELS = {
-    "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
-    "generate": (
-        "generate.cl",
-        "count_new pool first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count "
-        "rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
-        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium",
-    ),
-    "intersect": (
-        "intersect.cl",
-        "paths pool nodes blocks block_count analytics ray_origin ray_direction path hit "
-        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
-    ),
-    "shade": (
-        "shade.cl",
-        "paths pool sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
-        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
-        "ROUGH_PLASTIC:boundaries "
-        "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
-        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light "
-        "hit ray_origin ray_direction throughput path shadow_origin "
-        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
-        "VOLPATH:crossing MEDIA:media MEDIA:medium "
-        "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_TREE:lit",
-    ),
-    "shadow": (
-        "shadow.cl",
-        "paths pool nodes blocks block_count analytics shadow_origin shadow_direction shadow_radiance hit path samples "
-        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
-    ),
-    "through": (
-        "through.cl",
-        "paths pool nodes blocks block_count triangles faces vertex_normals UVS:uvs TEXTURES:textures TEXTURES:texel_bytes "
-        "TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs shadow_origin "
-        "shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
-        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
-    ),
-    "count_alive": ("compact.cl", "alive paths block_alive"),
-    "scan_blocks": ("compact.cl", "block_alive blocks_in_use total_alive"),
-    "move_paths": (
-        "compact.cl",
-        "alive paths pool block_alive ray_origin ray_direction throughput path "
-        "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
-        "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium "
-        "LIGHT_TREE:lit LIGHT_TREE:next_lit",
-    ),
-    "reduce": (
-        "reduce.cl",
-        "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums "
-        "MEDIAN:medians POWER:powers POWER:power HALF:halves",
-    ),
-    "summarise": (
-        "summarise.cl",
-        "first_pixel pixels stride total_pixels count sums block_sums summary MEDIAN:medians POWER:powers HALF:halves",
-    ),
-}
-
-
-FEW_KERNELS = {
-    "intersect": (
-        "few.cl",
-        "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count ray_origin ray_direction path hit",
-    ),
-    "shadow": (
-        "few.cl",
-        "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count shadow_origin shadow_direction shadow_radiance hit "
-        "path samples",
-    ),
-}
-"""What takes the place of their rows of `KERNELS` where there are so few primitives that no hierarchy is needed."""
-
-TAKE_LANES = {"generate", "shade"}
-"""Kernels of which a work-item takes several paths: kernels/paths.h."""
-
-
 PLANE_PADDING = 80
-"""Numbers by which a plane of the paths is longer than the pool: else the members of a path, a power of two apart, would
-all compete for the same few places of a cache."""
+"""Numbers by which a plane of the paths is longer than the pool: else the members of a path, a power of two apart,
+would all compete for the same few places of a cache."""
 
-PATH_STATE = {
-    **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
-    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},
-}
-"""Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
+RAYS_PER_ITEM = 32
+"""Rays that a work-item of a CPU follows at most: PoCL gives every item of a group a stack, too many for the cache."""
 
 
 class Wavefront:
@@ -152,13 +60,27 @@ class Wavefront:
             device,
             table,
             self.features,
-            structs.CONSTANTS | textures.CONSTANTS | build_constants(needs) | {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size, "MOST_CORNERS": MOST_CORNERS, "SEARCH_STEPS": scene.environment.steps if scene.environment else 0},
+            structs.CONSTANTS
+            | textures.CONSTANTS
+            | build_constants(needs)
+            | {
+                "LANES": self.lanes,
+                "PATHS_PER_BLOCK": self.block_size,
+                "MOST_CORNERS": MOST_CORNERS,
+                "SEARCH_STEPS": scene.environment.steps if scene.environment else 0,
+            },
             STRUCTS,
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
+        self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
+
+    @property
+    def stages(self) -> Stages:
+        """The kernels, to be launched one by one by whoever measures them."""
+        return self._stages
 
     def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
         scene, device, on = self.scene, self.device, self.features
@@ -187,7 +109,7 @@ class Wavefront:
             **self._corners(),
             "triangle_count": np.uint32(len(scene.faces)),
             "analytic_count": np.uint32(len(scene.analytics)),
-            "block_count": np.uint32(len(bvh.blocks)),
+            "first_analytic": np.uint32(bvh.first_analytic),
             "triangles": table(triangle_records(scene), "the triangles"),
             "faces": table(scene.faces if on["VERTEX_NORMALS"] or on["UVS"] else nothing, "the faces"),
             "uvs": table(scene.uvs, "the texture coordinates"),
@@ -200,7 +122,7 @@ class Wavefront:
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
             "instances": table(scene.instances, "the instances"),
-            "first_instance": np.uint32(len(bvh.blocks) + len(scene.analytics)),
+            "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
             "media": table(scene.media, "the media"),
             "sensor_medium": np.uint32(scene.sensor_medium),
@@ -225,6 +147,7 @@ class Wavefront:
                 for name in (state, f"next_{state}")
             },
             "hit": per_path("the hits"),
+            "tests": per_path("the counts of tests", 8) if on["COUNT_TESTS"] else None,
             "shadow_origin": per_path("the shadow rays") if shadowed else None,
             "shadow_direction": per_path("the shadow rays") if shadowed else None,
             "shadow_radiance": per_path("the shadow rays") if shadowed else None,
@@ -268,7 +191,7 @@ class Wavefront:
 
     def warm_up(self) -> None:
         """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid."""
-        bounds = ("pixels", "slice_samples", "count_new", "paths", "blocks_in_use")
+        bounds = ("pixels", "slice_samples", "count_new", "paths", "rays_per_item", "blocks_in_use")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (1, self.pool_size):
             for name in self._stages:
@@ -324,17 +247,17 @@ class Wavefront:
         return begun
 
     def _launch(self, kernel: str, items: int, **given) -> None:
-        """Runs a kernel over at least `items` work-items, or paths where a work-item takes several."""
+        """Runs a kernel over at least `items`, of which a work-item of some kernels takes several."""
         lanes = self.lanes if kernel in TAKE_LANES or (self.few and kernel in FEW_KERNELS) else 1
-        self._stages.launch(kernel, -(-items // lanes), **given)
+        self._stages.launch(kernel, items, lanes, **given)
 
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
         bound = {"paths": np.uint32(paths)}
-        self._launch("intersect", paths, **bound)
+        self.trace_rays("intersect", paths)
         self._launch("shade", paths, **bound)
         if self._shadow:
-            self._launch(self._shadow, paths, **bound)
+            self.trace_rays(self._shadow, paths)
         blocks = -(-paths // self.block_size)
         self._stages.launch("count_alive", blocks, **bound)
         self._stages.launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
@@ -342,7 +265,20 @@ class Wavefront:
         of = self._arguments
         for name in self._path_state:
             of[name], of[f"next_{name}"] = of[f"next_{name}"], of[name]
-        return int(self.device.read(of["total_alive"], np.uint32, 1)[0])
+        alive = int(self.device.read(of["total_alive"], np.uint32, 1)[0])
+        if self.on_bounce:
+            self.on_bounce(paths)
+        return alive
+
+    def trace_rays(self, stage: str, paths: int) -> None:
+        """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other."""
+        if self.few:
+            self._launch(stage, paths, paths=np.uint32(paths))
+            return
+        rays = 1
+        if self.device.is_cpu and stage != "through":  # and every core has some groups, as long as there are enough
+            rays = min(max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1), RAYS_PER_ITEM)
+        self._stages.launch(stage, paths, rays, paths=np.uint32(paths), rays_per_item=np.uint32(rays))
 
 
 def _sphere_around(bounds: np.ndarray) -> np.ndarray:

@@ -65,6 +65,7 @@ def compile_scene(
         "bsdfs": geometry.bsdfs,
         "boundaries": geometry.boundaries,
         "media": geometry.media,
+        "rewound": geometry.rewound,
         "uvs": geometry.uvs,
         "textures": geometry.textures.records,
         "texel_bytes": geometry.textures.bytes,
@@ -203,9 +204,12 @@ class _Geometry:
         self.textures = textures.arrays(
             [MeshAttributes(len(mesh.vertices), len(mesh.faces), mesh.attributes) for mesh in meshes]
         )
-        self.uvs = np.zeros((0, 2), np.float32)
+        self.uvs, self.rewound = np.zeros((0, 2), np.float32), np.zeros(0, bool)
         textured = any(self.radiance_texture(emitter) != structs.NONE for _, emitter, _ in self.emissive)
-        if (textured or reads_uvs(self.bsdfs)) and any(len(mesh.uvs) for mesh in meshes):
+        read = textured or reads_uvs(self.bsdfs)
+        if read and not all(len(mesh.uvs) for mesh in meshes):
+            self.rewound = np.concatenate([mesh.rewound for mesh in meshes])
+        if read and any(len(mesh.uvs) for mesh in meshes):
             self.uvs = np.concatenate(
                 [mesh.uvs if len(mesh.uvs) else np.zeros((len(mesh.vertices), 2), np.float32) for mesh in meshes]
             )

@@ -34,6 +34,7 @@ class CompiledScene:
     bsdfs: np.ndarray  # (B,) structs.BSDF
     media: np.ndarray  # (M,) structs.MEDIUM that paths can be in: none unless the integrator is volumetric
     boundaries: np.ndarray  # (t, boundaries.NODES) float32: transmittances of rough plastics over the cosine
+    rewound: np.ndarray  # (T,) bool: corners in the order opposite to the mesh's; (0,) where all meshes have uvs
     uvs: np.ndarray  # (V, 2) float32 where a material reads them and some shape has SHAPE_UVS, else (0, 2)
     textures: np.ndarray  # (X,) textures.TEXTURE
     texel_bytes: np.ndarray  # (b, 4) uint8: texels of 8-bit images

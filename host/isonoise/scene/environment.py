@@ -164,7 +164,10 @@ def _guide_size(count: int) -> tuple[int, int]:
 def _search_steps(record: np.ndarray, guides: np.ndarray) -> int:
     """Halvings that leave one of the most entries that lie between two of a guide, rounded up to a multiple of 4."""
     entries = int(record["row_guide"][0])
-    most = max(int(np.diff(guides[:entries]).max()), int(np.diff(guides[entries:].reshape(-1, record["column_guide"][0])).max()))
+    most = max(
+        int(np.diff(guides[:entries]).max()),
+        int(np.diff(guides[entries:].reshape(-1, record["column_guide"][0])).max()),
+    )
     return max(-(-most.bit_length() // 4) * 4, 4)  # of most + 1 entries: ceil(log2(most + 1)) = most.bit_length()
 
 

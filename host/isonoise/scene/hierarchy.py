@@ -11,7 +11,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.bounds import analytic_bounds, instance_bounds
-from isonoise.scene.bvh import STACK_SIZE, Bvh, build_bvh
+from isonoise.scene.bvh import BLOCK_ROWS, NODE_ROWS, STACK_SIZE, Bvh, build_bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.structs import NONE
 
@@ -48,22 +48,22 @@ def _box(tree: Bvh) -> np.ndarray:
 def _joined(trees: list[Bvh], scene: CompiledScene) -> Bvh:
     """The trees of the world and of the groups in common arrays; stack and depth are the world's."""
     begins = np.concatenate([np.zeros((1, 2), int), scene.group_begins.astype(int)])
-    total_blocks, total_analytics = sum(len(tree.blocks) for tree in trees), len(scene.analytics)
+    first_analytic_leaf, total_analytics = sum(tree.first_analytic for tree in trees), len(scene.analytics)
     roots, others, blocks = [], [], []
     first_node, first_block = len(trees), 0
     for tree, (first_triangle, first_analytic), (_, end_analytic) in zip(trees, begins[:-1], begins[1:], strict=True):
         nodes = tree.nodes.copy()
         references = nodes[:, 6].view(np.int32)
         leaf = ~references
-        beyond = leaf - len(tree.blocks)  # number among the analytic primitives of the tree, then among the instances
+        beyond = leaf - tree.first_analytic  # number among the tree's analytic primitives, then among the instances
         own = end_analytic - first_analytic
         leaf = np.where(
             beyond < 0,
-            first_block + leaf,
-            total_blocks + np.where(beyond < own, first_analytic + beyond, total_analytics + beyond - own),
+            BLOCK_ROWS * first_block + leaf,
+            first_analytic_leaf + np.where(beyond < own, first_analytic + beyond, total_analytics + beyond - own),
         )
         # node 0, the root, is nobody's child: there it marks what is unused
-        inner = np.where(references > 0, first_node + references - 1, 0)
+        inner = np.where(references > 0, NODE_ROWS * (first_node - 1) + references, 0)
         references[:] = np.where(references < 0, ~leaf, inner)
         roots.append(nodes[:1])
         others.append(nodes[1:])

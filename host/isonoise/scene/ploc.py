@@ -80,24 +80,25 @@ def build_binary_tree(lower: np.ndarray, upper: np.ndarray) -> BinaryTree:
     lowers[:, :n], uppers[:, :n] = lower, upper
     # float64: the sum of two large corners overflows float32
     nodes = morton_order((lower.astype("f8") + upper) * 0.5).astype(np.int32)
-    lo, hi = np.ascontiguousarray(lower[:, nodes]), np.ascontiguousarray(upper[:, nodes])
+    lo, hi = lower.take(nodes, axis=1), upper.take(nodes, axis=1)
     merges, created = [], n
     while len(nodes) > 1:
         partner = _partners(lo, hi)
         index = np.arange(len(nodes), dtype=np.int32)
         first = np.flatnonzero((partner[partner] == index) & (index < partner))
         second = partner[first]
-        new = np.arange(created, created + len(first), dtype=np.int32)
+        new = slice(created, created + len(first))
         left[new], right[new] = nodes[first], nodes[second]
-        lo[:, first] = np.minimum(lo[:, first], lo[:, second])
-        hi[:, first] = np.maximum(hi[:, first], hi[:, second])
-        lowers[:, new], uppers[:, new] = lo[:, first], hi[:, first]
-        nodes[first] = new
+        lowers[:, new] = np.minimum(lo.take(first, axis=1), lo.take(second, axis=1))
+        uppers[:, new] = np.maximum(hi.take(first, axis=1), hi.take(second, axis=1))
+        nodes[first] = np.arange(new.start, new.stop, dtype=np.int32)
+        lo[:, first], hi[:, first] = lowers[:, new], uppers[:, new]
         keep = np.ones(len(nodes), bool)
         keep[second] = False
-        nodes, lo, hi = nodes[keep], lo[:, keep], hi[:, keep]
-        merges.append(len(new))
-        created += len(new)
+        kept = np.flatnonzero(keep)
+        nodes, lo, hi = nodes[kept], lo.take(kept, axis=1), hi.take(kept, axis=1)
+        merges.append(len(first))
+        created = new.stop
     return BinaryTree(left, right, lowers, uppers, merges)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 NONE = 0xFFFFFFFF
 """Marks 'no such index' (a shape without a light, a light without a primitive)."""
 
-# Kinds are bits, each its own: kernels test them with `&`, which no compiler makes a jump table of. Loops with one are not
-# vectorised.
+# Kinds are bits, each its own: kernels test them with `&`, which no compiler makes a jump table of. Loops with one are
+# not vectorised.
 ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = (1 << bit for bit in range(3))
 (
     BSDF_DIFFUSE,
@@ -43,6 +43,7 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = (1 << bit for bit in range(3
 ) = (1 << bit for bit in range(9))
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS, SHAPE_SEE_THROUGH = 1, 2, 4, 8
+TRIANGLE_REWOUND = 16  # beside its shape's flags
 BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
 BSDF_ANY_NORMAL, BSDF_NO_SHADOW = 16, 32
 BSDF_UNLIT, BSDF_SEE_THROUGH = 64, 128
@@ -88,7 +89,7 @@ TRIANGLE = np.dtype(
         ("edge1", "f4", 3),  # from the first corner to the second
         ("light", "u4"),  # NONE if it does not shine
         ("edge2", "f4", 3),  # to the third
-        ("flags", "u4"),  # of the shape
+        ("flags", "u4"),  # of the shape, TRIANGLE_REWOUND
         ("normal", "f4", 3),  # unit geometric normal; zero if the triangle has no area
         ("media", "u4"),  # of the shape
     ]
@@ -158,5 +159,5 @@ CONSTANTS = {
     name: value
     for name, value in list(globals().items())
     if isinstance(value, int)
-    and name.split("_")[0] in ("NONE", "LANE", "CAMERA", "ANALYTIC", "BSDF", "LIGHT", "SHAPE", "MEDIUM")
+    and name.split("_")[0] in ("NONE", "LANE", "CAMERA", "ANALYTIC", "BSDF", "LIGHT", "SHAPE", "TRIANGLE", "MEDIUM")
 }

@@ -28,6 +28,7 @@ class Surface:
     flip: bool = False  # analytic only: the front is the other side
     uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))  # (v, 2) float32, or (0, 2)
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  # 'vertex_...', 'face_...': see `meshes.Mesh`
+    rewound: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # (t,) where the mesh's winding was turned
 
     @property
     def areas(self) -> np.ndarray:
@@ -83,6 +84,7 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
         np.ascontiguousarray(normals, np.float32),
         uvs=mesh.uvs,
         attributes=mesh.attributes,
+        rewound=faces[:, 0] != mesh.faces[:, 0],
     )
 
 

@@ -1,0 +1,1 @@
+"""Benchmarks: a scene measured kernel by kernel, compared with an earlier measurement, or with other renderers."""

@@ -1,0 +1,99 @@
+"""`isonoise bench`: check what can be checked, measure scene by scene, report, compare."""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from isonoise.benchmark.against import Earlier
+from isonoise.benchmark.made_scenes import MADE_SCENES, write_made_scene
+from isonoise.benchmark.measure import Settings, head, identity, load_subject, measure, samples_of
+from isonoise.benchmark.text import against_text, head_text, scene_text, summary_text
+from isonoise.commands import EXIT_DONE
+from isonoise.device.opencl import Device
+from isonoise.errors import UserError
+from isonoise.film.files import check_writable, write_whole
+from isonoise.progress import Bar
+from isonoise.scene.builtin import find_scene
+
+EXIT_SLOWER = 1
+DEFAULT_SCENES = ("cornell", "bright-spots", "mesh-82k")
+DEFAULT_THRESHOLD = 0.9
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure as the options say; returns the exit code. Raises UserError for what is the user's to mend."""
+    if options.json:
+        check_writable(options.json)
+    if options.threshold is not None and not options.against:
+        raise UserError("--threshold says how slow is too slow against a file: name it with --against")
+    settings = Settings(options.repeat, options.size, options.spp, options.max_depth, options.device)
+    with tempfile.TemporaryDirectory(prefix="isonoise-bench-") as folder:
+        if options.peers:
+            if options.against:
+                raise UserError("--against compares measurements without --peers")
+            from isonoise.benchmark.peers import PEER_SCENES, measure_peers
+            from isonoise.benchmark.peers_text import peers_text
+
+            result = measure_peers(_sources(options.scenes or PEER_SCENES, Path(folder)), settings)
+            _write(options.json, result)
+            _say(peers_text(result))
+            return EXIT_DONE
+        return _bench(options, settings, _sources(options.scenes or DEFAULT_SCENES, Path(folder)))
+
+
+def _bench(options: argparse.Namespace, settings: Settings, sources: Mapping[str, str]) -> int:
+    earlier = Earlier(options.against) if options.against else None
+    device = Device(options.device)
+    result = head(settings, device)
+    if earlier:
+        earlier.check_device(result)
+    _say(head_text(result))
+    with Bar() as bar:
+        for number, (name, source) in enumerate(sources.items()):
+            scene = load_subject(source, settings)
+            if earlier:
+                earlier.check_scene(identity(name, scene, samples_of(scene, settings, device)))
+
+            def show(done: float, what: str, number=number, name=name) -> None:
+                bar.show(number + done, len(sources), f"{name}: {what}")
+
+            result["scenes"].append(measure(name, source, scene, settings, show))
+            _say(scene_text(result["scenes"][-1]))
+    _say(summary_text(result))
+    _write(options.json, result)
+    return _judge(earlier, result, options.threshold or DEFAULT_THRESHOLD) if earlier else EXIT_DONE
+
+
+def _judge(earlier: Earlier, result: Mapping, threshold: float) -> int:
+    comparison = earlier.compare(result)
+    _say(against_text(comparison, threshold))
+    slower = comparison.slower(threshold)
+    if not slower:
+        return EXIT_DONE
+    print(f"isonoise: slower than in '{earlier.path}': {'; '.join(map(str, slower))}", file=sys.stderr)
+    return EXIT_SLOWER
+
+
+def _sources(names: list[str], folder: Path) -> dict[str, str]:
+    """Name -> file or built-in scene; made scenes are written into `folder`. Raises UserError for what is not there."""
+    sources = {}
+    for name in names:
+        if name in MADE_SCENES and not Path(name).exists():
+            sources[name] = ""
+        else:
+            sources[name] = str(find_scene(name))
+    return {name: source or str(write_made_scene(name, folder)) for name, source in sources.items()}
+
+
+def _write(path: str | None, result: Mapping) -> None:
+    if path:
+        text = json.dumps(result, indent=1, allow_nan=False) + "\n"
+        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _say(text: str) -> None:
+    if text:
+        print(text, flush=True)

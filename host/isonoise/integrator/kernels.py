@@ -1,0 +1,98 @@
+"""The kernels that trace paths: their files, their arguments, and the state of a path."""
+
+from isonoise.scene import environment, structs, textures
+
+STRUCTS = {
+    "Camera": structs.CAMERA,
+    "Shape": structs.SHAPE,
+    "Analytic": structs.ANALYTIC,
+    "Instance": structs.INSTANCE,
+    "Bsdf": structs.BSDF,
+    "Texture": textures.TEXTURE,
+    "Environment": environment.ENVIRONMENT,
+    "EnvironmentRow": environment.ENVIRONMENT_ROW,
+    "Light": structs.LIGHT,
+    "Alias": structs.ALIAS,
+    "Medium": structs.MEDIUM,
+}
+
+# Kernel -> file and arguments, by the names in `Stages.arguments` or given at the launch.
+KERNELS = {
+    "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
+    "generate": (
+        "generate.cl",
+        "count_new pool first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset "
+        "count rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
+        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium",
+    ),
+    "intersect": (
+        "intersect.cl",
+        "paths pool rays_per_item nodes blocks first_analytic analytics ray_origin ray_direction path hit "
+        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance COUNT_TESTS:tests",
+    ),
+    "shade": (
+        "shade.cl",
+        "paths pool sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
+        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
+        "ROUGH_PLASTIC:boundaries "
+        "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
+        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light "
+        "hit ray_origin ray_direction throughput path shadow_origin "
+        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
+        "VOLPATH:crossing MEDIA:media MEDIA:medium "
+        "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_TREE:lit",
+    ),
+    "shadow": (
+        "shadow.cl",
+        "paths pool rays_per_item nodes blocks first_analytic analytics shadow_origin shadow_direction shadow_radiance "
+        "hit path samples INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
+    ),
+    "through": (
+        "through.cl",
+        "paths pool nodes blocks first_analytic triangles faces vertex_normals UVS:uvs TEXTURES:textures "
+        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
+        "shadow_origin shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
+        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
+    ),
+    "count_alive": ("compact.cl", "alive paths block_alive"),
+    "scan_blocks": ("compact.cl", "block_alive blocks_in_use total_alive"),
+    "move_paths": (
+        "compact.cl",
+        "alive paths pool block_alive ray_origin ray_direction throughput path "
+        "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
+        "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium "
+        "LIGHT_TREE:lit LIGHT_TREE:next_lit",
+    ),
+    "reduce": (
+        "reduce.cl",
+        "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums "
+        "MEDIAN:medians POWER:powers POWER:power HALF:halves",
+    ),
+    "summarise": (
+        "summarise.cl",
+        "first_pixel pixels stride total_pixels count sums block_sums summary MEDIAN:medians POWER:powers HALF:halves",
+    ),
+}
+
+FEW_KERNELS = {
+    "intersect": (
+        "few.cl",
+        "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count ray_origin "
+        "ray_direction path hit",
+    ),
+    "shadow": (
+        "few.cl",
+        "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count shadow_origin "
+        "shadow_direction shadow_radiance hit path samples",
+    ),
+}
+"""What takes the place of their rows of `KERNELS` where there are so few primitives that no hierarchy is needed."""
+
+TAKE_LANES = {"generate", "shade"}
+"""Kernels of which a work-item takes several paths: kernels/paths.h."""
+
+PATH_STATE = {
+    **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
+    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},
+}
+"""Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
