@@ -14,7 +14,7 @@ import pytest
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.wavefront import STRUCTS
+from isonoise.integrator.kernels import STRUCTS
 from isonoise.scene import load, structs
 from isonoise.scene.boundaries import NODES, inner_reflectance, rough_boundary
 from isonoise.scene.bsdfs import Bsdfs

@@ -14,7 +14,8 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
-from isonoise.integrator.wavefront import STRUCTS, Wavefront
+from isonoise.integrator.kernels import STRUCTS
+from isonoise.integrator.wavefront import Wavefront
 from isonoise.rendering import render
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.compiled import CompiledScene

@@ -9,7 +9,7 @@ from planes import as_planes, read_rows
 
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
-from isonoise.integrator.wavefront import STRUCTS
+from isonoise.integrator.kernels import STRUCTS
 from isonoise.scene import structs
 from isonoise.scene.bounds import analytic_bounds
 from isonoise.scene.bvh import WIDTH, build_bvh

@@ -13,7 +13,7 @@ from test_environment import normal_deviate
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.wavefront import STRUCTS
+from isonoise.integrator.kernels import STRUCTS
 from isonoise.scene import compile_scene, load, structs, textures
 from isonoise.scene.spectra import srgb_to_linear
 from isonoise.scene.triangles import triangle_records

@@ -15,7 +15,7 @@ from small_scene import lamp_over_floor
 import isonoise
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
-from isonoise.integrator.wavefront import STRUCTS
+from isonoise.integrator.kernels import STRUCTS
 from isonoise.scene import compile_scene, emission, light_tree, load, structs, textures
 from isonoise.scene.light_tree import ROWS, WIDTH, build_light_tree
 

@@ -16,7 +16,7 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES, features
-from isonoise.integrator.wavefront import PATH_STATE, STRUCTS
+from isonoise.integrator.kernels import PATH_STATE, STRUCTS
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.boundaries import NODES
 from isonoise.scene.bsdfs import Bsdfs

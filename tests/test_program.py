@@ -20,7 +20,7 @@ from isonoise.errors import DeviceError
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.few import MOST_CORNERS
-from isonoise.integrator.wavefront import FEW_KERNELS, KERNELS, STRUCTS, TAKE_LANES
+from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, STRUCTS, TAKE_LANES
 from isonoise.renderer import Renderer
 from isonoise.scene import structs, textures
 from isonoise.statistics import Needs

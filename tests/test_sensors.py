@@ -9,7 +9,7 @@ from test_random import philox_4x32
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
 from isonoise.integrator.features import features
-from isonoise.integrator.wavefront import STRUCTS
+from isonoise.integrator.kernels import STRUCTS
 from isonoise.rendering import render
 from isonoise.scene import compile_scene, load, structs
 

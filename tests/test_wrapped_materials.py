@@ -16,7 +16,7 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.wavefront import STRUCTS
+from isonoise.integrator.kernels import STRUCTS
 from isonoise.scene import structs, textures
 from isonoise.scene.boundaries import NODES
 from isonoise.scene.bsdfs import Bsdfs
