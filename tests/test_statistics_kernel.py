@@ -14,8 +14,8 @@ from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.integrator.accumulator import STRIP, Accumulator, build_constants
 from isonoise.integrator.features import statistics_features
-from isonoise.integrator.stages import Stages
 from isonoise.integrator.kernels import KERNELS
+from isonoise.integrator.stages import Stages
 from isonoise.statistics import NOTHING_MORE, Needs, Statistics
 
 SLICE = 2**22
