@@ -221,6 +221,12 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
 #endif
 #if KEEPS
     float kept[KEPT * LANES];
+#if FEATURE_TRIANGLES
+    EACH_PATH_ALONE(i, lane) {
+        const uint primitive = as_uint(PLANE(3, hit, pool)[i]);
+        if (i < paths && !(primitive & ANALYTIC_BIT)) FETCH_AHEAD(triangles, 4u * TRIANGLE_FLOATS * (size_t)primitive);
+    }
+#endif
     EACH_PATH_ALONE(i, lane) {
         bool passes = false;
         Path p;
