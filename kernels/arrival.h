@@ -158,10 +158,21 @@ INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* 
 }
 #endif
 
-// Adds what the path brings to its sample. Returns whether there is a surface, or a volume, that may scatter it, and which.
+// The surface that the path met, if it met one.
+INLINE Surface meet_surface(const Scene* scene, const Paths* of, size_t i, const Path* p)
+{
+    if (p->primitive == NONE) return no_surface();
+#if FEATURE_INSTANCES
+    return instanced_surface_at(&scene->geometry, scene->instances, of->instance[i], p->primitive, p->origin, p->direction,
+                                p->distance, p->u, p->v);
+#else
+    return surface_at(&scene->geometry, p->primitive, p->origin, p->direction, p->distance, p->u, p->v);
+#endif
+}
+
+// Adds what the path brings to its sample. Returns whether the surface, or a volume before it that takes its place, may scatter it.
 INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s)
 {
-    *s = no_surface();
     bool from_volume = false;
 #if FEATURE_MEDIA
     float flown = p->distance;
@@ -174,14 +185,6 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
         if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) ADD3(arriving_sky(scene, p), p->sample, of->samples);
 #endif
         return false;
-    }
-    if (!FEATURE_MEDIA || p->primitive != NONE) {
-#if FEATURE_INSTANCES
-        *s = instanced_surface_at(&scene->geometry, scene->instances, of->instance[i], p->primitive, p->origin, p->direction,
-                                  p->distance, p->u, p->v);
-#else
-        *s = surface_at(&scene->geometry, p->primitive, p->origin, p->direction, p->distance, p->u, p->v);
-#endif
     }
     if (!p->in_volume && dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return false;
 #if FEATURE_TRIANGLES

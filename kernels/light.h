@@ -70,7 +70,7 @@ INLINE float light_pdf(const Geometry* g, __global const Light* light, Vec3 refe
 
 #if !FEATURE_LIGHT_TREE
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
-INLINE uint pick_light(__global const Alias* table, uint count, float u_high, float u_low)
+INLINE uint pick_by_power(__global const Alias* table, uint count, float u_high, float u_low)
 {
     const ulong scaled = (ulong)(u_high * 0x1p24f) * count + (((ulong)(u_low * 0x1p24f) * count) >> 24);
     const uint index = LESSER((uint)(scaled >> 24), count - 1u);
@@ -144,7 +144,7 @@ INLINE float sample_surface(const Geometry* g, __global const Light* light, Vec3
 INLINE Vec3 emitted_radiance(const Geometry* g, __global const Light* light, const Surface* s)
 {
     Vec3 radiance = LOAD3(0, light->radiance);
-#if FEATURE_TEXTURES
+#if FEATURE_TEXTURED_LIGHTS
     if (light->texture != NONE) {
         const TexturePoint point = texture_point(s);
         radiance = mul3(radiance, texture_rgb(&g->textures, light->texture, &point));
@@ -181,18 +181,32 @@ INLINE Vec3 sky_radiance(const Geometry* g, __global const Light* sky, Vec3 dire
 }
 #endif
 
-// One light, and one point on it, for the point `reference` and the side that is lit there. `u`: pick, position x,
-// position y, pick (low bits).
-INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
-                                Vec3 reference, Vec4 lit, Vec4 u)
+// A light that was picked, and the probability of that; 0 if none was.
+typedef struct {
+    uint light;
+    float probability;
+} LightPick;
+
+// One light for the point `reference` and the side that is lit there, by a random number and what lies below its last bit.
+INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
+                            Vec3 reference, Vec4 lit, float u, float u_low)
+{
+    LightPick pick;
+#if FEATURE_LIGHT_TREE
+    pick.light = pick_from_tree(&g->light_tree, reference, lit, u, u_low, &pick.probability);
+#else
+    pick.light = pick_by_power(table, count, u, u_low);
+    pick.probability = lights[pick.light].pick_probability;
+#endif
+    return pick;
+}
+
+// A point on the light that was picked, for the point `reference`.
+INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference, Vec2 u)
 {
     LightSample sample = no_light();
-#if FEATURE_LIGHT_TREE
-    __global const Light* light = lights + pick_from_tree(&g->light_tree, reference, lit, u.x, u.w, &sample.pdf);
-#else
-    __global const Light* light = lights + pick_light(table, count, u.x, u.w);
-    sample.pdf = light->pick_probability;
-#endif
+    __global const Light* light = lights + pick.light;
+    sample.pdf = pick.probability;
     sample.radiance = LOAD3(0, light->radiance);
 #if FEATURE_POINT_LIGHTS
     if (light->kind & LIGHT_POINT) {
@@ -224,7 +238,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #if FEATURE_ENVIRONMENT_MAP
     if (light->kind & LIGHT_ENVIRONMENT_MAP) {
         float density;
-        sample.radiance = environment_sample(&g->environment, vec2(u.y, u.z), &sample.direction, &density);
+        sample.radiance = environment_sample(&g->environment, u, &sample.direction, &density);
         sample.pdf *= density;
         sample.is_infinite = true;
         return sample;
@@ -232,8 +246,8 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #endif
 #if FEATURE_CONSTANT_LIGHT
     if (light->kind & LIGHT_CONSTANT) {
-        const float z = 1.0f - 2.0f * u.y, r = 2.0f * SQRT(GREATER(u.y * (1.0f - u.y), 0.0f));
-        sample.direction = on_plane(scale2(circle(u.z), r), z);
+        const float z = 1.0f - 2.0f * u.x, r = 2.0f * SQRT(GREATER(u.x * (1.0f - u.x), 0.0f));
+        sample.direction = on_plane(scale2(circle(u.y), r), z);
         sample.pdf *= 0.25f * M_1_PI_F;
         sample.is_infinite = true;
         return sample;
@@ -241,7 +255,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #endif
 #if FEATURE_AREA_LIGHTS
     Surface s = no_surface();
-    const float density = sample_surface(g, light, reference, vec2(u.y, u.z), &s);
+    const float density = sample_surface(g, light, reference, u, &s);
     const Vec3 arm = sub3(s.position, reference);
     const float distance2 = dot3(arm, arm);
     sample.direction = unit(arm);

@@ -5,22 +5,29 @@
 // path, and kept: kept.h.
 #include "kept.h"
 
-// The light that next-event estimation looks at; of density 0 if it looks at none.
-INLINE LightSample light_for(const Scene* scene, const Path* p, const Surface* s, const Shading* at, bool looks)
+// The light that next-event estimation looks at, if it looks at any.
+INLINE LightPick light_for(const Scene* scene, const Path* p, const Surface* s, const Shading* at, bool looks)
 {
-    LightSample light = no_light();
+    LightPick pick = {0u, 0.0f};
 #if FEATURE_NEXT_EVENT
-    if (looks && bsdf_is_smooth(at))
-        light = sample_light(&scene->geometry, scene->lights, scene->light_alias, scene->light_count, s->position, lit_side(at),
-                             path_random(scene, p, BLOCK_LIGHT(event_of(p))));
+    if (looks && bsdf_is_smooth(at)) {
+        const Vec4 u = path_random(scene, p, BLOCK_LIGHT(event_of(p)));
+        pick = pick_light(&scene->geometry, scene->lights, scene->light_alias, scene->light_count, s->position, lit_side(at),
+                          u.x, u.w);
+    }
 #endif
-    return light;
+    return pick;
 }
 
 #if FEATURE_NEXT_EVENT
 // Leaves a shadow ray for the light; none if nothing could arrive.
-INLINE void next_event(const Paths* of, size_t i, const Path* p, const Surface* s, const Shading* at, const LightSample* light)
+INLINE void next_event(const Scene* scene, const Paths* of, size_t i, const Path* p, const Surface* s, const Shading* at,
+                       LightPick pick)
 {
+    if (!(pick.probability > 0.0f)) return;
+    const Vec4 u = path_random(scene, p, BLOCK_LIGHT(event_of(p)));
+    const LightSample sample = sample_light(&scene->geometry, scene->lights, pick, s->position, vec2(u.y, u.z));
+    const LightSample* light = &sample;
     if (!(light->pdf > 0.0f) || !(largest(light->radiance) > 0.0f)) return;
     float bsdf_pdf = 0.0f;
     const Vec3 scattered = bsdf_eval(at, light->direction, &bsdf_pdf);
@@ -91,13 +98,12 @@ INLINE void scatter(const Scene* scene, const Paths* of, size_t i, Path* p, cons
 
 // All up to the light that is looked at. Returns whether the path may go on from the surface.
 INLINE bool begin_shading(const Scene* scene, const Paths* of, size_t i, uint max_depth, Path* p, Surface* s, Shading* at,
-                          bool* passes, LightSample* light)
+                          bool* passes, LightPick* pick)
 {
     of->alive[i] = 0;
 #if FEATURE_NEXT_EVENT
     PLANE(3, of->shadow_direction, of->pool)[i] = 0.0f;
 #endif
-    *p = load_path(of, i);
     if (!arrive(scene, of, i, p, s)) return false;
     const bool last = p->depth + 1u >= max_depth;
     if (!FEATURE_VOLPATH && last) return false;
@@ -110,15 +116,15 @@ INLINE bool begin_shading(const Scene* scene, const Paths* of, size_t i, uint ma
         return false;
     }
 #endif
-    *light = light_for(scene, p, s, at, !*passes && !last);
+    *pick = light_for(scene, p, s, at, !*passes && !last);
     return true;
 }
 
 INLINE void end_shading(const Scene* scene, const Paths* of, size_t i, uint max_depth, uint rr_depth, Path* p, const Surface* s,
-                        const Shading* at, bool passes, const LightSample* light)
+                        const Shading* at, bool passes, LightPick pick)
 {
 #if FEATURE_NEXT_EVENT
-    next_event(of, i, p, s, at, light);
+    next_event(scene, of, i, p, s, at, pick);
 #endif
     scatter(scene, of, i, p, s, at, passes, p->depth + 1u >= max_depth, rr_depth);
 }
@@ -221,42 +227,41 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
 #endif
 #if KEEPS
     float kept[KEPT * LANES];
-#if FEATURE_TRIANGLES
-    EACH_PATH_ALONE(i, lane) {
-        const uint primitive = as_uint(PLANE(3, hit, pool)[i]);
-        if (i < paths && !(primitive & ANALYTIC_BIT)) FETCH_AHEAD(triangles, 4u * TRIANGLE_FLOATS * (size_t)primitive);
+    EACH_PATH(i, lane) {
+        if (i >= paths) continue;
+        const Path p = load_path(&of, i);
+        const Surface s = meet_surface(&scene, &of, i, &p);
+        keep_surface(&s, kept, lane);
     }
-#endif
     EACH_PATH_ALONE(i, lane) {
-        bool passes = false;
-        Path p;
-        Surface s;
+        keep_mark(false, kept, lane);
+        if (i >= paths) continue;
+        Path p = load_path(&of, i);
+        Surface s = kept_surface(kept, lane);
         Shading at;
-        LightSample light;
-        bool goes_on = false;
-        if (i < paths) goes_on = begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &light);
-        keep_mark(goes_on, kept, lane);
-        if (goes_on) keep(&scene, &s, &at, &light, kept, lane);
+        LightPick pick;
+        bool passes;
+        if (!begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &pick)) continue;
+        keep_mark(true, kept, lane);
+        keep_shading(&scene, &at, pick, kept, lane);
     }
     EACH_PATH(i, lane) {
         if (!kept_mark(kept, lane)) continue;
         Path p = load_path(&of, i);
-        Surface s;
-        Shading at;
-        LightSample light;
-        take_back(&scene, &p, &s, &at, &light, kept, lane);
-        end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, false, &light);
+        const Surface s = kept_surface(kept, lane);
+        const Shading at = kept_shading(&scene, &p, kept, lane);
+        end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, false, kept_pick(kept, lane));
     }
 #else
     EACH_PATH(i, lane) {
         if (i >= paths) continue;
-        bool passes = false;
-        Path p;
-        Surface s;
+        Path p = load_path(&of, i);
+        Surface s = meet_surface(&scene, &of, i, &p);
         Shading at;
-        LightSample light;
-        if (begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &light))
-            end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, passes, &light);
+        LightPick pick;
+        bool passes;
+        if (begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &pick))
+            end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, passes, pick);
     }
 #endif
 }

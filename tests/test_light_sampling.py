@@ -49,8 +49,8 @@ __kernel void sample({GEOMETRY},
     if (i >= n) return;
     const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
     const Vec4 no_side = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-    const Vec4 number = vec4(u[4 * i], u[4 * i + 1], u[4 * i + 2], u[4 * i + 3]);
-    const LightSample light = sample_light(&g, lights, table, count, LOAD3(i, reference), no_side, number);
+    const LightPick pick = pick_light(&g, lights, table, count, LOAD3(i, reference), no_side, u[4 * i], u[4 * i + 3]);
+    const LightSample light = sample_light(&g, lights, pick, LOAD3(i, reference), vec2(u[4 * i + 1], u[4 * i + 2]));
     STORE3(light.direction, 0, out + 16 * i);
     STORE3(light.radiance, 1, out + 16 * i);
     STORE3(light.position, 2, out + 16 * i);
@@ -161,7 +161,7 @@ def lit():
     device, source = Device(), program.kernel_source
     on = {"AREA_LIGHTS", "TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS", "POINT_LIGHTS"}
     on |= {"SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS"}
-    on |= {"CYLINDERS", "TEXTURES", "BITMAPS", "UVS"}
+    on |= {"CYLINDERS", "TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
         constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}

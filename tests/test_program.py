@@ -49,6 +49,7 @@ NEEDS = {  # no scene has the one without the others
     "CHECKERBOARDS": {"TEXTURES", "UVS"},
     "MESH_ATTRIBUTES": {"TEXTURES", "UVS"},
     "BUMP": {"TEXTURES", "UVS"},
+    "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "TRIANGLES"},
     "MEDIA": {"VOLPATH"},
     "LIGHT_TREE": {"NEXT_EVENT", "DIFFUSE"},
     "BATCHES": {"MEDIAN"},

@@ -40,7 +40,8 @@ def count_shadow_rays(subject: Subject) -> list[int]:
 
     def on_bounce(paths: int) -> None:
         nonlocal depth
-        rays = subject.device.read(directions, np.float32, 4 * paths)[3::4]
+        lengths = 3 * int(wavefront.stages.arguments["pool"])  # the last plane
+        rays = subject.device.read(directions, np.float32, paths, offset=lengths)
         counts.extend([0] * (depth + 1 - len(counts)))
         counts[depth] += int(np.count_nonzero(rays))
         depth += 1

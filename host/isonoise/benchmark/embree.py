@@ -42,13 +42,19 @@ class IntersectStage:
         """Sends rays to the device."""
         self._rays = len(origins)
         of = self._wavefront.stages.arguments
+        plane = 4 * int(of["pool"])  # bytes
 
-        def rows(xyz: np.ndarray, last: float) -> np.ndarray:
-            return np.concatenate([xyz, np.full((len(xyz), 1), last)], axis=1).astype(np.float32)
+        def write(buffer: str, *members: np.ndarray) -> None:
+            for place, member in enumerate(members):
+                self._device.write(of[buffer], member, offset=place * plane)
 
-        self._device.write(of["ray_origin"], rows(origins, np.inf))
-        self._device.write(of["ray_direction"], rows(directions, -1.0))
-        self._device.write(of["path"], np.tile(np.array([0, NONE, 0, 0], np.uint32), (self._rays, 1)))
+        def all_of(value: float) -> np.ndarray:
+            return np.full(self._rays, value, np.float32)
+
+        write("ray_origin", *origins.T.astype(np.float32), all_of(np.inf))
+        write("ray_direction", *directions.T.astype(np.float32), all_of(-1.0))
+        none = np.full(self._rays, NONE, np.uint32)
+        write("path", np.zeros_like(none), none)
         self._device.finish()
 
     def trace(self) -> float:
@@ -60,9 +66,10 @@ class IntersectStage:
 
     def hits(self) -> tuple[np.ndarray, np.ndarray]:
         """Distances (n,), infinite where nothing was met, and triangles (n,), NONE there."""
-        found = self._device.read(self._wavefront.stages.arguments["hit"], np.float32, 4 * self._rays).reshape(-1, 4)
-        triangles = np.ascontiguousarray(found[:, 3]).view(np.uint32)
-        return np.where(triangles == NONE, np.inf, found[:, 0]), triangles
+        of = self._wavefront.stages.arguments
+        distances = self._device.read(of["hit"], np.float32, self._rays)
+        triangles = self._device.read(of["hit"], np.uint32, self._rays, offset=3 * int(of["pool"]))
+        return np.where(triangles == NONE, np.inf, distances), triangles
 
 
 class EmbreeMesh:

@@ -143,7 +143,7 @@ def measure(
         "pool_paths": subject.pool_size,
         "occupancy": intersect["items"] / (intersect["launches"] * subject.pool_size) if intersect else None,
         "hierarchy": tree_facts(subject.bvh, scene),
-        "memory": memory_facts(device, subject.pool_size),
+        "memory": memory_facts(device, int(subject.wavefront.stages.arguments["pool"])),
     }
 
 
@@ -167,10 +167,10 @@ def kernel_facts(runs: list[Run]) -> list[dict[str, object]]:
     return sorted(rows, key=lambda row: -row["share"])
 
 
-def memory_facts(device: MeasuredDevice, pool_size: int) -> dict[str, object]:
-    """Bytes on the device, by buffer."""
+def memory_facts(device: MeasuredDevice, paths: int) -> dict[str, object]:
+    """Bytes on the device, by buffer; there is room for so many paths."""
     return {
         "total_bytes": sum(device.bytes_of.values()),
-        "state_bytes_per_path": sum(device.bytes_of[name] for name in PATH_BUFFERS) / pool_size,
+        "state_bytes_per_path": sum(device.bytes_of[name] for name in PATH_BUFFERS) / paths,
         "buffers_bytes": dict(device.bytes_of.most_common()),
     }

@@ -64,8 +64,9 @@ FEATURES = {
         "surfaces that let paths and light through unturned",
         "8 bytes a path; the shadow stage looks at such surfaces instead of ending there",
     ),
-    "MEDIA": Feature("media", "4 bytes a path, free flights in shade, transmittance in the shadow stage"),
+    "MEDIA": Feature("media", "12 bytes a path, free flights in shade, transmittance in the shadow stage"),
     "AREA_LIGHTS": Feature("surfaces that shine", "light table, emission and its weight in shade"),
+    "TEXTURED_LIGHTS": Feature("lights whose radiance varies over them", "texture look-up in light sampling"),
     "TRIANGLE_LIGHTS": Feature("triangles that shine", "sampling code in shade"),
     "SPHERE_LIGHTS": Feature("spheres that shine", "sampling code in shade"),
     "DISK_LIGHTS": Feature("disks that shine", "sampling code in shade"),
@@ -78,7 +79,7 @@ FEATURES = {
     "LIGHT_TREE": Feature(
         "many lights, picked by what they could send to a point", "about 100 bytes a light, 32 a path, code in shade"
     ),
-    "NEXT_EVENT": Feature("next-event estimation", "shadow stage, 48 bytes a path"),
+    "NEXT_EVENT": Feature("next-event estimation", "shadow stage, 44 bytes a path"),
     "RUSSIAN_ROULETTE": Feature("russian roulette", "code in shade"),
     "HIDE_EMITTERS": Feature("lights hidden from the camera", "code in shade"),
     "THIN_LENS": Feature("a lens with depth of field", "code in generate"),
@@ -148,6 +149,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "VOLPATH": len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_SEE_THROUGH).any()),
         "MEDIA": len(scene.media) > 0,
         "AREA_LIGHTS": bool(light & surface_lights),
+        "TEXTURED_LIGHTS": bool((scene.lights["texture"] != structs.NONE).any()),
         "TRIANGLE_LIGHTS": structs.LIGHT_TRIANGLE in light,
         "SPHERE_LIGHTS": structs.LIGHT_SPHERE in light,
         "DISK_LIGHTS": structs.LIGHT_DISK in light,

@@ -76,12 +76,12 @@ KERNELS = {
 
 FEW_KERNELS = {
     "intersect": (
-        "few.cl",
+        "intersect_few.cl",
         "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count ray_origin "
         "ray_direction path hit",
     ),
     "shadow": (
-        "few.cl",
+        "shadow_few.cl",
         "paths pool corners corner_count corner_numbers triangle_count analytics analytic_count shadow_origin "
         "shadow_direction shadow_radiance hit path samples",
     ),

@@ -150,7 +150,7 @@ class Wavefront:
             "tests": per_path("the counts of tests", 8) if on["COUNT_TESTS"] else None,
             "shadow_origin": per_path("the shadow rays") if shadowed else None,
             "shadow_direction": per_path("the shadow rays") if shadowed else None,
-            "shadow_radiance": per_path("the shadow rays") if shadowed else None,
+            "shadow_radiance": per_path("the shadow rays", 16 if on["MEDIA"] else 12) if shadowed else None,
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
             "pixel_offset": device.buffer(4 * pixels, "the allocation"),
