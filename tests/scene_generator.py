@@ -17,6 +17,9 @@ import numpy as np
 SIDES = (48, 48), (56, 40), (40, 48)
 """Width and height of films; whole blocks of 8 x 8 pixels."""
 
+DARK = {7: "sky", 23: "lamp", 24: "lamp", 35: "sky", 62: "sky", 98: "lamp"}
+"""Seeds whose lights reach next to nothing that is seen: they get one more, and a camera that sees to the walls."""
+
 _METALS = ("Au", "Cu", "Al", "Ag", "W", "Cr", "none")
 _INDICES = ("air", "water", "bk7", "diamond", "acetone", "pet", "vacuum")
 _OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic", "principled")
@@ -44,6 +47,7 @@ class _Writer:
 
     def __init__(self, folder: Path, seed: int, media: bool):
         self.folder, self.r = folder, random.Random(seed)
+        self.more_light = DARK.get(seed)
         self.arrays = np.random.default_rng(seed)
         self.old = self.chance(0.2)
         self.foggy = media and self.chance(0.2)
@@ -136,7 +140,8 @@ class _Writer:
         target = [self.between(-0.4, 0.4) for _ in range(3)]
         self.tag(to_world, "lookat", origin=origin, target=target, up=(self.between(-0.2, 0.2), 1, 0))
         self.float(sensor, "near_clip", self.r.choice((0.01, 0.5, 2.5)))
-        self.float(sensor, "far_clip", self.r.choice((1e4, 100.0, away + 3.0)))
+        far_clip = self.r.choice((1e4, 100.0, away + 3.0))
+        self.float(sensor, "far_clip", 100.0 if self.more_light else far_clip)
         if kind != "orthographic":
             if self.chance(0.2):
                 self.tag(sensor, "string", name="focal_length", value=self.r.choice(("28mm", "50mm")))
@@ -517,6 +522,13 @@ class _Writer:
         self.area_light((0, 3.0, 0)) if self.inside else self.r.choice(far)()
         for _ in range(self.r.choice((0, 1, 1, 2))):
             self.r.choice(near)()
+        if self.more_light == "sky":
+            emitter = self.tag(self.root, "emitter", "constant")
+            self.tag(emitter, "rgb", name="radiance", value=0.4)
+        elif self.more_light == "lamp":
+            emitter = self.tag(self.root, "emitter", "point")
+            self.tag(emitter, "point", name="position", x=0.5, y=1.5, z=3.5)
+            self.tag(emitter, "rgb", name="intensity", value=10.0)
 
     def emission(self, emitter, name: str, level: float):
         if self.chance(0.7):
@@ -614,6 +626,14 @@ def _text(value) -> str:
 
 def _leave_out_faults(root: ElementTree.Element):
     """Takes out of a file what Mitsuba (3.9.1) does not render as it says itself."""
+    # of a path that met nothing but what let it through, light that it found on the way is left out, unless there is a
+    # sky to see: one that is all but black does
+    sky = any(emitter.get("type") in ("constant", "envmap") for emitter in root.findall("emitter"))
+    if _with(root, "mask") and not sky:
+        for hide in root.findall("integrator/boolean[@name='hide_emitters']"):
+            hide.set("value", "false")
+        emitter = ElementTree.SubElement(root, "emitter", type="constant")
+        ElementTree.SubElement(emitter, "rgb", name="radiance", value="1e-05")
     bumpy = {material.get("id") for material in root.findall("bsdf") if _with(material, "bumpmap")}
     for shape in [shape for shape in root.iter("shape") if shape.find("transform") is not None]:
         to_world = shape.find("transform")
@@ -622,10 +642,24 @@ def _leave_out_faults(root: ElementTree.Element):
         if _with(shape, "bumpmap") or any(ref.get("id") in bumpy for ref in shape.findall("ref")):
             for scale in [tag for tag in to_world.findall("scale") if "-1" in tag.attrib.values()]:
                 to_world.remove(scale)
+            # where dp/du goes along z such a frame is none (see below), and without a slope black: so for a room's floor
+            if shape.find("transform/rotate") is None:
+                ElementTree.SubElement(to_world, "rotate", y="1", angle="8")
         # points sampled on a turned sphere (eval_parameterization) have other uv than those asked for
         if shape.get("type") == "sphere" and shape.find("emitter/texture") is not None:
             for turn in to_world.findall("rotate"):
                 to_world.remove(turn)
+    # what is blended under a map of normals or heights is less than its parts, weighted, where one is smooth
+    for wrapper in [bsdf for bsdf in root.iter("bsdf") if bsdf.get("type") in _BUMPY]:
+        for around in list(wrapper.iter("bsdf")):
+            for number, part in enumerate(around):
+                while part.get("type") == "blendbsdf":
+                    around[number] = part = part.find("bsdf")
+    # the slope of a turned image counts its pixels along the wrong axes
+    for bump in [bsdf for bsdf in root.iter("bsdf") if bsdf.get("type") == "bumpmap"]:
+        for to_uv in bump.findall("texture/transform"):
+            for turn in to_uv.findall("rotate"):
+                to_uv.remove(turn)
     # the frame of a bump is laid along dp/du of the world as if that was of the frame without it, so that what is
     # stretched is stretched along another direction
     for bsdf in [bsdf for bump in root.iter("bsdf") if bump.get("type") == "bumpmap" for bsdf in bump.iter("bsdf")]:
