@@ -12,6 +12,7 @@ import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
+import mitsuba_faults
 import numpy as np
 
 SIDES = (48, 48), (56, 40), (40, 48)
@@ -109,7 +110,7 @@ class _Writer:
             self.instances()
         self.lights()
         path = self.folder / "scene.xml"
-        _leave_out_faults(self.root)
+        mitsuba_faults.leave_out(self.root)
         if self.old:
             _as_of_old(self.root)
         ElementTree.indent(self.root)
@@ -622,57 +623,6 @@ def _text(value) -> str:
     if isinstance(value, (int, float)):
         return f"{value:.6g}"
     return ", ".join(f"{v:.6g}" for v in value)
-
-
-def _leave_out_faults(root: ElementTree.Element):
-    """Takes out of a file what Mitsuba (3.9.1) does not render as it says itself."""
-    # of a path that met nothing but what let it through, light that it found on the way is left out, unless there is a
-    # sky to see: one that is all but black does
-    sky = any(emitter.get("type") in ("constant", "envmap") for emitter in root.findall("emitter"))
-    if _with(root, "mask") and not sky:
-        for hide in root.findall("integrator/boolean[@name='hide_emitters']"):
-            hide.set("value", "false")
-        emitter = ElementTree.SubElement(root, "emitter", type="constant")
-        ElementTree.SubElement(emitter, "rgb", name="radiance", value="1e-05")
-    bumpy = {material.get("id") for material in root.findall("bsdf") if _with(material, "bumpmap")}
-    for shape in [shape for shape in root.iter("shape") if shape.find("transform") is not None]:
-        to_world = shape.find("transform")
-        # a mirrored mesh has its geometric normals turned, not its shading normals, and bumps are turned to the former:
-        # a bump map of height 0 swaps both sides
-        if _with(shape, "bumpmap") or any(ref.get("id") in bumpy for ref in shape.findall("ref")):
-            for scale in [tag for tag in to_world.findall("scale") if "-1" in tag.attrib.values()]:
-                to_world.remove(scale)
-            # where dp/du goes along z such a frame is none (see below), and without a slope black: so for a room's floor
-            if shape.find("transform/rotate") is None:
-                ElementTree.SubElement(to_world, "rotate", y="1", angle="8")
-        # points sampled on a turned sphere (eval_parameterization) have other uv than those asked for
-        if shape.get("type") == "sphere" and shape.find("emitter/texture") is not None:
-            for turn in to_world.findall("rotate"):
-                to_world.remove(turn)
-    # what is blended under a map of normals or heights is less than its parts, weighted, where one is smooth
-    for wrapper in [bsdf for bsdf in root.iter("bsdf") if bsdf.get("type") in _BUMPY]:
-        for around in list(wrapper.iter("bsdf")):
-            for number, part in enumerate(around):
-                while part.get("type") == "blendbsdf":
-                    around[number] = part = part.find("bsdf")
-    # the slope of a turned image counts its pixels along the wrong axes
-    for bump in [bsdf for bsdf in root.iter("bsdf") if bsdf.get("type") == "bumpmap"]:
-        for to_uv in bump.findall("texture/transform"):
-            for turn in to_uv.findall("rotate"):
-                to_uv.remove(turn)
-    # the frame of a bump is laid along dp/du of the world as if that was of the frame without it, so that what is
-    # stretched is stretched along another direction
-    for bsdf in [bsdf for bump in root.iter("bsdf") if bump.get("type") == "bumpmap" for bsdf in bump.iter("bsdf")]:
-        for tag in list(bsdf):
-            if tag.get("name") in ("alpha_v", "anisotropic"):
-                bsdf.remove(tag)
-            elif tag.get("name") == "alpha_u":
-                tag.set("name", "alpha")
-
-
-def _with(element: ElementTree.Element, kind: str) -> bool:
-    """Whether some material of a kind is part of an element."""
-    return any(bsdf.get("type") == kind for bsdf in element.iter("bsdf"))
 
 
 def _as_of_old(root: ElementTree.Element):
