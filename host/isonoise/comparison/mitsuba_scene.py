@@ -57,5 +57,7 @@ def _set(parent: Element, kind: str, name: str, value: object) -> None:
 
 
 def _drop(parent: Element, name: str) -> None:
-    for old in [child for child in parent if child.get("name") == name]:
+    first, *others = name.split("_")
+    in_old_files = first + "".join(word.capitalize() for word in others)
+    for old in [child for child in parent if child.get("name") in (name, in_old_files)]:
         parent.remove(old)
