@@ -7,6 +7,8 @@
 #include "paths.h"
 #include "random.h"
 
+#define HAS_SKY (FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP)
+
 // What describes the scene; members that it does not need are not set.
 typedef struct {
     Geometry geometry;
@@ -134,7 +136,7 @@ INLINE void go_behind(const Paths* of, size_t i, const Path* p, const Surface* s
     of->alive[i] = 1;
 }
 
-#if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
+#if HAS_SKY
 // What a path brings that leaves the scene.
 INLINE Vec3 arriving_sky(const Scene* scene, const Path* p)
 {
@@ -171,7 +173,8 @@ INLINE Surface meet_surface(const Scene* scene, const Paths* of, size_t i, const
 }
 
 // Adds what the path brings to its sample. Returns whether the surface, or a volume before it that takes its place, may scatter it.
-INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s)
+// `may_miss`: whether there may be none.
+INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s, bool may_miss)
 {
     bool from_volume = false;
 #if FEATURE_MEDIA
@@ -180,8 +183,8 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
         p->in_volume = fly(scene->media + p->within, path_random(scene, p, BLOCK_MEDIUM(event_of(p))), &flown, &p->weight);
     from_volume = p->start == NONE;
 #endif
-    if (!p->in_volume && p->primitive == NONE) {
-#if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
+    if (may_miss && !p->in_volume && p->primitive == NONE) {
+#if HAS_SKY
         if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) ADD3(arriving_sky(scene, p), p->sample, of->samples);
 #endif
         return false;

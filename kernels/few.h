@@ -4,7 +4,7 @@
 #include "analytic.h"
 #include "paths.h"
 
-#define RAYS 16  // taken together; a multiple of what vector instructions take, that leaves the corners in the cache
+#define RAYS 16  // taken together, so few that the corners as they see them stay in the cache
 
 // Rays, member by member.
 typedef struct {
@@ -27,9 +27,7 @@ typedef struct {
     uint analytic_count;
 } Primitives;
 
-#define EACH_RAY(ray)                                                                         \
-    _Pragma("clang loop vectorize(assume_safety) vectorize_width(16) interleave(disable)")    \
-    for (uint ray = 0; ray < RAYS; ++ray)
+#define EACH_RAY(ray) AS_VECTOR for (uint ray = 0; ray < RAYS; ++ray)
 
 // The component of a vector along an axis, or the first or second axis after it.
 INLINE float along_axis(Vec3 v, uint axis)

@@ -34,7 +34,9 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
 #endif
                        )
 {
-    EACH_PATH(i, lane) {
+    const size_t begin = get_global_id(0) * LANES;
+    EACH_OF(k, LANES) {
+        const size_t i = begin + k;
         if (i >= count_new) continue;
         const size_t slot = first_slot + i;
         const uint sample = first_sample + (uint)i;

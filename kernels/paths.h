@@ -9,20 +9,22 @@
 #define PATH_INDEX 2u   // of the sample in its pixel
 #define PATH_DEPTH 3u
 
-// A work-item takes LANES paths, one after the other; `continue` goes on to the next. On devices with vector instructions, if
-// their compiler doesn't do so with work-items, this is the loop that becomes some. Paths write to places of their own, so it may.
-#define EACH_PATH_ALONE(i, lane) \
-    for (size_t lane = 0, i = get_global_id(0) * LANES; lane < LANES; ++lane, ++i)
+// A work-item takes LANES paths. On devices with vector instructions, if their compiler doesn't do so with work-items, loops over
+// them become some, VECTOR paths at a time; `continue` goes on to the next. Paths write to places of their own, so it may.
+#if LANES > 1
+#define VECTOR 16u
+#define AS_VECTOR _Pragma("clang loop vectorize(assume_safety) vectorize_width(16) interleave(disable)")
+#else
+#define VECTOR 1u
+#define AS_VECTOR
+#endif
 #ifdef __clang__
 #pragma clang diagnostic ignored "-Wpass-failed"  // where it stays a loop, nothing is wrong
 #endif
-#if LANES > 1
-#define EACH_PATH(i, lane)                                                                    \
-    _Pragma("clang loop vectorize(assume_safety) vectorize_width(16) interleave(disable)")    \
-    EACH_PATH_ALONE(i, lane)
-#else
-#define EACH_PATH(i, lane) EACH_PATH_ALONE(i, lane)
-#endif
+// The body has to leave out what is not below `count`.
+#define EACH_OF(k, count)                                                \
+    for (uint first_ = 0u; first_ < (count); first_ += VECTOR)           \
+        AS_VECTOR for (uint k = first_; k < first_ + VECTOR; ++k)
 
 #define PLANE(k, planes, pool) ((planes) + (size_t)(k) * (pool))
 

@@ -5,6 +5,9 @@
 // path, and kept: kept.h.
 #include "kept.h"
 
+// Paths that left the scene are listed apart from those that met something: in one loop all lanes would do the work of both.
+#define SPLITS (LANES > 1 && HAS_SKY)
+
 // The light that next-event estimation looks at, if it looks at any.
 INLINE LightPick light_for(const Scene* scene, const Path* p, const Surface* s, const Shading* at, bool looks)
 {
@@ -100,11 +103,7 @@ INLINE void scatter(const Scene* scene, const Paths* of, size_t i, Path* p, cons
 INLINE bool begin_shading(const Scene* scene, const Paths* of, size_t i, uint max_depth, Path* p, Surface* s, Shading* at,
                           bool* passes, LightPick* pick)
 {
-    of->alive[i] = 0;
-#if FEATURE_NEXT_EVENT
-    PLANE(3, of->shadow_direction, of->pool)[i] = 0.0f;
-#endif
-    if (!arrive(scene, of, i, p, s)) return false;
+    if (!arrive(scene, of, i, p, s, !SPLITS)) return false;
     const bool last = p->depth + 1u >= max_depth;
     if (!FEATURE_VOLPATH && last) return false;
     *passes = meet_material(scene, p, s, at);
@@ -225,43 +224,71 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
 #if FEATURE_LIGHT_TREE
     of.lit = lit;
 #endif
+    const size_t begin = get_global_id(0) * LANES;
+    if (begin >= paths) return;
+    const uint count = (uint)LESSER(paths - begin, (size_t)LANES);
+    EACH_OF(k, count) {
+        if (k >= count) continue;
+        alive[begin + k] = 0;
+#if FEATURE_NEXT_EVENT
+        PLANE(3, shadow_direction, pool)[begin + k] = 0.0f;
+#endif
+    }
+#if SPLITS
+    uint met[LANES + VECTOR], missed[LANES + VECTOR], count_met = 0u, count_missed = 0u;
+    for (uint k = 0u; k < count; ++k) {
+        const bool misses = as_uint(PLANE(3, hit, pool)[begin + k]) == NONE;
+        met[count_met] = missed[count_missed] = (uint)begin + k;
+        count_met += misses ? 0u : 1u;
+        count_missed += misses ? 1u : 0u;
+    }
+    EACH_OF(k, count_missed) {
+        if (k >= count_missed) continue;
+        const Path p = load_path(&of, missed[k]);
+        if (!FEATURE_HIDE_EMITTERS || p.depth > 0u) ADD3(arriving_sky(&scene, &p), p.sample, samples);
+    }
+#define COUNT count_met
+#define PATH(k) met[k]
+#else
+#define COUNT count
+#define PATH(k) (begin + (k))
+#endif
 #if KEEPS
     float kept[KEPT * LANES];
-    EACH_PATH(i, lane) {
-        if (i >= paths) continue;
-        const Path p = load_path(&of, i);
-        const Surface s = meet_surface(&scene, &of, i, &p);
-        keep_surface(&s, kept, lane);
+    EACH_OF(k, COUNT) {
+        if (k >= COUNT) continue;
+        const Path p = load_path(&of, PATH(k));
+        const Surface s = meet_surface(&scene, &of, PATH(k), &p);
+        keep_surface(&s, kept, k);
     }
-    EACH_PATH_ALONE(i, lane) {
-        keep_mark(false, kept, lane);
-        if (i >= paths) continue;
-        Path p = load_path(&of, i);
-        Surface s = kept_surface(kept, lane);
+    for (uint k = 0u; k < COUNT; ++k) {
+        keep_mark(false, kept, k);
+        Path p = load_path(&of, PATH(k));
+        Surface s = kept_surface(kept, k);
         Shading at;
         LightPick pick;
         bool passes;
-        if (!begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &pick)) continue;
-        keep_mark(true, kept, lane);
-        keep_shading(&scene, &at, pick, kept, lane);
+        if (!begin_shading(&scene, &of, PATH(k), max_depth, &p, &s, &at, &passes, &pick)) continue;
+        keep_mark(true, kept, k);
+        keep_shading(&scene, &at, pick, kept, k);
     }
-    EACH_PATH(i, lane) {
-        if (!kept_mark(kept, lane)) continue;
-        Path p = load_path(&of, i);
-        const Surface s = kept_surface(kept, lane);
-        const Shading at = kept_shading(&scene, &p, kept, lane);
-        end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, false, kept_pick(kept, lane));
+    EACH_OF(k, COUNT) {
+        if (k >= COUNT || !kept_mark(kept, k)) continue;
+        Path p = load_path(&of, PATH(k));
+        const Surface s = kept_surface(kept, k);
+        const Shading at = kept_shading(&scene, &p, kept, k);
+        end_shading(&scene, &of, PATH(k), max_depth, rr_depth, &p, &s, &at, false, kept_pick(kept, k));
     }
 #else
-    EACH_PATH(i, lane) {
-        if (i >= paths) continue;
-        Path p = load_path(&of, i);
-        Surface s = meet_surface(&scene, &of, i, &p);
+    EACH_OF(k, COUNT) {
+        if (k >= COUNT) continue;
+        Path p = load_path(&of, PATH(k));
+        Surface s = meet_surface(&scene, &of, PATH(k), &p);
         Shading at;
         LightPick pick;
         bool passes;
-        if (begin_shading(&scene, &of, i, max_depth, &p, &s, &at, &passes, &pick))
-            end_shading(&scene, &of, i, max_depth, rr_depth, &p, &s, &at, passes, pick);
+        if (begin_shading(&scene, &of, PATH(k), max_depth, &p, &s, &at, &passes, &pick))
+            end_shading(&scene, &of, PATH(k), max_depth, rr_depth, &p, &s, &at, passes, pick);
     }
 #endif
 }
