@@ -38,7 +38,7 @@ STRUCTS = {
 
 # Kernel -> file and arguments, by the names in `Stages.arguments` or given at the launch.
 KERNELS = {
-    "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
+    "list_samples": ("pixels.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
     "generate": (
         "generate.cl",
         "count_new first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset count "
@@ -84,12 +84,12 @@ KERNELS = {
         "LIGHT_TREE:lit LIGHT_TREE:next_lit",
     ),
     "reduce": (
-        "reduce.cl",
+        "pixels.cl",
         "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums "
         "MEDIAN:medians POWER:powers POWER:power HALF:halves",
     ),
     "summarise": (
-        "summarise.cl",
+        "pixels.cl",
         "first_pixel pixels stride total_pixels count sums block_sums summary MEDIAN:medians POWER:powers HALF:halves",
     ),
 }
@@ -230,10 +230,13 @@ class Wavefront:
         }
 
     def warm_up(self) -> None:
-        """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid."""
+        """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid.
+
+        Large grids first: what PoCL compiles for them serves small ones too, not the other way round.
+        """
         bounds = ("pixels", "slice_samples", "count_new", "paths", "blocks_in_use")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
-        for items in (1, self.pool_size):
+        for items in (self.pool_size, 1):
             for name in self._stages:
                 self._stages.launch(name, items, **nothing)
         self.device.finish()
