@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 
-from isonoise import arguments
+from isonoise import __version__, arguments
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.errors import UserError
 
@@ -319,13 +319,11 @@ class _CommandParser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Prints the version of the installed package; looked up only when asked for."""
+    """Prints the version."""
 
     def __init__(self, option_strings, dest):
         super().__init__(option_strings, dest, nargs=0, help="print the version")
 
     def __call__(self, parser, namespace, values, option_string=None):
-        from importlib.metadata import version
-
-        print(f"isonoise {version('isonoise')}")
+        print(f"isonoise {__version__}")
         parser.exit()

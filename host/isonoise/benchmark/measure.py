@@ -4,8 +4,8 @@ import os
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 
+from isonoise import __version__
 from isonoise.benchmark.bounces import count_shadow_rays, ray_facts, timed_bounces
 from isonoise.benchmark.spread import Spread
 from isonoise.benchmark.starts import start_facts
@@ -47,7 +47,7 @@ def head(settings: Settings, device: Device) -> dict[str, object]:
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "isonoise_version": version("isonoise"),
+        "isonoise_version": __version__,
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "device": device_facts(device),

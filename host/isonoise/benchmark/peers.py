@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise import __version__
 from isonoise.benchmark.embree import has_rays, measure_rays
 from isonoise.benchmark.measure import Settings, device_facts, load_subject, samples_of
 from isonoise.benchmark.spread import Spread
@@ -32,7 +33,7 @@ def measure_peers(sources: Mapping[str, str], settings: Settings) -> dict[str, o
     result = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "isonoise_version": version("isonoise"),
+        "isonoise_version": __version__,
         "mitsuba_version": version("mitsuba"),
         "embreex_version": version("embreex"),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",

@@ -9,9 +9,11 @@ import time
 from pathlib import Path
 
 from isonoise.benchmark.spread import Spread
+from isonoise.device.program_cache import VARIABLE
 from isonoise.errors import UserError
 
 CACHES = {
+    VARIABLE: "programs",
     "XDG_CACHE_HOME": "cache",
     "POCL_CACHE_DIR": "pocl",
     "CUDA_CACHE_PATH": "nvidia",
@@ -19,7 +21,7 @@ CACHES = {
     "MESA_SHADER_CACHE_DIR": "mesa",
     "AMD_COMGR_CACHE_DIR": "amd",
 }
-"""Where drivers keep what they have compiled: variables, and folders for them that are empty at first."""
+"""Where drivers, and we, keep what was compiled: variables, and folders for them that are empty at first."""
 PHASES = ("load", "build", "compile")
 
 

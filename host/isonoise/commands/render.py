@@ -7,9 +7,9 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 
+from isonoise import __version__
 from isonoise.commands import EXIT_DONE, EXIT_ERROR_NOT_MET
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
@@ -167,7 +167,7 @@ def _facts(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcom
     """What there is to say about a finished render: the fields of --json, those of `HEADER` among them."""
     statistics = outcome.statistics
     return {
-        "version": version("isonoise"),
+        "version": __version__,
         "scene": options.scene,
         "scene_hash": renderer.scene.hash,
         "width": renderer.scene.width,

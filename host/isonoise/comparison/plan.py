@@ -5,9 +5,9 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import version
 from pathlib import Path
 
+from isonoise import __version__
 from isonoise.comparison.specs import describe_spec, title_of
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
@@ -112,7 +112,7 @@ def make_plan(request: Request, stored: Plan | None = None) -> Plan:
     if reference_time is None and request.time is not None:
         reference_time = REFERENCE_SHARE * request.time
     return Plan(
-        version=version("isonoise"),
+        version=__version__,
         scenes=_scenes(request, sources, stored),
         strategies=strategies,
         seeds=tuple(range(request.first_seed, request.first_seed + request.seeds)),

@@ -6,11 +6,11 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from isonoise import __version__
 from isonoise.comparison import metrics
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
 from isonoise.film.files import write_whole
@@ -65,7 +65,7 @@ def summarise(directory: Path) -> dict:
     return _plain(
         {
             "schema": SCHEMA,
-            "version": version("isonoise"),
+            "version": __version__,
             "budget": {"time": results.plan.get("time"), "spp": results.plan.get("spp")},
             "seeds": list(results.plan["seeds"]),
             "strategies": [{key: s[key] for key in ("slug", "spec", "title")} for s in results.strategies],

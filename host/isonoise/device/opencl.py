@@ -1,5 +1,7 @@
 """The one place that owns the OpenCL context and queue: picks a device, builds programs, makes buffers, launches."""
 
+import atexit
+import contextlib
 import functools
 import os
 import platform
@@ -7,11 +9,11 @@ import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
+from isonoise.device import program_cache
 from isonoise.errors import DeviceError
 
 LOCAL_SIZE = 64
@@ -99,6 +101,25 @@ def _context(device):
 _programs: dict[tuple, object] = {}
 """Programs built so far, by context, source and options."""
 
+_to_keep: dict[str, object] = {}
+"""Programs that were compiled in this process, by their key in the cache of programs."""
+
+
+@atexit.register
+def _keep_programs() -> None:
+    """Puts what was compiled into the cache: last, when it delays no image.
+
+    By now the binaries hold what some drivers compile at a kernel's first launch; and PoCL 3.0 compiles a kernel once
+    more, for any local size, when its binary is asked for.
+    """
+    if program_cache.cache_folder() is None:
+        return
+    with contextlib.suppress(KeyboardInterrupt):  # nobody wants to wait
+        while _to_keep:
+            key, program = _to_keep.popitem()
+            with contextlib.suppress(_opencl().Error):  # a driver without binaries
+                program_cache.store(key, program.get_info(_opencl().program_info.BINARIES)[0])
+
 
 class Device:
     """Context, in-order queue, buffers and programs on one OpenCL device.
@@ -157,12 +178,33 @@ class Device:
         return {kernel.function_name: kernel for kernel in cached.all_kernels()}
 
     def _compile(self, source: str, options: tuple[str, ...]):
+        """The program from the cache, or built from its text and to be kept."""
+        key = program_cache.program_key(source, options, self._driver)
+        binary = program_cache.load(key)
+        if binary is not None:
+            try:
+                return self._built(self._cl.Program(self.context, [self.device], [binary]), options)
+            except self._cl.Error:  # the driver no longer takes what it made: the text is there
+                pass
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", self._cl.CompilerWarning)  # some drivers report every success
-                return self._cl.Program(self.context, source).build(options=list(options), cache_dir=False)
+            program = self._built(self._cl.Program(self.context, source), options)
         except self._cl.Error as error:
             raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
+        if program_cache.cache_folder():
+            _to_keep[key] = program
+        return program
+
+    def _built(self, program, options: tuple[str, ...]):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", self._cl.CompilerWarning)  # some drivers report every success
+            return program.build(options=list(options), cache_dir=False)
+
+    @functools.cached_property
+    def _driver(self) -> tuple[str, ...]:
+        """What a compiled program depends on beside its text."""
+        device, platform = self.device, self.device.platform
+        names = (platform.name, platform.version, device.name, device.version, device.driver_version)
+        return (*names, str(LOCAL_SIZE))
 
     def buffer(self, size: int | np.ndarray, what: str):
         """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in errors."""
@@ -203,7 +245,7 @@ class Device:
             self._sum_profile()
         return array
 
-    @contextmanager
+    @contextlib.contextmanager
     def mapped(self, buffer, dtype, count: int) -> Iterator[np.ndarray]:
         """The buffer's first `count` numbers, to be read within the context; waits for the device.
 

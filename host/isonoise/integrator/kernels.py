@@ -18,7 +18,7 @@ STRUCTS = {
 
 # Kernel -> file and arguments, by the names in `Stages.arguments` or given at the launch.
 KERNELS = {
-    "list_samples": ("list_samples.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
+    "list_samples": ("pixels.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
     "generate": (
         "generate.cl",
         "count_new pool first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset "
@@ -64,12 +64,12 @@ KERNELS = {
         "LIGHT_TREE:lit LIGHT_TREE:next_lit",
     ),
     "reduce": (
-        "reduce.cl",
+        "pixels.cl",
         "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums "
         "MEDIAN:medians POWER:powers POWER:power HALF:halves",
     ),
     "summarise": (
-        "summarise.cl",
+        "pixels.cl",
         "first_pixel pixels stride total_pixels count sums block_sums summary MEDIAN:medians POWER:powers HALF:halves",
     ),
 }

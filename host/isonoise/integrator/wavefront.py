@@ -190,10 +190,13 @@ class Wavefront:
         }
 
     def warm_up(self) -> None:
-        """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid."""
+        """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid.
+
+        Large grids first: what PoCL compiles for them serves small ones too, not the other way round.
+        """
         bounds = ("pixels", "slice_samples", "count_new", "paths", "rays_per_item", "blocks_in_use")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
-        for items in (1, self.pool_size):
+        for items in (self.pool_size, 1):
             for name in self._stages:
                 self._launch(name, items, **nothing)
         self.device.finish()
