@@ -1,0 +1,2 @@
+def optics_cases(bench):
+    return ()
