@@ -241,4 +241,6 @@ def test_a_hundred_million_samples():
     assert statistics.mean[0, 1] == pytest.approx(x.mean(), rel=1e-7)
     assert statistics.variance[0, 1] == pytest.approx(x.var() * n / (n - 1), rel=1e-6)
     assert statistics.rgb[0, 0] == pytest.approx(0.5, rel=1e-7)
-    assert statistics.median[0, 1] == pytest.approx(chunk_medians(x, ALL), rel=1e-4)  # the period of 7 meets the slice's end
+    assert statistics.median[0, 1] == pytest.approx(
+        chunk_medians(x, ALL), rel=1e-4
+    )  # the period of 7 meets the slice's end

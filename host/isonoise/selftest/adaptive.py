@@ -61,7 +61,9 @@ def _one_noisy_pixel() -> Iterator[Case]:
         rest = np.delete(n.ravel(), 16 * SHAPE[1] + 16)
         # uniform waves bring at least 1 / (1 + ratio) of all samples; ratio 1 at most
         least = 0.45 * 400
-        yield count("... other pixels that starve", rest < least, f"each has {least:g} of 400 samples from uniform waves")
+        yield count(
+            "... other pixels that starve", rest < least, f"each has {least:g} of 400 samples from uniform waves"
+        )
 
 
 def _black_but_for_one_pixel(bench: Bench) -> Iterator[Case]:
@@ -88,15 +90,18 @@ def _constant(bench: Bench) -> Iterator[Case]:
         statistics = _statistics(np.full(SHAPE, value), np.zeros(SHAPE))
         for name, allocation in _allocations(statistics, BUDGET + 100).items():
             uneven = int(allocation.max()) - int(allocation.min())
-            yield Case(f"constant image of {value:g}, {name}: most less least", uneven, 1, 0, "even, up to the remainder")
-
+            yield Case(
+                f"constant image of {value:g}, {name}: most less least", uneven, 1, 0, "even, up to the remainder"
+            )
 
     view = looking((0.0, -3.0, 0.0), (0.0, 0.0, 0.0))
     sky = scene(view, 16, 1, sky={"type": "constant", "radiance": rgb((0.2, 0.3, 0.4))})
     for name in STRATEGIES:
         statistics = _rendered(bench, sky, name)
         uneven = int(statistics.count.max()) - int(statistics.count.min())
-        yield Case(f"render of a constant sky, {name}: most less least samples", uneven, 0, 8, "a remainder a wave of 8")
+        yield Case(
+            f"render of a constant sky, {name}: most less least samples", uneven, 0, 8, "a remainder a wave of 8"
+        )
         yield count("... variances other than 0", statistics.variance, "exact")
 
 

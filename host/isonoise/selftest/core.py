@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,16 +50,25 @@ class GroupResult:
 Group = Callable[[Bench], Iterable[Case]]
 
 
-def run_groups(groups: Mapping[str, Group], bench: Bench) -> Iterator[Case | GroupResult]:
-    """Every case as it is decided, and after the last of a group its result.
+def run_groups(
+    groups: Mapping[str, Group], bench: Bench, on_group: Callable[[str], None] = lambda name: None
+) -> Iterator[Case | GroupResult]:
+    """Every case as it is decided, and after the last of a group its result; `on_group` is called before the first.
 
+    A case that goes on where the last one was ('... variance') gets its whole name.
     A driver that gives up within a group is a failed case; the other groups still run.
     """
     for name, group in groups.items():
+        on_group(name)
         cases: list[Case] = []
+        subject = ""
         begun, cpu_begun = time.perf_counter(), time.process_time()
         try:
             for case in group(bench):
+                if case.name.startswith("..."):
+                    case = replace(case, name=f"{subject}:{case.name[3:]}")
+                else:
+                    subject = case.name.rpartition(": ")[0] or case.name
                 cases.append(case)
                 yield case
         except DeviceError as error:

@@ -120,7 +120,11 @@ def _degenerate(bench: Bench, by: str) -> Iterator[Case]:
     t, primitive = plain.trace(origins, directions)
     with_t, with_primitive = mixed.trace(origins, directions)
     expected = np.where(primitive == NONE, NONE, primitive + 8)
-    yield count("... rays that zero-area triangles among others turn astray", (with_t != t) | (with_primitive != expected), "exact")
+    yield count(
+        "... rays that zero-area triangles among others turn astray",
+        (with_t != t) | (with_primitive != expected),
+        "exact",
+    )
     doubled = Tracer(bench.device, np.concatenate([soup, soup]), by=by)
     twice_t, twice_primitive = doubled.trace(origins, directions)
     same = (twice_t == t) & ((twice_primitive == NONE) == (primitive == NONE))
@@ -135,7 +139,9 @@ def _degenerate(bench: Bench, by: str) -> Iterator[Case]:
     turn = _turned(random)
     plane = np.concatenate([square, np.zeros((6, 1))], axis=1) @ turn.T
     overlap = Tracer(bench.device, plane.reshape(2, 3, 3), by=by)
-    at = np.concatenate([random.uniform(-0.2, 0.2, (n, 1)), random.uniform(-0.2, 0.2, (n, 1)), np.zeros((n, 1))], axis=1)
+    at = np.concatenate(
+        [random.uniform(-0.2, 0.2, (n, 1)), random.uniform(-0.2, 0.2, (n, 1)), np.zeros((n, 1))], axis=1
+    )
     targets = at @ turn.T
     origins = (targets + turn @ (0.3, -0.2, 2.0)).astype(np.float32)
     t, primitive = overlap.trace(origins, (targets - origins).astype(np.float32))
@@ -197,7 +203,9 @@ def _axis_aligned(bench: Bench, by: str) -> Iterator[Case]:
                 t_off += np.count_nonzero(t != 2)
                 origins[:, (axis + 1) % 3] = 1.01
                 off += np.count_nonzero(tracer.trace(origins, directions)[1] != NONE)
-    yield count(f"{rays:,} rays along the axes, {by}: wrongly met or missed", off, "edges, corners and planes count as the box")
+    yield count(
+        f"{rays:,} rays along the axes, {by}: wrongly met or missed", off, "edges, corners and planes count as the box"
+    )
     yield count("... distances other than 2", t_off, "exact on this grid")
 
 

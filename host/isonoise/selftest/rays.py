@@ -88,7 +88,9 @@ def icosphere(level: int) -> tuple[np.ndarray, np.ndarray]:
     vertices = np.concatenate([np.roll(vertices, k, axis=1) for k in (0, 1, 2)])
     distance = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
     near = (distance > 0) & (distance < 2.1)
-    faces = [(a, b, c) for a in range(12) for b in range(a) for c in range(b) if near[a, b] and near[b, c] and near[a, c]]
+    faces = [
+        (a, b, c) for a in range(12) for b in range(a) for c in range(b) if near[a, b] and near[b, c] and near[a, c]
+    ]
     faces = np.array(faces)
     outwards = np.linalg.det(vertices[faces]) > 0
     faces[~outwards] = faces[~outwards][:, ::-1]

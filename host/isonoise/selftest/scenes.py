@@ -51,7 +51,9 @@ def average(camera: np.ndarray, fov: float, radiance) -> float:
     return float(w @ radiance(points) @ w) / 4
 
 
-def scene(camera: np.ndarray, side: int, max_depth: int, fov: float = 40.0, sensor: dict | None = None, **objects) -> dict:
+def scene(
+    camera: np.ndarray, side: int, max_depth: int, fov: float = 40.0, sensor: dict | None = None, **objects
+) -> dict:
     """A scene of `side` x `side` pixels, without roulette. `sensor`: parameters of the camera in place of these."""
     film = {"type": "hdrfilm", "width": side, "height": side, "rfilter": {"type": "box"}}
     perspective = {"type": "perspective", "fov": fov, "near_clip": 1e-4, "far_clip": 1e30}

@@ -82,7 +82,10 @@ def _decades(bench: Bench) -> Iterator[Case]:
     x = luminance32(values)
     entered = x < LIMIT
     yield count(
-        "10^-30 to 10^30: samples rejected", int(on_device.rejected.sum()), "all from 2^62 on", 21 * int((~entered).sum())
+        "10^-30 to 10^30: samples rejected",
+        int(on_device.rejected.sum()),
+        "all from 2^62 on",
+        21 * int((~entered).sum()),
     )
     mean, expected = on_device.mean[0, entered], x[entered]
     yield worst("... mean over the value", mean / expected, 1, 21 * 2.0**-48, "21 additions that round by 2^-48")
@@ -100,12 +103,13 @@ def _decades(bench: Bench) -> Iterator[Case]:
     ):
         yield worst(f"10^-30 to 10^17 in one pixel: {name}, relative", measured / expected, 1, tolerance, basis)
 
-
     largest = np.where(np.arange(1000) % 2 == 0, np.nextafter(np.float32(LIMIT), np.float32(0)), np.float32(0))
     statistics = reduced(bench, [largest])
     most = float(np.finfo(np.float32).max)
     basis = "squares that leave float32 count as its largest number, before the division by n - 1"
-    yield Case("1000 samples of 0 and 2^62 in turn: variance", statistics.variance[0, 0], most / 999, STEP * most / 999, basis)
+    yield Case(
+        "1000 samples of 0 and 2^62 in turn: variance", statistics.variance[0, 0], most / 999, STEP * most / 999, basis
+    )
     mean = luminance32(largest).mean()
     yield Case("... mean", statistics.mean[0, 0], mean, 16 * STEP * mean, "sums of 16, 2^-24 each")
 
@@ -128,7 +132,14 @@ def _pareto(bench: Bench, alpha: float) -> Iterator[Case]:
     samples = [b * (1 + random.pareto(alpha, n)) for b in brightness]
     statistics, x = reduced(bench, samples), np.stack([luminance32(s) for s in samples])
     name = f"Pareto, alpha {alpha}"
-    planes = (statistics.mean, statistics.variance, statistics.median, statistics.power, statistics.rgb, statistics.half)
+    planes = (
+        statistics.mean,
+        statistics.variance,
+        statistics.median,
+        statistics.power,
+        statistics.rgb,
+        statistics.half,
+    )
     yield count(f"{name}: statistics not finite", sum(np.count_nonzero(~np.isfinite(p)) for p in planes), "none may be")
     ratio = statistics.mean[0] / x.mean(axis=1)
     # what a block rounds by is 16 * 2^-24 of its spread: of its largest sample where that is all there is

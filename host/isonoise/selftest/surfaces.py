@@ -58,7 +58,13 @@ def _bodies(scale: float, offset: float) -> dict[str, dict]:
         "mesh of 1,280 triangles": _mesh(3, scale, offset),
         "rectangle": {"type": "rectangle", "to_world": at},
         "disk": {"type": "disk", "to_world": at},
-        "cylinder, its ends out of sight": {"type": "cylinder", "p0": [0.0, 0.0, -9.0], "p1": [0.0, 0.0, 9.0], "radius": 0.5, "to_world": at},
+        "cylinder, its ends out of sight": {
+            "type": "cylinder",
+            "p0": [0.0, 0.0, -9.0],
+            "p1": [0.0, 0.0, 9.0],
+            "radius": 0.5,
+            "to_world": at,
+        },
     }
 
 
@@ -70,7 +76,9 @@ def _convex(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Ca
         body = body | {"bsdf": {"type": "twosided", "bsdf": diffuse(1.0)}}
         rays = rays_by_bounce(bench, scene(camera, SIDE, 4, sensor=lens, body=body))
         again = rays[2] if len(rays) > 2 else 0
-        yield count(f"{what}, {name}: of {rays[1]:,} rays that leave it, meet it again", again, "none may: it is convex")
+        yield count(
+            f"{what}, {name}: of {rays[1]:,} rays that leave it, meet it again", again, "none may: it is convex"
+        )
 
 
 def _closed(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Case]:
@@ -107,7 +115,9 @@ def _instances(bench: Bench) -> Iterator[Case]:
             taken += 1
         except SceneError:
             pass
-    yield count(f"instances by {len(singular)} singular transforms: taken", taken, "all have to be refused, with a message")
+    yield count(
+        f"instances by {len(singular)} singular transforms: taken", taken, "all have to be refused, with a message"
+    )
     turned = placed(1.0, (0.1, 0.2, 0.3), 40)
     for name, matrix in {
         "mirrored": turned @ np.diag([-1.0, 1.0, 1.0, 1.0]),

@@ -1,66 +1,21 @@
-"""Cases of whole paths where the numbers are stiff, against closed forms.
-
-An image is compared by its mean, with Z of its own standard errors for the noise that there is and so much for rounding
-as the case says. Z = 5 is exceeded once in two million cases.
-"""
+"""Cases of whole paths where the numbers are stiff, against closed forms."""
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import compile_scene, load
-from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.selftest.core import Bench, Case
+from isonoise.selftest.optics import optics_cases
+from isonoise.selftest.rendered import Z, case, rendered
 from isonoise.selftest.scenes import area, average, diffuse, looking, placed, rgb, scene
-from isonoise.statistics import Statistics
 
-Z = 5.0
-ROUNDING = 1e-5
-"""Relative: some hundred roundings of 2^-24, at random."""
-BALL = {"type": "sphere", "radius": 1.0}
 SKY = {"type": "constant", "radiance": rgb(0.25)}
-
-
-@dataclass(frozen=True)
-class Image:
-    """A render's mean luminance over the image, and one standard error of that."""
-
-    statistics: Statistics
-    mean: float
-    error: float
-
-    @property
-    def rejected(self) -> int:
-        return int(self.statistics.rejected.sum())
-
-
-def rendered(bench: Bench, description: dict, spp: int, seed: int = 1) -> Image:
-    """With `spp` samples in every pixel."""
-    compiled = compile_scene(load(description))
-    shape = (compiled.height, compiled.width)
-    pool = min(2**17, max(2**10, spp * shape[0] * shape[1]))
-    wavefront = Wavefront(bench.device, compiled, build_hierarchy(compiled), seed=seed, pool_size=pool)
-    wavefront.trace(np.full(shape, spp, np.uint32))
-    statistics = wavefront.accumulator.statistics(compiled.radiance_scale)
-    error = np.sqrt((statistics.variance / np.maximum(statistics.count, 1)).sum()) / statistics.count.size
-    return Image(statistics, float(statistics.mean.mean()), float(error))
-
-
-def case(name: str, image: Image, expected: float, rounding: float = ROUNDING, basis: str = "rounding 10^-5") -> Case:
-    """The image's mean; a rejected sample fails it."""
-    tolerance = Z * image.error + rounding * abs(expected)
-    measured = image.mean if image.rejected == 0 else float("nan")
-    return Case(name, measured, expected, tolerance, f"5 standard errors of the image mean, and {basis}")
 
 
 def transport_cases(bench: Bench) -> Iterator[Case]:
     """All cases of the group."""
-    from isonoise.selftest.optics import optics_cases
-
     yield from _furnace(bench)
     yield from _roulette(bench)
     yield from _grazing(bench)
@@ -82,7 +37,13 @@ def _furnace(bench: Bench) -> Iterator[Case]:
         tolerance = 1e-4 * expected
         measured = image.mean if image.rejected == 0 else float("nan")
         name = f"furnace in a {shape}, albedo 1 - 10^-6, depth 10^4"
-        yield Case(name, measured, expected, tolerance, "10^-4: products of 10^4 roundings of 2^-24, at random, and as many sums")
+        yield Case(
+            name,
+            measured,
+            expected,
+            tolerance,
+            "10^-4: products of 10^4 roundings of 2^-24, at random, and as many sums",
+        )
 
 
 def _roulette(bench: Bench) -> Iterator[Case]:
@@ -103,7 +64,9 @@ def _roulette(bench: Bench) -> Iterator[Case]:
         # of n paths n * survival live, give or take; each counts 1 / (n * survival)
         lives = n * survival
         tolerance = (Z * np.sqrt(lives) + Z) / lives
-        yield Case(f"throughput {name} with roulette", image.mean, 1.0, tolerance, "5 deviations of the number that lives")
+        yield Case(
+            f"throughput {name} with roulette", image.mean, 1.0, tolerance, "5 deviations of the number that lives"
+        )
 
 
 def _grazing(bench: Bench) -> Iterator[Case]:
@@ -134,7 +97,11 @@ def _small_light(bench: Bench) -> Iterator[Case]:
 
     expected = average(camera, fov, radiance)
     ball = {"type": "sphere", "center": center.tolist(), "radius": 1e-5} | area(1e10)
-    yield case("sphere of 10^-5 with radiance 10^10", rendered(bench, scene(camera, 16, 2, fov, floor=floor, lamp=ball), 64), expected)
+    yield case(
+        "sphere of 10^-5 with radiance 10^10",
+        rendered(bench, scene(camera, 16, 2, fov, floor=floor, lamp=ball), 64),
+        expected,
+    )
     # a disk of the same area that faces the floor: its own cosine comes in
     disk = {"type": "disk", "to_world": placed(1e-5, center, 180)} | area(1e10)
 
@@ -179,4 +146,6 @@ def _sun(bench: Bench) -> Iterator[Case]:
         floor = {"type": "rectangle", "to_world": placed(50.0, x_angle=-90), "bsdf": diffuse(0.5)}
         camera = looking((0.3, 1.5, -2.0), (0.0, 0.0, 0.0))
         image = rendered(bench, scene(camera, 16, 2, 4.0, floor=floor, sky=sky), 256)
-    yield case("sun of 10^6 in an environment map", image, 0.5 / np.pi * irradiance, 1e-4, "2^-24 in the tables of the map")
+    yield case(
+        "sun of 10^6 in an environment map", image, 0.5 / np.pi * irradiance, 1e-4, "2^-24 in the tables of the map"
+    )
