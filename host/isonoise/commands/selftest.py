@@ -93,7 +93,7 @@ def document(device: Device, results: Iterable[GroupResult]) -> dict:
 
 def _number(value: float) -> float | None:
     """JSON has no NaN and no infinity."""
-    return value if math.isfinite(value) else None
+    return float(value) if math.isfinite(value) else None
 
 
 def _head(group: str) -> None:

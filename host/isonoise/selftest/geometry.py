@@ -73,13 +73,13 @@ def _needles(bench: Bench, by: str) -> Iterator[Case]:
     for _ in range(4):
         turn, width = _turned(random), 1e-6
         left = np.stack([np.arange(5) * 2 * width, np.zeros(5), np.zeros(5)], axis=1)
-        right = left + (width, 1.0, 0.0)
+        right = left + np.array([width, 1.0, 0.0])
         strip = []
         for k in range(4):
             strip += [(left[k], left[k + 1], right[k]), (right[k], left[k + 1], right[k + 1])]
         corners = (np.array(strip) @ turn.T).astype(np.float32)
         tracer = Tracer(bench.device, corners, by=by)
-        # points of the strip, at least half a needle from its border; the rounding of corners moves it by a tenth of one
+        # at least half a needle from the strip's border; the rounding of corners moves that by a tenth of one
         y = random.uniform(0.05, 0.95, n)
         x = width * (y + random.choice([1.0, 2, 3, 4, 5, 6, 7, -1], n))
         x = np.where(x < width * y, width * (y + random.uniform(0.5, 7.5, n)), x)

@@ -82,7 +82,7 @@ class Tracer:
 
 
 def icosphere(level: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) float64 of radius 1 and faces (20 * 4^level, 3), wound outwards: each level cuts faces in four."""
+    """Vertices (v, 3) float64 of radius 1 and faces (20 * 4^level, 3), wound outwards."""
     g = (1 + 5**0.5) / 2
     vertices = np.array([(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0)], float)
     vertices = np.concatenate([np.roll(vertices, k, axis=1) for k in (0, 1, 2)])

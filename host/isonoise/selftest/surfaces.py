@@ -135,7 +135,7 @@ def _instance(matrix: np.ndarray) -> dict:
     """Within a closed mesh that stands where the transform puts it."""
     ball = _mesh(2, 1.0, 0.0) | {"bsdf": {"type": "twosided", "bsdf": diffuse(1.0)}}
     inside = (matrix @ (0.1, 0.1, 0.05, 1.0))[:3]
-    camera = looking(inside, inside + (1.0, 0.3, 0.1))
+    camera = looking(inside, inside + np.array([1.0, 0.3, 0.1]))
     lens = {"near_clip": 1e-9}
     group = {"type": "shapegroup", "ball": ball}
     return scene(camera, SIDE, DEPTH, 90.0, lens, body={"type": "instance", "to_world": matrix, "group": group})
