@@ -177,7 +177,9 @@ def _scales(bench: Bench, by: str) -> Iterator[Case]:
         f, d = origins.astype(float) - record["center"].astype(float), directions.astype(float)
         a, b = (d * d).sum(axis=1), (f * d).sum(axis=1)
         c = (f * f).sum(axis=1) - float(record["radius"][0]) ** 2
-        yield worst("... distance, relative", t / ((-b + np.sqrt(b * b - a * c)) / a), 1, 64 * STEP, basis)
+        yield worst(
+            "... distance to the sphere, relative", t / ((-b + np.sqrt(b * b - a * c)) / a), 1, 64 * STEP, basis
+        )
 
 
 def _axis_aligned(bench: Bench, by: str) -> Iterator[Case]:
