@@ -221,7 +221,7 @@ def _add_selftest(commands) -> None:
         "selftest",
         help="check kernels and allocation at the edge of their numbers, on a device",
         description="Check statistics, allocation, geometry, transport and adaptive rendering where numbers are\n"
-        "stiff. A case is a number that the device arrived at, beside what it should be by a closed form or in float64.",
+        "stiff. A case is a number that the device arrived at beside what it should be by a closed form or in float64.",
         epilog="exit codes: 0 all passed; 1 a case failed; 2 bad input; 130 after Ctrl-C",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
