@@ -4,7 +4,7 @@
 #include "statistics.h"
 #include "vectors.h"
 
-#define LUMINANCE_LIMIT 0x1p62f  // beyond it a square would leave float32; such a sample counts as not finite
+#define LUMINANCE_LIMIT 0x1p62f  // from here on a square would leave float32; such a sample counts as not finite
 
 #if FEATURE_MEDIAN
 // An entry takes its place in its chunk; the median of a full chunk enters the sum.
@@ -77,7 +77,8 @@ __kernel void reduce(__global const float* samples, uint first_pixel, uint pixel
     for (uint at = begin; at < end; ++at) {
         const Vec3 rgb = LOAD3(at, samples);
         const float x = luminance(rgb);
-        if (!(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && abs1(x) < LUMINANCE_LIMIT)) {
+        const bool negative = rgb.x < 0.0f || rgb.y < 0.0f || rgb.z < 0.0f;
+        if (negative || !(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && x < LUMINANCE_LIMIT)) {
             ++dropped;
             continue;
         }

@@ -19,15 +19,16 @@ INLINE void store_sum(Compensated sum, __global float* plane, uint stride)
 
 // M2 of n samples and a block of k more. The block's sums are about `shift`: the mean of the n, rounded to a float (so `rest`
 // is what the rounding left), or, for n = 0, the block's own first sample.
-// Chan, Golub, LeVeque, "Algorithms for Computing the Sample Variance", 1983.
+// Chan, Golub, LeVeque, "Algorithms for Computing the Sample Variance", 1983. What leaves float32 stays as large as it can be.
 INLINE Compensated merge_squares(Compensated m2, uint n, uint k, float shift, float rest, float sum, float squares)
 {
     const float block_mean = sum / (float)k;
-    m2 = add(m2, GREATER(squares - sum * block_mean, 0.0f));
-    if (n == 0) return m2;
+    m2 = add(m2, is_finite(squares) ? GREATER(squares - sum * block_mean, 0.0f) : FLT_MAX);
     const float difference = block_mean - rest;
-    if (abs1(difference) < MEAN_NOISE * abs1(shift)) return m2;
-    return add(m2, difference * difference * ((float)k / (1.0f + (float)k / (float)n)));
+    if (n != 0 && abs1(difference) >= MEAN_NOISE * abs1(shift))
+        m2 = add(m2, difference * difference * ((float)k / (1.0f + (float)k / (float)n)));
+    const Compensated most = {FLT_MAX, 0.0f};
+    return is_finite(m2.high) ? m2 : most;
 }
 
 #if FEATURE_MEDIAN

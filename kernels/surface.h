@@ -222,18 +222,22 @@ INLINE void transformed_surface(__global const Analytic* shape, Vec3 on_shape, V
 #endif
 
 #if FEATURE_ANALYTICS
-INLINE Surface analytic_surface(const Geometry* g, uint index, Vec3 at)
+INLINE Surface analytic_surface(const Geometry* g, uint index, Vec3 origin, Vec3 direction, float t)
 {
     Surface s = no_surface();
     __global const Analytic* shape = g->analytics + index;
 #if FEATURE_SPHERES
-    if (shape->kind & ANALYTIC_SPHERE) sphere_surface(shape, unit(sub3(at, LOAD3(0, shape->center))), &s);
+    if (shape->kind & ANALYTIC_SPHERE) {
+        // from the centre, not from the world's origin: far from that a point has few digits left, a normal none
+        const Vec3 from_center = add3(sub3(origin, LOAD3(0, shape->center)), scale3(direction, t));
+        sphere_surface(shape, unit(from_center), &s);
+    }
 #endif
 #if FEATURE_DISKS || FEATURE_CYLINDERS
     if (!(shape->kind & ANALYTIC_SPHERE)) {
         float to_object[12];
         load_matrix(shape->to_object, to_object);
-        Vec3 on_shape = transform_point(to_object, at);
+        Vec3 on_shape = transform_point(to_object, add3(origin, scale3(direction, t)));
         Vec3 shape_normal = vec3(0.0f, 0.0f, 1.0f);
         if (shape->kind & ANALYTIC_DISK) {
             on_shape.z = 0.0f;
@@ -259,7 +263,7 @@ INLINE Surface surface_at(const Geometry* g, uint primitive, Vec3 origin, Vec3 d
     return triangle_surface(g, primitive, u, v);
 #endif
 #if FEATURE_ANALYTICS
-    return analytic_surface(g, primitive & ~ANALYTIC_BIT, add3(origin, scale3(direction, t)));
+    return analytic_surface(g, primitive & ~ANALYTIC_BIT, origin, direction, t);
 #elif !FEATURE_TRIANGLES
     return no_surface();  // an empty scene: nothing is ever met
 #endif

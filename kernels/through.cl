@@ -166,7 +166,7 @@ __kernel void through(uint paths, uint pool, __global const float8* nodes, __glo
                 t += on;
                 if (!(t < t_max)) break;
                 if (!(shapes[analytics[index].shape].flags & SHAPE_SEE_THROUGH)) return;
-                Surface s = analytic_surface(&geometry, index, add3(from, scale3(towards, on)));
+                Surface s = analytic_surface(&geometry, index, from, towards, on);
                 from = leave(&s, towards);
 #if FEATURE_INSTANCES
                 s = instanced_surface_at(&geometry, instances, walk.inside, ANALYTIC_BIT | index, origin, direction, t,

@@ -41,6 +41,9 @@ LAYERS = {  # what each may import beside itself; the table in host/README.md
         *("errors", "statistics", "student", "device", "scene", "strategies", "integrator", "film"),
         *("renderer", "rendering", "progress", "comparison"),
     },
+    "selftest": {
+        *("errors", "statistics", "device", "scene", "strategies", "integrator", "film", "renderer"),
+    },
     "rendering": {"errors", "statistics", "device", "scene", "strategies", "integrator", "film", "renderer"},
 }
 

@@ -45,6 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_render(commands)
     _add_compare(commands)
     _add_bench(commands)
+    _add_selftest(commands)
     devices = "list the OpenCL devices and say which one is the default"
     commands.add_parser("devices", help=devices, description=devices.capitalize() + ".")
     plugins = commands.add_parser(
@@ -212,6 +213,22 @@ def _add_bench(commands) -> None:
         metavar="R",
         type=arguments.positive,
         help="speed over the earlier speed below which something is slower (default: 0.9)",
+    )
+
+
+def _add_selftest(commands) -> None:
+    selftest = commands.add_parser(
+        "selftest",
+        help="check kernels and allocation at the edge of their numbers, on a device",
+        description="Check statistics, allocation, geometry, transport and adaptive rendering where numbers are\n"
+        "stiff. A case is a number that the device arrived at beside what it should be by a closed form or in float64.",
+        epilog="exit codes: 0 all passed; 1 a case failed; 2 bad input; 130 after Ctrl-C",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    selftest.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
+    selftest.add_argument("--json", metavar="FILE", help="write all cases; host/README.md documents the fields")
+    selftest.add_argument(
+        "--thorough", action="store_true", help="send 10^8 rays through edges and vertices, for minutes, not 2 million"
     )
 
 

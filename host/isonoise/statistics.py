@@ -45,11 +45,11 @@ class Statistics:
 
     Before the first full chunk M_x is the median of the entries there are, before the first entry the mean of the
     samples. A renderer's arrays cannot be written to: whoever asks before the next wave gets the same ones.
-    `x` is a sample's luminance (Rec. 709). Samples that were not finite are in `rejected` alone.
+    `x` is a sample's luminance (Rec. 709). Samples that were negative or not finite are in `rejected` alone.
     """
 
     count: np.ndarray  # uint32: n, samples that entered
-    rejected: np.ndarray  # uint32: samples that were not finite
+    rejected: np.ndarray  # uint32: samples that were negative or not finite
     rgb: np.ndarray  # float32 (height, width, 3): mean linear RGB, 0 where n = 0
     mean: np.ndarray  # float64: mean of x, 0 where n = 0
     variance: np.ndarray  # float64: s^2 of x with n - 1, 0 where n < 2

@@ -233,7 +233,7 @@ def _say_result(say, facts: dict[str, object]) -> None:
         )
         say("", f"stated  {stated}")
     if facts["rejected"]:
-        say("rejected", f"{facts['rejected']:,} samples were not finite and are left out")
+        say("rejected", f"{facts['rejected']:,} samples were negative or not finite and are left out")
     for path in facts["output"]:
         say("image", path)
     if facts["log"]:

@@ -30,7 +30,7 @@ class LogRow:
     stated_p95: float = _column("the same at q = 0.95")
     stated_p99: float = _column("the same at q = 0.99")
     true: "TrueError | None"
-    rejected: int = _column("samples that were not a finite number and enter no statistic, so far")
+    rejected: int = _column("samples that were negative or not a finite number and enter no statistic, so far")
 
 
 _TRUE_COLUMNS = {

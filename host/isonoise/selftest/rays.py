@@ -1,0 +1,130 @@
+"""Rays through the stage `intersect` alone, by both of its kernels, and meshes to aim at."""
+
+import numpy as np
+
+from isonoise.device.opencl import Device
+from isonoise.integrator.few import MOST_CORNERS
+from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, STRUCTS
+from isonoise.integrator.stages import Stages
+from isonoise.scene import structs
+from isonoise.scene.bounds import analytic_bounds
+from isonoise.scene.bvh import Bvh, build_bvh
+
+_ON = ("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS")
+_OFF = ("INSTANCES", "COUNT_TESTS", "NEXT_EVENT")
+_FEATURES = dict.fromkeys(_ON, True) | dict.fromkeys(_OFF, False)
+_PADDING = 128  # a work-item of few.cl reads on to the end of its paths
+
+HIERARCHY, FEW = "hierarchy", "few"
+
+
+def traversals(device: Device) -> tuple[str, ...]:
+    """Those that the device has: kernels/few.h is for devices whose work-items take several paths."""
+    return (HIERARCHY, FEW) if device.lanes > 1 else (HIERARCHY,)
+
+
+class Tracer:
+    """Triangles, corners (t, 3, 3), and analytic primitives on the device. For `FEW` they have to be few."""
+
+    def __init__(self, device: Device, corners: np.ndarray, analytics: np.ndarray | None = None, by: str = HIERARCHY):
+        self.device, self._by = device, by
+        corners = np.asarray(corners, np.float32).reshape(-1, 3, 3)
+        analytics = np.zeros(0, structs.ANALYTIC) if analytics is None else analytics
+        row = (FEW_KERNELS if by == FEW else KERNELS)["intersect"]
+        constants = structs.CONSTANTS | {"LANES": device.lanes, "MOST_CORNERS": MOST_CORNERS}
+        self._stages = Stages(device, {"intersect": row}, _FEATURES, constants, STRUCTS)
+        self._stages.arguments["analytics"] = self._table(analytics)
+        if by == FEW:
+            points, numbers = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+            self._stages.arguments.update(
+                corners=self._table(points),
+                corner_count=np.uint32(len(points)),
+                corner_numbers=self._table(numbers.reshape(-1, 3).astype(np.uint32)),
+                triangle_count=np.uint32(len(corners)),
+                analytic_count=np.uint32(len(analytics)),
+            )
+        else:
+            self.use(build_bvh(corners, *analytic_bounds(analytics)))
+
+    def use(self, bvh: Bvh) -> None:
+        """Another hierarchy in place of its own."""
+        self.bvh = bvh
+        self._stages.arguments.update(
+            nodes=self._table(bvh.nodes),
+            blocks=self._table(bvh.blocks),
+            first_analytic=np.uint32(bvh.first_analytic),
+            rays_per_item=np.uint32(1),
+        )
+
+    def _table(self, array: np.ndarray):
+        return self.device.buffer(array, "the geometry") if array.size else None
+
+    def trace(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """t and primitive of the closest hit of every ray, (n,) each; inf and NONE where there is none."""
+        n = len(origins)
+        pool = n + _PADDING
+        origin, direction = np.zeros((2, 4, pool), np.float32)
+        origin[:3, :n], origin[3, :n], direction[:3, :n] = origins.T, np.inf, directions.T
+        path = np.full((4, pool), structs.NONE, np.uint32)  # no ray starts on a primitive
+        buffers = {
+            "ray_origin": self.device.buffer(origin, "the rays"),
+            "ray_direction": self.device.buffer(direction, "the rays"),
+            "path": self.device.buffer(path, "the rays"),
+            "hit": self.device.buffer(16 * pool, "the hits"),
+        }
+        lanes = self.device.lanes if self._by == FEW else 1
+        self._stages.launch("intersect", n, lanes, paths=np.uint32(n), pool=np.uint32(pool), **buffers)
+        hit = self.device.read(buffers["hit"], np.float32, 4 * pool).reshape(4, pool)
+        for buffer in buffers.values():
+            self.device.allocated -= buffer.size
+            buffer.release()
+        return hit[0, :n], hit[3, :n].view(np.uint32)
+
+
+def icosphere(level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3) float64 of radius 1 and faces (20 * 4^level, 3), wound outwards."""
+    g = (1 + 5**0.5) / 2
+    vertices = np.array([(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0)], float)
+    vertices = np.concatenate([np.roll(vertices, k, axis=1) for k in (0, 1, 2)])
+    distance = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
+    near = (distance > 0) & (distance < 2.1)
+    faces = [
+        (a, b, c) for a in range(12) for b in range(a) for c in range(b) if near[a, b] and near[b, c] and near[a, c]
+    ]
+    faces = np.array(faces)
+    outwards = np.linalg.det(vertices[faces]) > 0
+    faces[~outwards] = faces[~outwards][:, ::-1]
+    for _ in range(level):
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        edges, number = np.unique(edges, axis=0, return_inverse=True)
+        ab, bc, ca = number.reshape(-1, 3).T + len(vertices)
+        vertices = np.concatenate([vertices, vertices[edges].mean(axis=1)])
+        a, b, c = faces.T
+        faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    return vertices / np.linalg.norm(vertices, axis=1, keepdims=True), faces
+
+
+def edges_of(faces: np.ndarray) -> np.ndarray:
+    """Pairs of vertices (e, 2), each edge once."""
+    return np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+
+
+def closest(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Distances (n,) in float64 to the closest triangle, every ray against every triangle; inf where there is none.
+
+    Moeller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
+    """
+    a, b, c = np.asarray(corners, np.float64).transpose(1, 0, 2)
+    best = np.full(len(origins), np.inf)
+    origins, directions = origins.astype(np.float64), directions.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for corner, edge1, edge2 in zip(a, b - a, c - a, strict=True):
+            p = np.cross(directions, edge2)
+            determinant = p @ edge1
+            s = origins - corner
+            u = (s * p).sum(axis=1) / determinant
+            q = np.cross(s, edge1)
+            v = (directions * q).sum(axis=1) / determinant
+            t = q @ edge2 / determinant
+            best = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < best), t, best)
+    return best
