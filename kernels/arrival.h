@@ -118,15 +118,28 @@ INLINE float mis_weight(float pdf, float other)
     return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
 }
 
-// Whether a ray grazes a surface in whose plane its origin lies, as far as rounding can tell: it comes from a neighbour in the
-// same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions, where the light of
-// the other side would be seen to leak through. Both points carry an error, the origin was moved by its own. Beside an edge
-// with a wall at an angle origins lie in its plane too, but few of the rays graze it, and the others must not get lost.
-INLINE bool in_plane(const Surface* s, Vec3 origin, Vec3 direction)
+// Whether a ray that starts on a triangle has met one that goes on in its plane; where triangles of several groups are about, or
+// it starts on none, whether it grazes.
+INLINE bool meets_neighbour(const Scene* scene, const Path* p, const Surface* s)
 {
-    const float distance = abs1(dot3(sub3(origin, s->position), s->geometric_normal));
-    const bool grazes = abs1(dot3(direction, s->geometric_normal)) < 0.05f;
-    return grazes && distance <= 1.25f * dot3(abs3(s->geometric_normal), add3(s->error, scale3(abs3(origin), GAMMA(7))));
+#if FEATURE_TRIANGLES && !FEATURE_INSTANCES
+    if (!(p->start & ANALYTIC_BIT)) {
+        const Vec3 normal = LOAD3(0, scene->geometry.triangles + TRIANGLE_FLOATS * p->start + 12u);
+        return abs1(dot3(normal, s->geometric_normal)) > 0.999f;
+    }
+#endif
+    return abs1(dot3(p->direction, s->geometric_normal)) < 0.5f;
+}
+
+// Whether a ray's origin lies in the plane of the surface that it seems to have met, as far as rounding can tell: it comes from a
+// neighbour in the same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions, where
+// the light of the other side would be seen to leak through. Both points carry an error, the origin was moved by its own. Beside
+// an edge with a wall at an angle origins lie in its plane too, far from the world's origin even most of them: those go on.
+INLINE bool in_plane(const Scene* scene, const Path* p, const Surface* s)
+{
+    const float distance = abs1(dot3(sub3(p->origin, s->position), s->geometric_normal));
+    const Vec3 error = add3(s->error, scale3(abs3(p->origin), GAMMA(7)));
+    return distance <= 1.25f * dot3(abs3(s->geometric_normal), error) && meets_neighbour(scene, p, s);
 }
 
 // Lets a path go on behind a surface as if there was none. Returns where it starts then.
@@ -193,7 +206,7 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
     }
     if (!p->in_volume && dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return false;
 #if FEATURE_TRIANGLES
-    if (!(p->in_volume || from_volume) && !(p->primitive & ANALYTIC_BIT) && in_plane(s, p->origin, p->direction)) return false;
+    if (!(p->in_volume || from_volume) && !(p->primitive & ANALYTIC_BIT) && in_plane(scene, p, s)) return false;
 #endif
 #if FEATURE_MEDIA
     if (p->in_volume) {

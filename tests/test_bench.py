@@ -74,7 +74,7 @@ def fields(value, path: str = "") -> set[str]:
 def documented() -> tuple[set[str], set[str]]:
     """Fields of the two tables: of `isonoise bench` and of `isonoise bench --peers`."""
     text = (CHECKOUT / "host" / "README.md").read_text()
-    section = text[text.index("## Benchmarks") : text.index("## A strategy of your own")]
+    section = text[text.index("## Benchmarks") : text.index("## Self-test")]
     tables = section.split("| field | what it is |")[1:]
     rows = [re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for table in tables]
     first, second = (set(re.findall(r"`([^`]+)`", " ".join(names))) for names in rows)
