@@ -116,15 +116,22 @@ INLINE float mis_weight(float pdf, float other)
     return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
 }
 
-// Whether a ray grazes a surface in whose plane its origin lies, as far as rounding can tell: it comes from a neighbour in the
-// same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions, where the light of
-// the other side would be seen to leak through. Both points carry an error, the origin was moved by its own. Beside an edge
-// with a wall at an angle origins lie in its plane too, but few of the rays graze it, and the others must not get lost.
-INLINE bool in_plane(const Surface* s, Vec3 origin, Vec3 direction)
+// Whether a ray's origin lies in the plane of the surface that it seems to have met, as far as rounding can tell: it comes from
+// a neighbour in the same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions,
+// where the light of the other side would be seen to leak through. Both points carry an error, the origin was moved by its own.
+INLINE bool in_plane(const Surface* s, Vec3 origin)
 {
     const float distance = abs1(dot3(sub3(origin, s->position), s->geometric_normal));
-    const bool grazes = abs1(dot3(direction, s->geometric_normal)) < 0.05f;
-    return grazes && distance <= 1.25f * dot3(abs3(s->geometric_normal), add3(s->error, scale3(abs3(origin), GAMMA(7))));
+    return distance <= 1.25f * dot3(abs3(s->geometric_normal), add3(s->error, scale3(abs3(origin), GAMMA(7))));
+}
+
+// Whether a ray that starts on a triangle meets another at an angle to it: a wall, beside whose edge it starts. Then it may lie
+// in the plane of the wall as well, but what it meets is there, and of paths of 10^4 vertices a tenth would be lost without it.
+INLINE bool meets_wall(const Geometry* g, uint start, const Surface* s, Vec3 direction)
+{
+    if (FEATURE_INSTANCES || (start & ANALYTIC_BIT)) return false;  // NONE has the bit too
+    const Vec3 normal = LOAD3(0, g->triangles + TRIANGLE_FLOATS * start + 12u);
+    return abs1(dot3(normal, s->geometric_normal)) < 0.9f && abs1(dot3(direction, s->geometric_normal)) > 0.05f;
 }
 
 // Lets a path go on behind a surface as if there was none. Returns where it starts then.
@@ -187,7 +194,9 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
     }
     if (!p->in_volume && dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return false;
 #if FEATURE_TRIANGLES
-    if (!(p->in_volume || from_volume) && !(p->primitive & ANALYTIC_BIT) && in_plane(s, p->origin, p->direction)) return false;
+    if (!(p->in_volume || from_volume) && !(p->primitive & ANALYTIC_BIT) && in_plane(s, p->origin) &&
+        !meets_wall(&scene->geometry, p->start, s, p->direction))
+        return false;
 #endif
 #if FEATURE_MEDIA
     if (p->in_volume) {
