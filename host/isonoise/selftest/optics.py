@@ -96,7 +96,7 @@ def _roughness(bench: Bench) -> Iterator[Case]:
 
 def _diagonal(bench: Bench, mirror: dict) -> Iterator[Case]:
     """A limit: in a plane of coordinates the offset of origins is zero, and beside the edge that two triangles share a
-    ray may meet the other one, a rounding of the mirror's extent away. Such paths end; the cases above look elsewhere."""
+    ray may meet the other one, a rounding of its extent away. Such paths end; the cases above look elsewhere."""
     camera = looking((0.0, -1.43, 1.4), (0.0, 0.0, 0.0))
     image = rendered(bench, scene(camera, 16, 2, 0.01, sky=SKY, plane=mirror), 256)
     width = 2 * 2.0 * np.tan(np.deg2rad(0.01) / 2)
