@@ -85,12 +85,24 @@ def _roughness(bench: Bench) -> Iterator[Case]:
         metal = {"type": "conductor", "material": "none"}
         image = rendered(bench, scene(camera, 16, 2, 0.01, sky=SKY, plane=plane | {"bsdf": metal}), 16)
         yield case(f"smooth metal, cosine {cosine}", image, L)
+    yield from _diagonal(bench, plane | {"bsdf": metal})
     camera = looking((0.0, -3.0, 0.2), (0.1, 0.0, 0.1))
     for alpha in (1e-4, 1e-3):
         ball = _ball(1.5, kind="roughdielectric", alpha=alpha, distribution="ggx")
         image = rendered(bench, scene(camera, 16, 100, 12.0, sky=SKY, ball=ball), 64)
         lost = 10 * alpha**2
         yield case(f"rough glass, alpha {alpha:g}", image, L, 1e-4 + lost, "10^-4, and what facets hide, some alpha^2")
+
+
+def _diagonal(bench: Bench, mirror: dict) -> Iterator[Case]:
+    """A limit: in a plane of coordinates the offset of origins is zero, and beside the edge that two triangles share a
+    ray may meet the other one, a rounding of its extent away. Such paths end; the cases above look elsewhere."""
+    camera = looking((0.0, -1.43, 1.4), (0.0, 0.0, 0.0))
+    image = rendered(bench, scene(camera, 16, 2, 0.01, sky=SKY, plane=mirror), 256)
+    width = 2 * 2.0 * np.tan(np.deg2rad(0.01) / 2)
+    most = 100 * 2.0**-24 / width
+    name = "smooth metal 100 wide, along its diagonal: share lost (a limit)"
+    yield Case(name, 1 - image.mean / L, 0, most, "2^-24 of the extent, over the width of the image, 3.5 * 10^-4")
 
 
 def _lamp_in_view(fov: float, distance: float) -> dict:

@@ -1,8 +1,8 @@
 """Cases of rays that leave surfaces: none meets the surface that it left, none gets to its other side.
 
-Counted in the wavefront itself: how many paths take part in each bounce is known to the ray. On a convex body, seen
-from outside, every path has two rays: any third one has met the surface that it left. Within a closed one every path
-goes on to the depth that is allowed: any that ends before has got out.
+Counted in the wavefront itself, bounce by bounce. On a convex body, seen from outside, the second ray of a path meets
+nothing; that is read from the hits, because a path that ends where it met something is not to be seen in the next
+bounce. Within a closed body every path goes on to the depth that is allowed: any that ends before has got out.
 """
 
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.selftest.core import Bench, Case, count
 from isonoise.selftest.rays import icosphere
@@ -34,12 +34,17 @@ def surface_cases(bench: Bench) -> Iterator[Case]:
     yield from _instances(bench)
 
 
-def rays_by_bounce(bench: Bench, description: dict, spp: int = SPP) -> list[int]:
-    """How many paths took part in each bounce."""
+def rays_by_bounce(bench: Bench, description: dict, spp: int = SPP) -> list[tuple[int, int]]:
+    """How many rays there are in each bounce, and how many of them meet something."""
     compiled = compile_scene(load(description))
     wavefront = Wavefront(bench.device, compiled, build_hierarchy(compiled), seed=1, pool_size=2**17)
-    bounces: list[int] = []
-    wavefront.on_bounce = bounces.append
+    of, bounces = wavefront.stages.arguments, []
+
+    def read(paths: int) -> None:
+        primitive = bench.device.read(of["hit"], np.uint32, paths, offset=3 * int(of["pool"]))
+        bounces.append((paths, np.count_nonzero(primitive != structs.NONE)))
+
+    wavefront.on_bounce = read
     wavefront.trace(np.full((compiled.height, compiled.width), spp, np.uint32))
     return bounces
 
@@ -75,7 +80,7 @@ def _convex(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Ca
         lens = {"near_clip": 1e-4 * scale}
         body = body | {"bsdf": {"type": "twosided", "bsdf": diffuse(1.0)}}
         rays = rays_by_bounce(bench, scene(camera, SIDE, 4, sensor=lens, body=body))
-        again = rays[2] if len(rays) > 2 else 0
+        again = rays[1][1]
         yield count(f"{what}, {name}: rays that leave it and meet it again", again, "none may: it is convex")
 
 
@@ -89,7 +94,7 @@ def _closed(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Ca
         body = bodies[what] | {"bsdf": {"type": "twosided", "bsdf": diffuse(1.0)}}
         lens = {"near_clip": 1e-4 * scale}
         rays = rays_by_bounce(bench, scene(camera, SIDE, DEPTH, 90.0, lens, body=body), SPP // 2)
-        missing = DEPTH * begun - sum(rays)
+        missing = DEPTH * begun - sum(paths for paths, _ in rays)
         if what == "sphere":
             yield count(f"in a {what}, {name}: of {DEPTH * begun:,} rays, missing", missing, "none may: it is closed")
             continue
@@ -125,7 +130,7 @@ def _instances(bench: Bench) -> Iterator[Case]:
         "of size 10^6": np.diag([1e6, 1e6, 1e6, 1.0]),
     }.items():
         rays = rays_by_bounce(bench, _instance(matrix), SPP // 2)
-        missing = DEPTH * SIDE * SIDE * SPP // 2 - sum(rays)
+        missing = DEPTH * SIDE * SIDE * SPP // 2 - sum(paths for paths, _ in rays)
         yield count(
             f"in an instance {name}: of {DEPTH * SIDE * SIDE * SPP // 2:,} rays, missing",
             missing,
