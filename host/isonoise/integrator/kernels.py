@@ -91,6 +91,9 @@ FEW_KERNELS = {
 TAKE_LANES = {"generate", "shade"}
 """Kernels of which a work-item takes several paths: kernels/paths.h."""
 
+TAKE_MANY = {"intersect", "shadow", "count_alive", "move_paths"}
+"""Kernels of which a work-item of a CPU takes several rays, one after the other, or a block of paths."""
+
 PATH_STATE = {
     **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
     **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},

@@ -14,7 +14,7 @@ from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
-from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES
+from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES, TAKE_MANY
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
 from isonoise.scene import structs, textures
@@ -70,6 +70,7 @@ class Wavefront:
                 "SEARCH_STEPS": scene.environment.steps if scene.environment else 0,
             },
             STRUCTS,
+            in_small_groups=(TAKE_MANY | TAKE_LANES if self.lanes > 1 else TAKE_MANY) if device.lanes > 1 else (),
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
