@@ -229,7 +229,9 @@ class Device:
         self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, whole_words)
         return buffer
 
-    def launch(self, kernel, items: int, arguments: tuple, per_work_item: int = 1, local_size: int = LOCAL_SIZE) -> None:
+    def launch(
+        self, kernel, items: int, arguments: tuple, per_work_item: int = 1, local_size: int = LOCAL_SIZE
+    ) -> None:
         """Runs a kernel over at least `items`; kernels return at once beyond their own bound."""
         groups = -(-items // (per_work_item * local_size))
         event = kernel(self.queue, (groups * local_size,), (local_size,), *arguments)
