@@ -10,7 +10,6 @@ STRUCTS = {
     "Bsdf": structs.BSDF,
     "Texture": textures.TEXTURE,
     "Environment": environment.ENVIRONMENT,
-    "EnvironmentRow": environment.ENVIRONMENT_ROW,
     "Light": structs.LIGHT,
     "Alias": structs.ALIAS,
     "Medium": structs.MEDIUM,
@@ -36,7 +35,7 @@ KERNELS = {
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
         "ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
-        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light "
+        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_aliases environment_light "
         "hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
         "VOLPATH:crossing MEDIA:media MEDIA:medium "

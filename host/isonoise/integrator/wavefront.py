@@ -67,7 +67,6 @@ class Wavefront:
                 "LANES": self.lanes,
                 "PATHS_PER_BLOCK": self.block_size,
                 "MOST_CORNERS": MOST_CORNERS,
-                "SEARCH_STEPS": scene.environment.steps if scene.environment else 0,
             },
             STRUCTS,
             in_small_groups=(TAKE_MANY | TAKE_LANES if self.lanes > 1 else TAKE_MANY) if device.lanes > 1 else (),
@@ -177,7 +176,7 @@ class Wavefront:
             "environment": device.buffer(sky.record, "the environment map"),
             "environment_texels": device.buffer(sky.texels, "the environment map"),
             "environment_rows": device.buffer(sky.rows, "the environment map"),
-            "environment_columns": device.buffer(sky.columns, "the environment map"),
+            "environment_aliases": device.buffer(sky.aliases, "the environment map"),
         }
 
     def _light_tree(self) -> dict[str, object]:
