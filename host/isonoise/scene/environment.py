@@ -4,10 +4,10 @@ The map is Mitsuba 3's `envmap` (3.9.1): in its own space u = atan2(x, -z) / 2 p
 lie at one half along u, which closes upon itself, but along v from 0 to 1, so that the first and the last row are the
 poles. Radiance is interpolated bilinearly between texels.
 
-It is sampled in proportion to luminance * sin(theta) at the texels, interpolated bilinearly as well: a row of cells and
-a cell of it by alias tables, which take one step however steep the map is, and a place within by inversion. So nearly the
-density that radiance has: a texel 10^7 times brighter than its neighbours makes no more noise than a plain sky. Where
-radiance is not zero the density is not either. Of the poles, where the sine is zero, its mean over the reach of the
+It is sampled in proportion to luminance * sin(theta) at the texels, interpolated bilinearly as well: a row of cells
+and a cell of it by alias tables, which take one step however steep the map is, and a place within by inversion. So
+nearly the density that radiance has: a texel 10^7 times brighter than its neighbours makes no more noise than a plain
+sky. Where radiance is not zero the density is not either. Of the poles, where the sine is zero, its mean over the reach
 texel counts.
 """
 
