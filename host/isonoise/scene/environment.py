@@ -8,7 +8,7 @@ It is sampled in proportion to luminance * sin(theta) at the texels, interpolate
 and a cell of it by alias tables, which take one step however steep the map is, and a place within by inversion. So
 nearly the density that radiance has: a texel 10^7 times brighter than its neighbours makes no more noise than a plain
 sky. Where radiance is not zero the density is not either. Of the poles, where the sine is zero, its mean over the reach
-texel counts.
+of the texel counts.
 """
 
 import warnings
