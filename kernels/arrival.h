@@ -157,7 +157,8 @@ INLINE Vec3 arriving_sky(const Scene* scene, const Path* p)
 {
     const Geometry* g = &scene->geometry;
     float pdf = 0.0f;
-    const Vec3 radiance = sky_radiance(g, scene->lights + scene->environment_light, p->direction, &pdf);
+    const Light sky = Light_at(scene->lights, scene->environment_light);
+    const Vec3 radiance = sky_radiance(g, &sky, p->direction, &pdf);
     pdf *= pick_probability(g, scene->lights, scene->environment_light, p->last_vertex, p->was_lit, p->direction_pdf);
     return scale3(mul3(p->weight, radiance), mis_weight(p->direction_pdf, pdf));
 }
@@ -168,7 +169,7 @@ INLINE Vec3 arriving_sky(const Scene* scene, const Path* p)
 INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* s)
 {
     const Geometry* g = &scene->geometry;
-    __global const Light* light = scene->lights + s->light;
+    const Light met = Light_at(scene->lights, s->light), *light = &met;
     const float pdf = pick_probability(g, scene->lights, s->light, p->last_vertex, p->was_lit, p->direction_pdf) *
                       light_pdf(g, light, p->last_vertex, p->direction, p->since_vertex, s->normal);
     return scale3(mul3(p->weight, emitted_radiance(g, light, s)), mis_weight(p->direction_pdf, pdf));

@@ -227,13 +227,10 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
     const size_t begin = get_global_id(0) * LANES;
     if (begin >= paths) return;
     const uint count = (uint)LESSER(paths - begin, (size_t)LANES);
-    EACH_OF(k, count) {
-        if (k >= count) continue;
-        alive[begin + k] = 0;
+    for (uint k = 0u; k < count; ++k) alive[begin + k] = 0;
 #if FEATURE_NEXT_EVENT
-        PLANE(3, shadow_direction, pool)[begin + k] = 0.0f;
+    for (uint k = 0u; k < count; ++k) PLANE(3, shadow_direction, pool)[begin + k] = 0.0f;
 #endif
-    }
 #if SPLITS
     int met[LANES + VECTOR], missed[LANES + VECTOR];
     uint count_met = 0u, count_missed = 0u;

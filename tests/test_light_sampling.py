@@ -69,7 +69,8 @@ __kernel void density({GEOMETRY},
     if (i >= n) return;
     const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
     const Vec3 from = LOAD3(i, reference), arm = sub3(LOAD3(i, position), from);
-    out[i] = light_pdf(&g, lights + index, from, unit(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
+    const Light light = Light_at(lights, index);
+    out[i] = light_pdf(&g, &light, from, unit(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
 }}
 """
 
