@@ -39,7 +39,7 @@ typedef struct {
     __global float* shadow_direction;
     __global float* shadow_radiance;
     __global float* samples;
-    __global uchar* alive;
+    __global uint* alive;
 } Paths;
 
 // A path at the end of its ray.
@@ -169,7 +169,7 @@ INLINE Vec3 arriving_sky(const Scene* scene, const Path* p)
 INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* s)
 {
     const Geometry* g = &scene->geometry;
-    const Light met = Light_at(scene->lights, s->light), *light = &met;
+    const Light met = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? s->light : 0u), *light = &met;
     const float pdf = pick_probability(g, scene->lights, s->light, p->last_vertex, p->was_lit, p->direction_pdf) *
                       light_pdf(g, light, p->last_vertex, p->direction, p->since_vertex, s->normal);
     return scale3(mul3(p->weight, emitted_radiance(g, light, s)), mis_weight(p->direction_pdf, pdf));

@@ -45,8 +45,10 @@ INLINE float pick_probability(const Geometry* g, __global const Light* lights, u
 {
 #if FEATURE_LIGHT_TREE
     return pdf < 0.0f ? 0.0f : light_tree_probability(&g->light_tree, light, point, lit);
-#else
+#elif FEATURE_MANY_LIGHTS
     return Light_at(lights, light).pick_probability;
+#else
+    return 1.0f;
 #endif
 }
 
@@ -68,14 +70,15 @@ INLINE float light_pdf(const Geometry* g, const Light* light, Vec3 reference, Ve
     return density;
 }
 
-#if !FEATURE_LIGHT_TREE
+#if FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_TREE
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
 INLINE uint pick_by_power(__global const Alias* table, uint count, float u_high, float u_low)
 {
     const ulong scaled = (ulong)(u_high * 0x1p24f) * count + (((ulong)(u_low * 0x1p24f) * count) >> 24);
     const uint index = LESSER((uint)(scaled >> 24), count - 1u);
     const float fraction = (float)(scaled & 0xFFFFFFu) * 0x1p-24f;
-    return fraction < table[index].threshold ? index : table[index].alias;
+    const Alias entry = Alias_at(table, index);
+    return fraction < entry.threshold ? index : entry.alias;
 }
 #endif
 
@@ -198,9 +201,12 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
     LightPick pick;
 #if FEATURE_LIGHT_TREE
     pick.light = pick_from_tree(&g->light_tree, reference, lit, u, u_low, &pick.probability);
-#else
+#elif FEATURE_MANY_LIGHTS
     pick.light = pick_by_power(table, count, u, u_low);
     pick.probability = Light_at(lights, pick.light).pick_probability;
+#else
+    pick.light = 0u;
+    pick.probability = 1.0f;
 #endif
     return pick;
 }
@@ -209,7 +215,7 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
 INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference, Vec2 u)
 {
     LightSample sample = no_light();
-    const Light picked = Light_at(lights, pick.light), *light = &picked;
+    const Light picked = Light_at(lights, FEATURE_MANY_LIGHTS ? pick.light : 0u), *light = &picked;
     sample.pdf = pick.probability;
     sample.radiance = LOAD3(0, light->radiance);
 #if FEATURE_POINT_LIGHTS
