@@ -19,12 +19,13 @@ INLINE Vec4 random_block(uint2 seed, uint pixel, uint index, uint block)
     // unrolled: a loop over paths that has another one within becomes no vector instructions
 #pragma unroll
     for (uint round = 0; round < 7u; ++round) {
-        // a product of 64 bits is one instruction where mul_hi may be a call
-        const ulong first = (ulong)0xD2511F53u * a, second = (ulong)0xCD9E8D57u * c;
-        a = (uint)(second >> 32) ^ b ^ (seed.x + round * 0x9E3779B9u);
-        b = (uint)second;
-        c = (uint)(first >> 32) ^ d ^ (seed.y + round * 0xBB67AE85u);
-        d = (uint)first;
+        // high halves by products of 64 bits, because mul_hi may be a call; low ones apart, which vector units do cheaply
+        const uint low_a = 0xD2511F53u * a, low_c = 0xCD9E8D57u * c;
+        const uint high_a = (uint)(((ulong)0xD2511F53u * a) >> 32), high_c = (uint)(((ulong)0xCD9E8D57u * c) >> 32);
+        a = high_c ^ b ^ (seed.x + round * 0x9E3779B9u);
+        b = low_c;
+        c = high_a ^ d ^ (seed.y + round * 0xBB67AE85u);
+        d = low_a;
     }
     return scale4(vec4((float)(a >> 8u), (float)(b >> 8u), (float)(c >> 8u), (float)(d >> 8u)), 0x1p-24f);
 }
