@@ -22,6 +22,9 @@ SMALL_LOCAL_SIZE = 8
 """Work-items a group where each does the work of many. PoCL gives a thread half of the groups that are left, which with
 few large ones leaves the others idle at the end."""
 
+_ALIGNMENT = 4096
+"""Bytes: of what a driver takes without a copy."""
+
 
 @functools.cache
 def _opencl():
@@ -124,6 +127,14 @@ def _keep_programs() -> None:
                 program_cache.store(key, program.get_info(_opencl().program_info.BINARIES)[0])
 
 
+def _host_memory(nbytes: int) -> np.ndarray:
+    """Memory that a CPU's driver takes as a buffer's own. numpy asks the system for large pages where it is large: with
+    small ones every step of a ray through a million triangles looks up where a page lies."""
+    memory = np.empty(nbytes + _ALIGNMENT, np.uint8)
+    begin = -memory.ctypes.data % _ALIGNMENT
+    return memory[begin : begin + nbytes]
+
+
 class Device:
     """Context, in-order queue, buffers and programs on one OpenCL device.
 
@@ -220,11 +231,16 @@ class Device:
                 "for one buffer; render a smaller image or scene, or choose another device with --device"
             )
         self.allocated += nbytes
+        whole_words = max(-(-nbytes // 4), 1) * 4
+        if self.is_cpu:
+            content = _host_memory(whole_words)
+            content[nbytes:] = 0
+            content[:nbytes] = np.ascontiguousarray(size).reshape(-1).view(np.uint8) if isinstance(size, np.ndarray) else 0
+            return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=content)
         if isinstance(size, np.ndarray) and nbytes:
             return self._cl.Buffer(
                 self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(size)
             )
-        whole_words = max(-(-nbytes // 4), 1) * 4
         buffer = self._cl.Buffer(self.context, flags.READ_WRITE, whole_words)
         self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, whole_words)
         return buffer
