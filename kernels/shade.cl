@@ -129,7 +129,7 @@ INLINE void end_shading(const Scene* scene, const Paths* of, size_t i, uint max_
 }
 
 __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
-                    __global const float* triangles, __global const uint* faces, __global const float* vertex_normals,
+                    __global const float* triangles, __global const uint* faces, __global const float* corner_normals,
 #if FEATURE_UVS
                     __global const float* uvs,
 #endif
@@ -168,7 +168,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
     Geometry* geometry = &scene.geometry;
     geometry->triangles = triangles;
     geometry->faces = faces;
-    geometry->vertex_normals = vertex_normals;
+    geometry->corner_normals = corner_normals;
     geometry->analytics = analytics;
     geometry->shapes = shapes;
 #if FEATURE_UVS

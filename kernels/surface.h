@@ -54,7 +54,7 @@ INLINE TexturePoint texture_point(const Surface* s)
 typedef struct {
     __global const float* triangles;   // records of TRIANGLE_FLOATS: host/isonoise/scene/structs.py
     __global const uint* faces;
-    __global const float* vertex_normals;
+    __global const float* corner_normals;  // of the vertices of every triangle, one after the other
     __global const float* uvs;
     __global const Analytic* analytics;
     __global const Shape* shapes;
@@ -118,10 +118,9 @@ INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float
 #endif
 #if FEATURE_VERTEX_NORMALS
     if (flags & SHAPE_VERTEX_NORMALS) {
-        const int face = 3 * (int)triangle;
-        const Vec3 interpolated = unit(combine3(1.0f - u - v, LOAD3(g->faces[face], g->vertex_normals), u,
-                                                LOAD3(g->faces[face + 1], g->vertex_normals), v,
-                                                LOAD3(g->faces[face + 2], g->vertex_normals)));
+        const int first = 3 * (int)triangle;
+        const Vec3 interpolated = unit(combine3(1.0f - u - v, LOAD3(first, g->corner_normals), u,
+                                                LOAD3(first + 1, g->corner_normals), v, LOAD3(first + 2, g->corner_normals)));
         s.normal = dot3(interpolated, interpolated) > 0.0f ? interpolated : s.geometric_normal;
     }
 #endif

@@ -59,7 +59,7 @@ INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s
 
 __kernel void through(uint paths, uint pool, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
                       __global const float* triangles, __global const uint* faces,
-                      __global const float* vertex_normals,
+                      __global const float* corner_normals,
 #if FEATURE_UVS
                       __global const float* uvs,
 #endif
@@ -87,7 +87,7 @@ __kernel void through(uint paths, uint pool, __global const float8* nodes, __glo
     Geometry geometry;
     geometry.triangles = triangles;
     geometry.faces = faces;
-    geometry.vertex_normals = vertex_normals;
+    geometry.corner_normals = corner_normals;
     geometry.analytics = analytics;
     geometry.shapes = shapes;
 #if FEATURE_UVS

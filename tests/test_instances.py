@@ -20,7 +20,7 @@ from isonoise.rendering import render
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.hierarchy import build_hierarchy
-from isonoise.scene.triangles import triangle_records
+from isonoise.scene.triangles import corner_normals, triangle_records
 
 NONE = structs.NONE
 ANALYTIC_BIT = 0x80000000
@@ -30,7 +30,7 @@ PROBE = """
 #include "surface.h"
 
 __kernel void probe(uint n, __global const float* triangles, __global const uint* faces,
-                    __global const float* vertex_normals, __global const Analytic* analytics,
+                    __global const float* corner_normals, __global const Analytic* analytics,
                     __global const Shape* shapes, __global const Instance* instances, __global const uint* instance,
                     __global const float* ray_origin, __global const float* ray_direction, __global const float* hits,
                     __global const float* towards, __global float* out)
@@ -40,7 +40,7 @@ __kernel void probe(uint n, __global const float* triangles, __global const uint
     Geometry g;
     g.triangles = triangles;
     g.faces = faces;
-    g.vertex_normals = vertex_normals;
+    g.corner_normals = corner_normals;
     g.analytics = analytics;
     g.shapes = shapes;
     const Vec4 hit = load_planes4(hits, i, n);
@@ -89,7 +89,7 @@ class Traced:
         self.instances = table(scene.instances)
         self.counts = np.uint32(bvh.first_analytic), np.uint32(bvh.first_analytic + len(scene.analytics))
         self.surfaces = (
-            *map(table, (triangle_records(scene), scene.faces, scene.vertex_normals)),
+            *map(table, (triangle_records(scene), scene.faces, corner_normals(scene))),
             *(self.analytics, table(scene.shapes), self.instances),
         )
 

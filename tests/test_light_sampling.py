@@ -32,7 +32,7 @@ Geometry geometry({GEOMETRY})
     Geometry g;
     g.triangles = triangles;
     g.faces = faces;
-    g.vertex_normals = NULL;
+    g.corner_normals = NULL;
     g.uvs = uvs;
     g.analytics = analytics;
     g.shapes = shapes;

@@ -235,7 +235,9 @@ class Device:
         if self.is_cpu:
             content = _host_memory(whole_words)
             content[nbytes:] = 0
-            content[:nbytes] = np.ascontiguousarray(size).reshape(-1).view(np.uint8) if isinstance(size, np.ndarray) else 0
+            content[:nbytes] = (
+                np.ascontiguousarray(size).reshape(-1).view(np.uint8) if isinstance(size, np.ndarray) else 0
+            )
             return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=content)
         if isinstance(size, np.ndarray) and nbytes:
             return self._cl.Buffer(

@@ -26,9 +26,7 @@ FEATURES = {
     "TRIANGLES": Feature(
         "triangle meshes", "64 bytes a triangle and its share of the hierarchy, block test in intersect and shadow"
     ),
-    "VERTEX_NORMALS": Feature(
-        "smooth shading by vertex normals", "12 bytes a vertex and 12 a triangle, interpolation in shade"
-    ),
+    "VERTEX_NORMALS": Feature("smooth shading by vertex normals", "36 bytes a triangle, interpolation in shade"),
     "UVS": Feature("texture coordinates", "8 bytes a vertex and 12 a triangle, interpolation in shade"),
     "TEXTURES": Feature("parameters that vary over a surface", "records and texels, code in shade"),
     "BITMAPS": Feature("images as textures", "4 or 16 bytes a texel, code in shade"),

@@ -31,7 +31,7 @@ KERNELS = {
     ),
     "shade": (
         "shade.cl",
-        "paths pool sample_pixel seed max_depth rr_depth triangles faces vertex_normals UVS:uvs TEXTURES:textures "
+        "paths pool sample_pixel seed max_depth rr_depth triangles faces corner_normals UVS:uvs TEXTURES:textures "
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
         "ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
@@ -48,7 +48,7 @@ KERNELS = {
     ),
     "through": (
         "through.cl",
-        "paths pool nodes blocks first_analytic triangles faces vertex_normals UVS:uvs TEXTURES:textures "
+        "paths pool nodes blocks first_analytic triangles faces corner_normals UVS:uvs TEXTURES:textures "
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
         "shadow_origin shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",

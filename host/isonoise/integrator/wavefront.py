@@ -21,7 +21,7 @@ from isonoise.scene import structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.light_tree import build_light_tree
-from isonoise.scene.triangles import triangle_records
+from isonoise.scene.triangles import corner_normals, triangle_records
 from isonoise.statistics import NOTHING_MORE, Needs
 
 PLANE_PADDING = 80
@@ -111,14 +111,14 @@ class Wavefront:
             "analytic_count": np.uint32(len(scene.analytics)),
             "first_analytic": np.uint32(bvh.first_analytic),
             "triangles": table(triangle_records(scene), "the triangles"),
-            "faces": table(scene.faces if on["VERTEX_NORMALS"] or on["UVS"] else nothing, "the faces"),
+            "faces": table(scene.faces if on["UVS"] else nothing, "the faces"),
             "uvs": table(scene.uvs, "the texture coordinates"),
             "textures": table(scene.textures, "the textures"),
             "texel_bytes": table(scene.texel_bytes, "the texels"),
             "texel_floats": table(scene.texel_floats, "the texels"),
             "srgb": table(textures.SRGB if on["BITMAPS"] else nothing, "the table of sRGB"),
             "attributes": table(scene.attributes, "the mesh attributes"),
-            "vertex_normals": table(scene.vertex_normals if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
+            "corner_normals": table(corner_normals(scene) if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
             "instances": table(scene.instances, "the instances"),

@@ -31,3 +31,11 @@ def triangle_records(scene: CompiledScene) -> np.ndarray:
     records["light"] = np.where(shines, shape["first_light"] + in_shape, structs.NONE)
     records["media"] = shape["media"]
     return records
+
+
+def corner_normals(scene: CompiledScene) -> np.ndarray:
+    """Normals of the vertices of every triangle (T, 3, 3) float32; (0, 3, 3) in scenes without any.
+
+    By triangle, not by vertex, so that what a hit needs lies together.
+    """
+    return scene.vertex_normals[scene.faces] if len(scene.vertex_normals) else np.zeros((0, 3, 3), np.float32)
