@@ -23,7 +23,7 @@ KERNELS = {
         "generate.cl",
         "count_new pool first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset "
         "count rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
-        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium",
+        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium LIGHT_TREE:lit",
     ),
     "intersect": (
         "intersect.cl",
