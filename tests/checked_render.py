@@ -1,4 +1,4 @@
-"""Small renders under Oclgrind, which interprets kernels and reports races, memory that is not theirs, uninitialised values.
+"""Small renders under Oclgrind, which interprets kernels and reports races and memory wrongly read or written.
 
 `python tests/checked_render.py CASE` runs itself under it; tests/README.md says what the options are for, and
 `test_oclgrind.py` asks for all of `CASES`.
