@@ -131,11 +131,21 @@ def _kernel_table(scene: Mapping) -> str:
 
 def _ray_table(scene: Mapping) -> str:
     rays = scene["rays"]
-    rows = [(row["kind"], f"{row['rays']:,}", _rate(row["mrays_per_s"]), "", "") for row in rays["kinds"]]
+    rows = [
+        (
+            row["kind"],
+            f"{row['rays']:,}",
+            _rate(row["mrays_per_s"]),
+            _per_ray(row["node_tests_per_ray"]),
+            _per_ray(row["triangle_tests_per_ray"]),
+            *("", ""),
+        )
+        for row in rays["kinds"]
+    ]
     for row in rays["bounces"][:SHOWN_BOUNCES]:
         shadow = (f"{row['shadow_rays']:,}", _rate(row["shadow_mrays_per_s"]))
-        rows.append((f"depth {row['depth']}", f"{row['rays']:,}", _rate(row["mrays_per_s"]), *shadow))
-    text = table(("rays", "number", "Mrays/s", "shadow rays", "Mrays/s"), rows)
+        rows.append((f"depth {row['depth']}", f"{row['rays']:,}", _rate(row["mrays_per_s"]), "", "", *shadow))
+    text = table(("rays", "number", "Mrays/s", "nodes/ray", "triangles/ray", "shadow rays", "Mrays/s"), rows)
     rest = rays["bounces"][SHOWN_BOUNCES:]
     if rest:
         text += f"\nand {sum(row['rays'] for row in rest):,} rays to depth {rest[-1]['depth']}"
@@ -169,6 +179,10 @@ def _number(number: int, what: str) -> str:
 
 def _rate(figure: Mapping | None) -> str:
     return "" if figure is None else spread(figure, lambda rate: f"{rate:.3g}")
+
+
+def _per_ray(tests: float | None) -> str:
+    return "" if tests is None else f"{tests:.3g}"
 
 
 def _milliseconds(seconds: float) -> str:
