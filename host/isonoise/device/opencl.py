@@ -109,8 +109,7 @@ _to_keep: dict[str, object] = {}
 def _keep_programs() -> None:
     """Puts what was compiled into the cache: last, when it delays no image.
 
-    By now the binaries hold what some drivers compile at a kernel's first launch; and PoCL 3.0 compiles a kernel once
-    more, for any local size, when its binary is asked for.
+    By now the binaries hold what some drivers compile at a kernel's first launch.
     """
     if program_cache.cache_folder() is None:
         return
@@ -160,7 +159,11 @@ class Device:
         PoCL's loop over work-items becomes vector instructions in simple kernels only, a loop of the kernel's own more
         often. Other compilers, and GPUs, do it with work-items.
         """
-        return 64 if self.is_cpu and "portable computing language" in self.device.platform.name.lower() else 1
+        return 64 if self.is_cpu and self.is_pocl else 1
+
+    @property
+    def is_pocl(self) -> bool:
+        return "portable computing language" in self.device.platform.name.lower()
 
     @property
     def is_cpu(self) -> bool:
@@ -178,9 +181,14 @@ class Device:
         return {kernel.function_name: kernel for kernel in cached.all_kernels()}
 
     def _compile(self, source: str, options: tuple[str, ...]):
-        """The program from the cache, or built from its text and to be kept."""
+        """The program from the cache, or built from its text and to be kept.
+
+        Not with PoCL, which keeps what it compiles by itself: asked for a binary, it compiles every kernel once more,
+        for work-groups of any size, which takes as long as the first time.
+        """
+        keeps = program_cache.cache_folder() is not None and not self.is_pocl
         key = program_cache.program_key(source, options, self._driver)
-        binary = program_cache.load(key)
+        binary = program_cache.load(key) if keeps else None
         if binary is not None:
             try:
                 return self._built(self._cl.Program(self.context, [self.device], [binary]), options)
@@ -190,7 +198,7 @@ class Device:
             program = self._built(self._cl.Program(self.context, source), options)
         except self._cl.Error as error:
             raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
-        if program_cache.cache_folder():
+        if keeps:
             _to_keep[key] = program
         return program
 
