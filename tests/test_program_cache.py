@@ -6,10 +6,12 @@ import threading
 
 import numpy as np
 import pytest
+from small_scene import lamp_over_floor
 
 from isonoise.device import opencl, program_cache
 from isonoise.device.opencl import Device
 from isonoise.errors import DeviceError
+from isonoise.renderer import Renderer
 
 pytestmark = pytest.mark.filterwarnings("ignore:Pre-build attribute access")
 
@@ -132,6 +134,12 @@ def test_pocl_keeps_its_programs_by_itself(folder, compiled, monkeypatch):
     program_cache.store(program_cache.program_key(SOURCE, OPTIONS, Device()._driver), b"is not looked for")
     assert later_process(monkeypatch, folder) == first
     assert len(compiled) == 2
+
+
+def test_a_render_starts_the_compiler_three_times(folder, compiled):
+    """For the pixels, for what shapes change, and for what materials change."""
+    Renderer(lamp_over_floor())
+    assert len(compiled) == 3
 
 
 def test_the_usual_folder_is_the_users(monkeypatch, tmp_path):

@@ -107,7 +107,8 @@ def count_tests(subject: Subject, rays: list[int]) -> list[RayTests]:
     if subject.wavefront.few:
         return [RayTests(number, 0, number * len(subject.scene.faces)) for number in rays]
     device = Device(list_devices().index(subject.device.device))  # its buffers are none of those that are reported
-    wavefront = Wavefront(device, subject.scene, subject.bvh, pool_size=subject.pool_size, count_tests=True)
+    built_in = subject.wavefront.features | {"COUNT_TESTS": True}
+    wavefront = Wavefront(device, subject.scene, subject.bvh, pool_size=subject.pool_size, built_in=built_in)
     sums = [RayTests()] * len(rays)
     depth = 0
 

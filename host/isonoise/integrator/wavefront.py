@@ -5,7 +5,7 @@ launches intersect, shade and shadow over the paths in flight, then moves those 
 the next samples' paths behind them. After the last path the samples enter the statistics.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -35,8 +35,9 @@ RAYS_PER_ITEM = 32
 class Wavefront:
     """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads.
 
-    With `count_tests` the buffer `tests` of `stages` has, after a bounce, the nodes and blocks of triangles that each
-    ray of `intersect` was tested against; not where there is no hierarchy (`few`).
+    `built_in`: features of the program, to test or to measure what it does with more of them than scene and `needs` ask
+    for; by default those. With COUNT_TESTS the buffer `tests` has, after a bounce, the nodes and blocks of triangles
+    that each ray of `intersect` was tested against.
     """
 
     def __init__(
@@ -47,10 +48,10 @@ class Wavefront:
         needs: Needs = NOTHING_MORE,
         seed: int = 0,
         pool_size: int | None = None,
-        count_tests: bool = False,
+        built_in: Mapping[str, bool] | None = None,
     ):
         self.device, self.scene = device, scene
-        self.features = features(scene, needs) | {"COUNT_TESTS": count_tests}
+        self.features = dict(built_in or features(scene, needs))
         # On two CPU cores 1.12 times as fast as half the pool; a GPU has tens of thousands of lanes to fill.
         self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
         self.slice_samples = 16 * self.pool_size
