@@ -203,6 +203,11 @@ def _add_bench(commands) -> None:
         action="store_true",
         help="measure the speed over that of Mitsuba 3 and, for rays, of Embree, instead; see below",
     )
+    what.add_argument(
+        "--tune",
+        action="store_true",
+        help="instead, measure how many paths in flight are fastest, and keep that for all later renders on the device",
+    )
     output = bench.add_argument_group("what to do with it")
     output.add_argument("--json", metavar="FILE", help="write all figures; host/README.md documents the fields")
     output.add_argument(

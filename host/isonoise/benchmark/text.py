@@ -5,6 +5,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from isonoise.benchmark.against import Comparison
+from isonoise.benchmark.spread import Spread
 from isonoise.progress import count, duration
 
 WIDTH = 100
@@ -59,6 +60,17 @@ def against_text(comparison: Comparison, threshold: float) -> str:
     rows += [(scene, kernel, "", "is not there any more") for scene, kernel in comparison.gone]
     title = f"\nspeed now over before; below {threshold:g} is slower"
     return f"{title}\n{table(('scene', 'what', 'ratio', ''), rows, left=(0, 1, 3))}"
+
+
+def pools_text(speeds: Mapping[int, Sequence[float]], usual: int, chosen: int) -> str:
+    """Samples per second by pool size, the gain over the usual one turn by turn, and what is chosen."""
+    rows = []
+    for size, turns in speeds.items():
+        gain = Spread.of(mine / its for mine, its in zip(turns, speeds[usual], strict=True)).json()
+        note = ", ".join(word for word, is_so in (("usual", size == usual), ("chosen", size == chosen)) if is_so)
+        shown = "" if size == usual else spread(gain, lambda ratio: f"{ratio:.2f}")
+        rows.append((f"{size:,}", spread(Spread.of(turns).json(), count), shown, note))
+    return table(("paths in flight", "samples/s", "over the usual", ""), rows, left=(3,))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[int] = (0,)) -> str:

@@ -92,6 +92,16 @@ def select_device(choice: str | int | None = None):
     raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
 
 
+def is_cpu(device) -> bool:
+    return bool(device.type & _opencl().device_type.CPU)
+
+
+def driver_of(device) -> tuple[str, ...]:
+    """Names and versions that tell a device with its driver from others."""
+    platform = device.platform
+    return platform.name, platform.version, device.name, device.version, device.driver_version
+
+
 @functools.cache
 def _context(device):
     """One context a device and process: programs are built for a context, and renders in a row share them."""
@@ -167,7 +177,7 @@ class Device:
 
     @property
     def is_cpu(self) -> bool:
-        return bool(self.device.type & self._cl.device_type.CPU)
+        return is_cpu(self.device)
 
     @property
     def compute_units(self) -> int:
@@ -210,9 +220,7 @@ class Device:
     @functools.cached_property
     def _driver(self) -> tuple[str, ...]:
         """What a compiled program depends on beside its text."""
-        device, platform = self.device, self.device.platform
-        names = (platform.name, platform.version, device.name, device.version, device.driver_version)
-        return (*names, str(LOCAL_SIZE))
+        return (*driver_of(self.device), str(LOCAL_SIZE))
 
     def buffer(self, size: int | np.ndarray, what: str):
         """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in errors."""

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from isonoise.device import pool
 from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
@@ -52,8 +53,7 @@ class Wavefront:
     ):
         self.device, self.scene = device, scene
         self.features = dict(built_in or features(scene, needs))
-        # On two CPU cores 1.12 times as fast as half the pool; a GPU has tens of thousands of lanes to fill.
-        self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
+        self.pool_size = pool_size or pool.pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
         self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/kept.h knows no more
@@ -90,8 +90,8 @@ class Wavefront:
 
     def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
         scene, device, on = self.scene, self.device, self.features
-        pool, samples = self.pool_size, self.slice_samples
-        plane = pool + PLANE_PADDING
+        paths, samples = self.pool_size, self.slice_samples
+        plane = paths + PLANE_PADDING
         pixels = self.accumulator.pixels
         endless = 0xFFFFFFFF
 
@@ -145,7 +145,7 @@ class Wavefront:
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
             "pool": np.uint32(plane),
             "alive": per_path("the flags of the paths", 1),
-            "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
+            "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
             **{
                 name: per_path("the paths", size)
