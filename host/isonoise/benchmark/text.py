@@ -4,7 +4,7 @@ import io
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from isonoise.benchmark.against import Comparison
+from isonoise.benchmark.against import Comparison, Ratio
 from isonoise.benchmark.spread import Spread
 from isonoise.progress import count, duration
 
@@ -54,7 +54,8 @@ def against_text(comparison: Comparison, threshold: float) -> str:
     """Every ratio; those that are too low are marked."""
     slower = comparison.slower(threshold)
     rows = [
-        (r.scene, r.kernel or "samples/s", f"{r.ratio:.3f}", _verdict(r in slower, r.counts)) for r in comparison.ratios
+        (r.scene, r.kernel or "samples/s", f"{r.ratio:.3f}", _verdict(r, r in slower, r.ratio < threshold))
+        for r in comparison.ratios
     ]
     rows += [(scene, kernel, "", "was not there before") for scene, kernel in comparison.new]
     rows += [(scene, kernel, "", "is not there any more") for scene, kernel in comparison.gone]
@@ -181,8 +182,12 @@ def _memory_lines(scene: Mapping) -> str:
     )
 
 
-def _verdict(slower: bool, counts: bool) -> str:
-    return "slower" if slower else "" if counts else "too short to count"
+def _verdict(ratio: Ratio, slower: bool, below: bool) -> str:
+    if slower:
+        return "slower"
+    if not ratio.counts:
+        return "too short to count"
+    return "within the spread" if below else ""
 
 
 def _number(number: int, what: str) -> str:
