@@ -6,72 +6,72 @@
 
 #define NODE_ROWS 7u
 
-// The walk of one ray is not done for many paths at once, so its triples are vectors.
-INLINE float3 packed(Vec3 v)
+// The walk of one ray is not done for many paths at once, so its triples are vectors; of four, all of which have a value.
+INLINE float4 packed(Vec3 v)
 {
-    return (float3)(v.x, v.y, v.z);
+    return (float4)(v.x, v.y, v.z, 0.0f);
 }
 
-INLINE Vec3 unpacked(float3 v)
+INLINE Vec3 unpacked(float4 v)
 {
     return vec3(v.x, v.y, v.z);
 }
 
-INLINE float3 packed_abs(float3 v)
+INLINE float4 packed_abs(float4 v)
 {
-    return as_float3(as_uint3(v) & 0x7FFFFFFFu);
+    return as_float4(as_uint4(v) & 0x7FFFFFFFu);
 }
 
-INLINE float3 packed_sign(float3 magnitude, float3 sign)
+INLINE float4 packed_sign(float4 magnitude, float4 sign)
 {
-    return as_float3(as_uint3(magnitude) | (as_uint3(sign) & 0x80000000u));
+    return as_float4(as_uint4(magnitude) | (as_uint4(sign) & 0x80000000u));
 }
 
 typedef struct {
-    float3 origin, direction;
+    float4 origin, direction;
     // What takes a plane of a box to its distance along the ray: plane * scale + shift. Near planes are rounded down and far ones
     // up, by more than all roundings can add up to, so that none ever loses a child.
-    float3 near_scale, near_shift, far_scale, far_shift;
-    int3 flip;          // from a node's row of lower planes to that of the near ones: 3 for negative directions, else 0
-    int3 axis;          // x, y, z permuted so that |direction| is largest along the last
-    float3 shear;       // Woop's shear constants for the permuted axes
-    float3 permuted;    // origin, permuted
+    float4 near_scale, near_shift, far_scale, far_shift;
+    int4 flip;          // from a node's row of lower planes to that of the near ones: 3 for negative directions, else 0
+    int4 axis;          // x, y, z permuted so that |direction| is largest along the last
+    float4 shear;       // Woop's shear constants for the permuted axes
+    float4 permuted;    // origin, permuted
 } Ray;
 
-INLINE Ray make_ray(float3 origin, float3 direction)
+INLINE Ray make_ray(float4 origin, float4 direction)
 {
     Ray ray;
     ray.origin = origin;
     ray.direction = direction;
-    const float3 size = packed_abs(direction);
+    const float4 size = packed_abs(direction);
     // A component of zero becomes one that moves the ray by nothing that counts and keeps the shifts finite.
-    const float3 least = 1e-37f * (1.0f + packed_abs(origin));
-    const float3 inverse = 1.0f / (size < least ? packed_sign(least, direction) : direction);
+    const float4 least = 1e-37f * (1.0f + packed_abs(origin));
+    const float4 inverse = 1.0f / (size < least ? packed_sign(least, direction) : direction);
     // Every operation rounds by 2^-24 of its result. What is lost of a shift does not become smaller where it cancels against a
     // plane: at most 5 of them, taken off and added. The others widen the far side: Ize, "Robust BVH Ray Traversal", JCGT 2013.
-    const float3 shift = -origin * inverse, rounding = 0x1.8p-22f * packed_abs(shift);
+    const float4 shift = -origin * inverse, rounding = 0x1.8p-22f * packed_abs(shift);
     ray.near_scale = inverse;
     ray.near_shift = shift - rounding;
     ray.far_scale = inverse * 1.0000008f;
     ray.far_shift = shift * 1.0000008f + rounding;
-    ray.flip = inverse < 0.0f ? (int3)(3) : (int3)(0);
+    ray.flip = inverse < 0.0f ? (int4)(3) : (int4)(0);
     const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
     const int next = kz == 2 ? 0 : kz + 1, after = 3 - kz - next;
     FourLanes d, o;  // by number from memory: a choice among three components takes five instructions
-    d.all = (float4)(direction, 0.0f);
-    o.all = (float4)(origin, 0.0f);
+    d.all = direction;
+    o.all = origin;
     // exchanging the first two axes keeps the orientation of triangles for negative directions
     const bool flip = d.lane[kz] < 0.0f;
-    ray.axis = (int3)(flip ? after : next, flip ? next : after, kz);
+    ray.axis = (int4)(flip ? after : next, flip ? next : after, kz, 0);
     const float scale = 1.0f / d.lane[kz];
-    ray.shear = (float3)(d.lane[ray.axis.x] * scale, d.lane[ray.axis.y] * scale, scale);
-    ray.permuted = (float3)(o.lane[ray.axis.x], o.lane[ray.axis.y], o.lane[kz]);
+    ray.shear = (float4)(d.lane[ray.axis.x] * scale, d.lane[ray.axis.y] * scale, scale, 0.0f);
+    ray.permuted = (float4)(o.lane[ray.axis.x], o.lane[ray.axis.y], o.lane[kz], 0.0f);
     return ray;
 }
 
 #if FEATURE_INSTANCES
 // The same for a ray of the world, in the space of an instance's group.
-INLINE Ray make_object_ray(__global const Instance* instance, float3 origin, float3 direction)
+INLINE Ray make_object_ray(__global const Instance* instance, float4 origin, float4 direction)
 {
     Vec3 o = unpacked(origin), d = unpacked(direction);
     ray_to_object(instance, &o, &d);
@@ -82,8 +82,8 @@ INLINE Ray make_object_ray(__global const Instance* instance, float3 origin, flo
 // Which of the node's children the ray meets before t_max, as bits; `entry` gets the distances at which it enters them.
 INLINE uint children_met(__global const float8* node, const Ray* ray, float t_max, float8* entry)
 {
-    const int3 flip = ray->flip;
-    const float3 near = ray->near_scale, near_by = ray->near_shift, far = ray->far_scale, far_by = ray->far_shift;
+    const int4 flip = ray->flip;
+    const float4 near = ray->near_scale, near_by = ray->near_shift, far = ray->far_scale, far_by = ray->far_shift;
     __global const float8 *near_row_x = node + flip.x, *near_row_y = node + flip.y + 1, *near_row_z = node + flip.z + 2;
     __global const float8 *far_row_x = node - flip.x + 3, *far_row_y = node - flip.y + 4, *far_row_z = node - flip.z + 5;
     const float8 near_x = MAD8(*near_row_x, near.x, near_by.x), far_x = MAD8(*far_row_x, far.x, far_by.x);
@@ -104,8 +104,8 @@ INLINE uint children_met(__global const float8* node, const Ray* ray, float t_ma
 // out, which needs no epsilon.
 INLINE uint triangles_met(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t, float8* u, float8* v)
 {
-    const int3 k = ray->axis;
-    const float3 o = ray->permuted, s = ray->shear;
+    const int4 k = ray->axis;
+    const float4 o = ray->permuted, s = ray->shear;
     __global const float8 *x = block + k.x, *y = block + k.y, *z = block + k.z;
     const float8 az = z[0] - o.z, bz = z[3] - o.z, cz = z[6] - o.z;
     const float8 ax = (x[0] - o.x) - s.x * az, ay = (y[0] - o.y) - s.y * az;

@@ -32,6 +32,9 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
 #if FEATURE_MEDIA
                        , __global uint* medium, uint sensor_medium
 #endif
+#if FEATURE_LIGHT_TREE
+                       , __global float* lit
+#endif
                        )
 {
     const size_t begin = get_global_id(0) * LANES;
@@ -90,6 +93,9 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
 #endif
 #if FEATURE_MEDIA
         medium[slot] = sensor_medium;
+#endif
+#if FEATURE_LIGHT_TREE
+        store_planes4(vec4(0.0f, 0.0f, 0.0f, 0.0f), lit, slot, pool);
 #endif
         STORE3(all3(0.0f), sample, samples);
     }

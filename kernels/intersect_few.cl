@@ -13,9 +13,15 @@ __kernel void intersect(uint paths, uint pool, __global const float* corners, ui
         Rays rays;
         EACH_RAY(ray) {
             const size_t i = first + ray;
-            const Vec4 origin = load_planes4(ray_origin, i, pool);
-            const Vec3 direction = load_planes3(ray_direction, i, pool);
-            set_ray(&rays, ray, xyz(origin), direction, PLANE(PATH_START, path, pool)[i], NONE, i < paths ? origin.w : -1.0f);
+            Vec4 origin = vec4(0.0f, 0.0f, 0.0f, -1.0f);
+            Vec3 direction = all3(1.0f);
+            uint start = NONE;
+            if (i < paths) {
+                origin = load_planes4(ray_origin, i, pool);
+                direction = load_planes3(ray_direction, i, pool);
+                start = PLANE(PATH_START, path, pool)[i];
+            }
+            set_ray(&rays, ray, xyz(origin), direction, start, NONE, origin.w);
         }
         meet_all(&rays, &all);
         EACH_RAY(ray) {

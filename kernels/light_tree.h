@@ -23,6 +23,11 @@ INLINE float8 root_of(float8 v)
     return lanes.all;
 }
 
+// The lanes moved up by so many places, after zeros.
+#define UP_BY_1(v) (float8)(0.0f, v.s0, v.s1, v.s2, v.s3, v.s4, v.s5, v.s6)
+#define UP_BY_2(v) (float8)(0.0f, 0.0f, v.s0, v.s1, v.s2, v.s3, v.s4, v.s5)
+#define UP_BY_4(v) (float8)(0.0f, 0.0f, 0.0f, 0.0f, v.s0, v.s1, v.s2, v.s3)
+
 INLINE float sum_of(float8 v)
 {
     const float4 four = v.lo + v.hi;
@@ -100,10 +105,8 @@ INLINE uint pick_from_tree(const LightTree* tree, Vec3 point, Vec4 normal, float
             rest /= BY_SHARE;
         }
         // sums of the parts before each lane
-        const float8 one = (float8)(0.0f, part.all.s0123, part.all.s45, part.all.s6);
-        const float8 two = one + (float8)(0.0f, one.s0123, one.s45, one.s6);
-        const float8 four = two + (float8)((float2)(0.0f), two.s0123, two.s45);
-        begin.all = scale * (four + (float8)((float4)(0.0f), four.s0123));
+        const float8 one = UP_BY_1(part.all), two = one + UP_BY_1(one), four = two + UP_BY_2(two);
+        begin.all = scale * (four + UP_BY_4(four));
         const uint child = last_lane((begin.all <= u) & (part.all > 0.0f));
 
         const float width = scale * part.lane[child], inverse = 1.0f / width;

@@ -2,8 +2,11 @@
 // for the call than for the work; operators and casts are inlined everywhere. What is left of the library is rare or heavy.
 #pragma once
 
-// Functions of a few lines become part of their caller, so that results travel in registers.
+// Functions of a few lines become part of their caller, so that results travel in registers. A build option may say otherwise,
+// as it may of HAS_BUILTIN: tools that interpret kernels have neither.
+#ifndef INLINE
 #define INLINE inline __attribute__((always_inline))
+#endif
 
 // Long functions of many callers stay functions: with textures in a dozen parameters of each of three materials `shade` took
 // PoCL 46 s to compile, and takes 5.
@@ -13,7 +16,8 @@
 #define LESSER(a, b) ((a) < (b) ? (a) : (b))
 #define GREATER(a, b) ((a) > (b) ? (a) : (b))
 
-#ifdef __has_builtin
+#ifdef HAS_BUILTIN
+#elif defined(__has_builtin)
 #define HAS_BUILTIN(name) __has_builtin(name)
 #else
 #define HAS_BUILTIN(name) 0

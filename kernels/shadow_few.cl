@@ -15,7 +15,7 @@ __kernel void shadow(uint paths, uint pool, __global const float* corners, uint 
         from[count] = (uint)i;
         count += PLANE(3, shadow_direction, pool)[i] > 0.0f ? 1u : 0u;
     }
-    for (uint k = count; k < count + RAYS; ++k) from[k] = 0u;
+    for (uint k = count; k < count + RAYS; ++k) from[k] = from[0];
     for (uint first = 0; first < count; first += RAYS) {
         Rays rays;
         EACH_RAY(ray) {

@@ -18,7 +18,7 @@ typedef struct {
     uint nodes;  // so far
 #endif
 #if FEATURE_INSTANCES
-    float3 origin, direction;  // in the world
+    float4 origin, direction;  // in the world
     uint start;                // the instance that it starts in
     uint start_primitive;
     uint inside;               // the instance that it is in, NONE: the world
@@ -53,7 +53,7 @@ INLINE void enter_instance(Walk* walk, uint inside)
 // To the root. With instances the members about them that say where the ray starts are set before.
 INLINE void begin_walk(Walk* walk, ulong* stack, Vec3 from, Vec3 towards, uint2 skip)
 {
-    const float3 origin = packed(from), direction = packed(towards);
+    const float4 origin = packed(from), direction = packed(towards);
     walk->skip = skip;
 #if FEATURE_INSTANCES
     walk->origin = origin;

@@ -16,7 +16,7 @@ from small_scene import assert_same_bits, lamp_over_floor, without
 
 from isonoise.benchmark import embree, made_scenes, peers, starts, subject
 from isonoise.benchmark.against import Earlier
-from isonoise.benchmark.bounces import count_shadow_rays, pools, timed_bounces
+from isonoise.benchmark.bounces import count_shadow_rays, count_tests, pools, timed_bounces
 from isonoise.benchmark.measure import Settings, head, measure
 from isonoise.benchmark.peers_text import peers_text
 from isonoise.benchmark.subject import MeasuredDevice, Subject
@@ -108,6 +108,10 @@ def test_what_is_counted_adds_up(cornell):
         time = row["time_s"]
         assert 0 < time["min"] <= time["median"] <= time["max"]
         assert row["ns_per_item"] == pytest.approx(1e9 * time["median"] / row["items"])
+    tests = {row["kind"]: (row["node_tests_per_ray"], row["triangle_tests_per_ray"]) for row in scene["rays"]["kinds"]}
+    assert tests["shadow"] == (None, None)
+    for kind in ("camera", "bounce"):
+        assert tests[kind] == (0, 36) or (tests[kind][0] >= 1 and tests[kind][1] > 0)
     launches = kernels["intersect"]["launches"]
     assert scene["occupancy"] == pytest.approx(kernels["intersect"]["items"] / (launches * 512))
     assert scene["occupancy"] > 0.5
@@ -146,6 +150,33 @@ def test_bounces_are_those_of_the_run():
     assert rays[0] == rays[1]
     assert count_shadow_rays(small) == count_shadow_rays(large)
     assert sum(rays[0]) == small.run(profile=True).kernels["intersect"].items
+
+
+def test_tests_are_those_of_the_rays_of_a_run():
+    """What one ray is tested against is in test_intersection.py. Here sums are bounded, and no pool changes them."""
+    vertices, faces = made_scenes.bumpy_ring(12, 8)
+    ring = {"type": "mesh", "vertices": 0.3 * vertices + [0, 0, 0.3], "faces": faces}
+    compiled = compile_scene(load(lamp_over_floor() | {"ring": ring}))
+    sums = []
+    for pool_size in (64, 512):
+        measured = Subject(compiled, MeasuredDevice(), 700, pool_size)
+        rays = [bounce.rays for bounce in timed_bounces(measured)]
+        before = measured.device.bytes_of.total()
+        sums.append(count_tests(measured, rays))
+        assert measured.device.bytes_of.total() == before
+        assert [bounce.rays for bounce in sums[-1]] == rays
+    assert sums[0] == sums[1]
+    nodes, blocks = len(measured.bvh.nodes), len(measured.bvh.blocks)
+    for bounce in sums[0]:
+        assert bounce.rays < bounce.nodes < bounce.rays * nodes
+        assert bounce.triangles % 8 == 0
+        assert 0 < bounce.triangles < 8 * bounce.rays * blocks
+
+
+def test_where_there_is_no_hierarchy_every_ray_meets_all_triangles():
+    measured = small_subject()
+    measured.wavefront.few = True
+    assert [(bounce.nodes, bounce.triangles) for bounce in count_tests(measured, [400, 100])] == [(0, 1600), (0, 400)]
 
 
 def test_without_light_there_are_no_shadow_rays():
@@ -235,7 +266,18 @@ def test_a_start_without_compiled_programs_takes_longer():
 def test_what_a_person_reads(cornell):
     two = cornell | {"scenes": cornell["scenes"] * 2}
     text = head_text(cornell) + scene_text(cornell["scenes"][0]) + summary_text(two)
-    for word in ("driver", "24x20", "NEXT_EVENT", "samples/s", "first image", "intersect", "ns/item", "depth 8", "SAH"):
+    for word in (
+        "driver",
+        "24x20",
+        "NEXT_EVENT",
+        "samples/s",
+        "first image",
+        "intersect",
+        "ns/item",
+        "depth 8",
+        "SAH",
+        "triangles/ray",
+    ):
         assert word in text
     assert summary_text(cornell) == ""
     assert "keep the machine busy" in head_text(cornell | {"load_average": 1e3})
@@ -248,6 +290,8 @@ def test_what_a_person_reads(cornell):
 def measured(cornell, monkeypatch):
     """`isonoise bench` without the measuring: figures that a test may change."""
     figures = copy.deepcopy(cornell["scenes"][0])
+    for figure in (figures["samples_per_s"], *(row["time_s"] for row in figures["kernels"])):
+        figure["min"] = figure["max"] = figure["median"]
     monkeypatch.setattr(bench, "measure", lambda *arguments: copy.deepcopy(figures))
     assert isonoise("bench", "cornell", *COMMAND, "--json", "before.json") == 0
     return figures
@@ -259,7 +303,12 @@ COMMAND = ("--size", "24x20", "--spp", "8.5")
 def slow_down(figures: dict, kernel: str, factor: float, share: float) -> None:
     row = next(row for row in figures["kernels"] if row["kernel"] == kernel)
     row["share"] = share
-    row["time_s"]["median"] *= factor
+    scale(row["time_s"], factor)
+
+
+def scale(figure: dict, factor: float) -> None:
+    for name in figure:
+        figure[name] *= factor
 
 
 def test_nothing_is_slower_than_itself(measured, capsys):
@@ -272,11 +321,21 @@ def test_nothing_is_slower_than_itself(measured, capsys):
 
 @pytest.mark.parametrize(("threshold", "code"), [((), 1), (("--threshold", "0.75"), 0)])
 def test_fewer_samples_a_second_are_slower(measured, capsys, threshold, code):
-    measured["samples_per_s"]["median"] *= 0.8
+    scale(measured["samples_per_s"], 0.8)
     assert isonoise("bench", "cornell", *COMMAND, "--against", "before.json", *threshold) == code
     out, err = capsys.readouterr()
     assert ("cornell samples/s 0.800" in err) == bool(code)
     assert "0.800" in out
+
+
+@pytest.mark.parametrize(("best", "code"), [(0.99, 1), (1.01, 0)])
+def test_what_the_spread_cannot_tell_is_not_slower(measured, capsys, best, code):
+    """One repeat of five may have been as fast as before."""
+    before = measured["samples_per_s"]["median"]
+    scale(measured["samples_per_s"], 0.8)
+    measured["samples_per_s"]["max"] = best * before
+    assert isonoise("bench", "cornell", *COMMAND, "--against", "before.json") == code
+    assert ("within the spread" in capsys.readouterr().out) != bool(code)
 
 
 @pytest.mark.parametrize(("share", "code"), [(0.06, 1), (0.04, 0)])

@@ -6,10 +6,12 @@ import threading
 
 import numpy as np
 import pytest
+from small_scene import lamp_over_floor
 
 from isonoise.device import opencl, program_cache
 from isonoise.device.opencl import Device
 from isonoise.errors import DeviceError
+from isonoise.renderer import Renderer
 
 pytestmark = pytest.mark.filterwarnings("ignore:Pre-build attribute access")
 
@@ -28,6 +30,12 @@ def folder(tmp_path, monkeypatch):
     """An empty cache, and a process that has built nothing yet."""
     monkeypatch.setenv(program_cache.VARIABLE, str(tmp_path / "made" / "when needed"))
     return begin_anew(monkeypatch, tmp_path / "made" / "when needed")
+
+
+@pytest.fixture(autouse=True)
+def keeps_nothing_by_itself(monkeypatch):
+    """The device's driver is taken for one that needs the cache: PoCL doesn't, but it can be asked for binaries."""
+    monkeypatch.setattr(Device, "is_pocl", False)
 
 
 def begin_anew(monkeypatch, folder):
@@ -117,6 +125,21 @@ def test_off_keeps_nothing(monkeypatch, tmp_path, compiled):
     assert roots() == later_process(monkeypatch, tmp_path)
     assert len(compiled) == 2
     assert not list(tmp_path.iterdir())
+
+
+def test_pocl_keeps_its_programs_by_itself(folder, compiled, monkeypatch):
+    monkeypatch.setattr(Device, "is_pocl", True)
+    first = roots()
+    assert not opencl._to_keep  # asked for at the process's end, its binaries take as long as the first image
+    program_cache.store(program_cache.program_key(SOURCE, OPTIONS, Device()._driver), b"is not looked for")
+    assert later_process(monkeypatch, folder) == first
+    assert len(compiled) == 2
+
+
+def test_a_render_starts_the_compiler_three_times(folder, compiled):
+    """For the pixels, for what shapes change, and for what materials change."""
+    Renderer(lamp_over_floor())
+    assert len(compiled) == 3
 
 
 def test_the_usual_folder_is_the_users(monkeypatch, tmp_path):

@@ -203,6 +203,11 @@ def _add_bench(commands) -> None:
         action="store_true",
         help="measure the speed over that of Mitsuba 3 and, for rays, of Embree, instead; see below",
     )
+    what.add_argument(
+        "--tune",
+        action="store_true",
+        help="instead, measure how many paths in flight are fastest, and keep that for all later renders on the device",
+    )
     output = bench.add_argument_group("what to do with it")
     output.add_argument("--json", metavar="FILE", help="write all figures; host/README.md documents the fields")
     output.add_argument(
@@ -311,8 +316,8 @@ def _bench_epilog() -> str:
             "A run has about 2 million samples on a CPU and 16 million on a GPU unless --spp says otherwise.",
             "",
             "--against compares samples/s and every kernel's time by their medians. Kernels with at most 5 % of the",
-            "time are shown but not judged. Device, scene, size, depth and samples have to be the same; the driver may",
-            "differ.",
+            "time are shown but not judged; nor is what was as fast in one repeat as in one before. Device, scene,",
+            "size, depth and samples have to be the same; the driver may differ.",
             "",
             "--peers takes turns with Mitsuba 3 (llvm_ad_rgb, path) on the same file, size, depth and roulette; and,",
             "where a scene is made of triangles alone, with Embree on one thread on the same rays: the camera's, and",

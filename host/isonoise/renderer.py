@@ -40,7 +40,7 @@ class Renderer:
         size: (width, height) in place of the film's.
         max_depth: in place of the integrator's.
         parameters: values for the scene file's `$names`.
-        pool_size: paths in flight, from 1; None chooses for the device. It changes no pixel.
+        pool_size: paths in flight, from 1; None takes the device's (`device.pool`). It changes no pixel.
         profile: whether `device_seconds` are kept.
 
     Raises:

@@ -20,6 +20,7 @@ class Ratio:
     kernel: str | None
     ratio: float
     counts: bool  # whether it is judged
+    apart: bool  # whether every repeat of one measurement was faster than every one of the other
 
     def __str__(self) -> str:
         return f"{self.scene} {f'kernel {self.kernel}' if self.kernel else 'samples/s'} {self.ratio:.3f}"
@@ -34,7 +35,8 @@ class Comparison:
     new: list[tuple[str, str]]
 
     def slower(self, threshold: float) -> list[Ratio]:
-        return [ratio for ratio in self.ratios if ratio.counts and ratio.ratio < threshold]
+        """What is slower, beyond the spread of both measurements."""
+        return [ratio for ratio in self.ratios if ratio.counts and ratio.apart and ratio.ratio < threshold]
 
 
 class Earlier:
@@ -88,8 +90,9 @@ class Earlier:
         with self._sound():
             for scene in now["scenes"]:
                 name, before = scene["scene"], self._scenes[scene["scene"]]
-                speed = scene["samples_per_s"]["median"] / before["samples_per_s"]["median"]
-                ratios.append(Ratio(name, None, speed, True))
+                speed, earlier_speed = scene["samples_per_s"], before["samples_per_s"]
+                ratio = speed["median"] / earlier_speed["median"]
+                ratios.append(Ratio(name, None, ratio, True, _apart(speed, earlier_speed)))
                 earlier = {row["kernel"]: row for row in before["kernels"]}
                 for row in scene["kernels"]:
                     old = earlier.pop(row["kernel"], None)
@@ -98,12 +101,17 @@ class Earlier:
                     elif row["time_s"]["median"] > 0:
                         ratio = old["time_s"]["median"] / row["time_s"]["median"]
                         counts = max(old["share"], row["share"]) > WEIGHTY
-                        ratios.append(Ratio(name, row["kernel"], ratio, counts))
+                        ratios.append(Ratio(name, row["kernel"], ratio, counts, _apart(row["time_s"], old["time_s"])))
                 gone += [(name, kernel) for kernel in earlier]
         return Comparison(ratios, gone, new)
 
     def _sound(self) -> "_Sound":
         return _Sound(self.path)
+
+
+def _apart(a: Mapping[str, float], b: Mapping[str, float]) -> bool:
+    """Whether two spreads don't overlap. Of two times five repeats of the same that is so once in 126 times."""
+    return a["max"] < b["min"] or b["max"] < a["min"]
 
 
 class _Sound:

@@ -7,8 +7,12 @@ import numpy as np
 
 from isonoise.benchmark.spread import Spread
 from isonoise.benchmark.subject import Subject
+from isonoise.device.opencl import Device, list_devices
+from isonoise.integrator.wavefront import Wavefront
 
 SHADOW_KERNELS = ("shadow", "through")
+BLOCK = 8
+"""Triangles of a block, which one operation tests, and counts, whether or not all of its places are taken."""
 
 
 @dataclass
@@ -18,6 +22,18 @@ class Bounce:
     rays: int = 0
     seconds: float = 0.0
     shadow_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class RayTests:
+    """Rays of one depth, with the sums of the nodes and triangles that they were tested against."""
+
+    rays: int = 0
+    nodes: int = 0
+    triangles: int = 0
+
+    def __add__(self, other: "RayTests") -> "RayTests":
+        return RayTests(self.rays + other.rays, self.nodes + other.nodes, self.triangles + other.triangles)
 
 
 def pools(allocation: np.ndarray, size: int) -> Iterator[np.ndarray]:
@@ -82,8 +98,38 @@ def timed_bounces(subject: Subject) -> list[Bounce]:
     return bounces
 
 
-def ray_facts(passes: list[list[Bounce]], shadow_rays: list[int]) -> dict[str, object]:
-    """Rays and Mrays/s by kind and by bounce; `passes` trace the same samples, so they differ in times alone."""
+def count_tests(subject: Subject, rays: list[int]) -> list[RayTests]:
+    """The tests of every bounce of a run, of which the number of rays is known (`bounces.timed_bounces`).
+
+    `intersect` is built once more, counting, and traces the run's samples again. Without a hierarchy nothing needs to
+    be counted: every ray is tested against all triangles.
+    """
+    if subject.wavefront.few:
+        return [RayTests(number, 0, number * len(subject.scene.faces)) for number in rays]
+    device = Device(list_devices().index(subject.device.device))  # its buffers are none of those that are reported
+    built_in = subject.wavefront.features | {"COUNT_TESTS": True}
+    wavefront = Wavefront(device, subject.scene, subject.bvh, pool_size=subject.pool_size, built_in=built_in)
+    sums = [RayTests()] * len(rays)
+    depth = 0
+
+    def on_bounce(paths: int) -> None:
+        nonlocal depth
+        nodes, blocks = device.read(wavefront.stages.arguments["tests"], np.uint32, 2 * paths).reshape(-1, 2).T
+        sums[depth] += RayTests(paths, int(nodes.sum(dtype=np.int64)), BLOCK * int(blocks.sum(dtype=np.int64)))
+        depth += 1
+
+    wavefront.on_bounce = on_bounce
+    for allocation in pools(subject.allocation, subject.pool_size):
+        depth = 0
+        wavefront.trace(allocation)
+    return sums
+
+
+def ray_facts(passes: list[list[Bounce]], shadow_rays: list[int], tests: list[RayTests]) -> dict[str, object]:
+    """Rays and Mrays/s by kind and by bounce; `passes` trace the same samples, so they differ in times alone.
+
+    `tests`: of the rays of every bounce; those of shadow rays are not counted.
+    """
     first = passes[0]
     shadow_rays = shadow_rays or [0] * len(first)
 
@@ -96,13 +142,24 @@ def ray_facts(passes: list[list[Bounce]], shadow_rays: list[int]) -> dict[str, o
 
     def kind(name: str, depths: slice) -> dict[str, object]:
         seconds = [sum(bounce.seconds for bounce in each[depths]) for each in passes]
-        return {"kind": name, **row(sum(bounce.rays for bounce in first[depths]), seconds)}
+        done = sum(tests[depths], RayTests())
+        per_ray = [number / done.rays if done.rays else None for number in (done.nodes, done.triangles)]
+        return {
+            "kind": name,
+            **row(sum(bounce.rays for bounce in first[depths]), seconds),
+            **dict(zip(("node_tests_per_ray", "triangle_tests_per_ray"), per_ray, strict=True)),
+        }
 
     shadow_seconds = [sum(bounce.shadow_seconds for bounce in each) for each in passes]
     kinds = [
         kind("camera", slice(0, 1)),
         kind("bounce", slice(1, None)),
-        {"kind": "shadow", **row(sum(shadow_rays), shadow_seconds)},
+        {
+            "kind": "shadow",
+            **row(sum(shadow_rays), shadow_seconds),
+            "node_tests_per_ray": None,
+            "triangle_tests_per_ray": None,
+        },
     ]
     bounces = [
         {

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from isonoise import __version__
-from isonoise.benchmark.bounces import count_shadow_rays, ray_facts, timed_bounces
+from isonoise.benchmark.bounces import count_shadow_rays, count_tests, ray_facts, timed_bounces
 from isonoise.benchmark.spread import Spread
 from isonoise.benchmark.starts import start_facts
 from isonoise.benchmark.subject import MeasuredDevice, Run, Subject
@@ -121,6 +121,7 @@ def measure(
         plain.append(subject.run(profile=False))
         profiled.append(subject.run(profile=True))
         passes.append(timed_bounces(subject))
+    tests = count_tests(subject, [bounce.rays for bounce in passes[0]])
     kernels = kernel_facts(profiled)
     intersect = next((kernel for kernel in kernels if kernel["kernel"] == "intersect"), None)
     return {
@@ -139,7 +140,7 @@ def measure(
         ).json(),
         "start": starts,
         "kernels": kernels,
-        "rays": ray_facts(passes, shadow_rays),
+        "rays": ray_facts(passes, shadow_rays, tests),
         "pool_paths": subject.pool_size,
         "occupancy": intersect["items"] / (intersect["launches"] * subject.pool_size) if intersect else None,
         "hierarchy": tree_facts(subject.bvh, scene),

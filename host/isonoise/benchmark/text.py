@@ -4,7 +4,8 @@ import io
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from isonoise.benchmark.against import Comparison
+from isonoise.benchmark.against import Comparison, Ratio
+from isonoise.benchmark.spread import Spread
 from isonoise.progress import count, duration
 
 WIDTH = 100
@@ -53,12 +54,24 @@ def against_text(comparison: Comparison, threshold: float) -> str:
     """Every ratio; those that are too low are marked."""
     slower = comparison.slower(threshold)
     rows = [
-        (r.scene, r.kernel or "samples/s", f"{r.ratio:.3f}", _verdict(r in slower, r.counts)) for r in comparison.ratios
+        (r.scene, r.kernel or "samples/s", f"{r.ratio:.3f}", _verdict(r, r in slower, r.ratio < threshold))
+        for r in comparison.ratios
     ]
     rows += [(scene, kernel, "", "was not there before") for scene, kernel in comparison.new]
     rows += [(scene, kernel, "", "is not there any more") for scene, kernel in comparison.gone]
     title = f"\nspeed now over before; below {threshold:g} is slower"
     return f"{title}\n{table(('scene', 'what', 'ratio', ''), rows, left=(0, 1, 3))}"
+
+
+def pools_text(speeds: Mapping[int, Sequence[float]], usual: int, chosen: int) -> str:
+    """Samples per second by pool size, the gain over the usual one turn by turn, and what is chosen."""
+    rows = []
+    for size, turns in speeds.items():
+        gain = Spread.of(mine / its for mine, its in zip(turns, speeds[usual], strict=True)).json()
+        note = ", ".join(word for word, is_so in (("usual", size == usual), ("chosen", size == chosen)) if is_so)
+        shown = "" if size == usual else spread(gain, lambda ratio: f"{ratio:.2f}")
+        rows.append((f"{size:,}", spread(Spread.of(turns).json(), count), shown, note))
+    return table(("paths in flight", "samples/s", "over the usual", ""), rows, left=(3,))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[int] = (0,)) -> str:
@@ -131,11 +144,21 @@ def _kernel_table(scene: Mapping) -> str:
 
 def _ray_table(scene: Mapping) -> str:
     rays = scene["rays"]
-    rows = [(row["kind"], f"{row['rays']:,}", _rate(row["mrays_per_s"]), "", "") for row in rays["kinds"]]
+    rows = [
+        (
+            row["kind"],
+            f"{row['rays']:,}",
+            _rate(row["mrays_per_s"]),
+            _per_ray(row["node_tests_per_ray"]),
+            _per_ray(row["triangle_tests_per_ray"]),
+            *("", ""),
+        )
+        for row in rays["kinds"]
+    ]
     for row in rays["bounces"][:SHOWN_BOUNCES]:
         shadow = (f"{row['shadow_rays']:,}", _rate(row["shadow_mrays_per_s"]))
-        rows.append((f"depth {row['depth']}", f"{row['rays']:,}", _rate(row["mrays_per_s"]), *shadow))
-    text = table(("rays", "number", "Mrays/s", "shadow rays", "Mrays/s"), rows)
+        rows.append((f"depth {row['depth']}", f"{row['rays']:,}", _rate(row["mrays_per_s"]), "", "", *shadow))
+    text = table(("rays", "number", "Mrays/s", "nodes/ray", "triangles/ray", "shadow rays", "Mrays/s"), rows)
     rest = rays["bounces"][SHOWN_BOUNCES:]
     if rest:
         text += f"\nand {sum(row['rays'] for row in rest):,} rays to depth {rest[-1]['depth']}"
@@ -159,8 +182,12 @@ def _memory_lines(scene: Mapping) -> str:
     )
 
 
-def _verdict(slower: bool, counts: bool) -> str:
-    return "slower" if slower else "" if counts else "too short to count"
+def _verdict(ratio: Ratio, slower: bool, below: bool) -> str:
+    if slower:
+        return "slower"
+    if not ratio.counts:
+        return "too short to count"
+    return "within the spread" if below else ""
 
 
 def _number(number: int, what: str) -> str:
@@ -169,6 +196,10 @@ def _number(number: int, what: str) -> str:
 
 def _rate(figure: Mapping | None) -> str:
     return "" if figure is None else spread(figure, lambda rate: f"{rate:.3g}")
+
+
+def _per_ray(tests: float | None) -> str:
+    return "" if tests is None else f"{tests:.3g}"
 
 
 def _milliseconds(seconds: float) -> str:

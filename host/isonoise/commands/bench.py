@@ -10,8 +10,9 @@ from pathlib import Path
 from isonoise.benchmark.against import Earlier
 from isonoise.benchmark.made_scenes import MADE_SCENES, write_made_scene
 from isonoise.benchmark.measure import Settings, head, identity, load_subject, measure, samples_of
-from isonoise.benchmark.text import against_text, head_text, scene_text, summary_text
+from isonoise.benchmark.text import against_text, head_text, pools_text, scene_text, summary_text
 from isonoise.commands import EXIT_DONE
+from isonoise.device import pool, program_cache
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable, write_whole
@@ -21,6 +22,7 @@ from isonoise.scene.builtin import find_scene
 EXIT_SLOWER = 1
 DEFAULT_SCENES = ("cornell", "bright-spots", "mesh-82k")
 DEFAULT_THRESHOLD = 0.9
+TUNED_SCENES = ("cornell",)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -31,6 +33,10 @@ def run(options: argparse.Namespace) -> int:
         raise UserError("--threshold says how slow is too slow against a file: name it with --against")
     settings = Settings(options.repeat, options.size, options.spp, options.max_depth, options.device)
     with tempfile.TemporaryDirectory(prefix="isonoise-bench-") as folder:
+        if options.tune:
+            if options.against or options.peers or options.json:
+                raise UserError("--tune chooses a pool size: it goes with none of --against, --peers, --json")
+            return _tune(settings, _sources(options.scenes or TUNED_SCENES, Path(folder)))
         if options.peers:
             if options.against:
                 raise UserError("--against compares measurements without --peers")
@@ -65,6 +71,24 @@ def _bench(options: argparse.Namespace, settings: Settings, sources: Mapping[str
     _say(summary_text(result))
     _write(options.json, result)
     return _judge(earlier, result, options.threshold or DEFAULT_THRESHOLD) if earlier else EXIT_DONE
+
+
+def _tune(settings: Settings, sources: Mapping[str, str]) -> int:
+    """Measures pool sizes and keeps the fastest for the device."""
+    from isonoise.benchmark.tune import fastest, measure_pools
+
+    device = Device(settings.device).device
+    scenes = [load_subject(source, settings) for source in sources.values()]
+    with Bar() as bar:
+        speeds = measure_pools(scenes, settings, lambda done, what: bar.show(done, 1, what))
+    usual = pool.usual_pool_size(device)
+    chosen = fastest(speeds, usual)
+    _say(pools_text(speeds, usual, chosen))
+    if not pool.keep_pool_size(device, chosen):
+        raise UserError(
+            f"the choice cannot be kept: {program_cache.VARIABLE} is off, or its folder cannot be written to"
+        )
+    return EXIT_DONE
 
 
 def _judge(earlier: Earlier, result: Mapping, threshold: float) -> int:

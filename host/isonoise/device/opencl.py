@@ -98,6 +98,16 @@ def select_device(choice: str | int | None = None):
     raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
 
 
+def is_cpu(device) -> bool:
+    return bool(device.type & _opencl().device_type.CPU)
+
+
+def driver_of(device) -> tuple[str, ...]:
+    """Names and versions that tell a device with its driver from others."""
+    platform = device.platform
+    return platform.name, platform.version, device.name, device.version, device.driver_version
+
+
 @functools.cache
 def _context(device):
     """One context a device and process: programs are built for a context, and renders in a row share them."""
@@ -115,8 +125,7 @@ _to_keep: dict[str, object] = {}
 def _keep_programs() -> None:
     """Puts what was compiled into the cache: last, when it delays no image.
 
-    By now the binaries hold what some drivers compile at a kernel's first launch; and PoCL 3.0 compiles a kernel once
-    more, for any local size, when its binary is asked for.
+    By now the binaries hold what some drivers compile at a kernel's first launch.
     """
     if program_cache.cache_folder() is None:
         return
@@ -174,11 +183,15 @@ class Device:
         PoCL's loop over work-items becomes vector instructions in simple kernels only, a loop of the kernel's own more
         often. Other compilers, and GPUs, do it with work-items.
         """
-        return 64 if self.is_cpu and "portable computing language" in self.device.platform.name.lower() else 1
+        return 64 if self.is_cpu and self.is_pocl else 1
+
+    @property
+    def is_pocl(self) -> bool:
+        return "portable computing language" in self.device.platform.name.lower()
 
     @property
     def is_cpu(self) -> bool:
-        return bool(self.device.type & self._cl.device_type.CPU)
+        return is_cpu(self.device)
 
     @property
     def compute_units(self) -> int:
@@ -192,9 +205,14 @@ class Device:
         return {kernel.function_name: kernel for kernel in cached.all_kernels()}
 
     def _compile(self, source: str, options: tuple[str, ...]):
-        """The program from the cache, or built from its text and to be kept."""
+        """The program from the cache, or built from its text and to be kept.
+
+        Not with PoCL, which keeps what it compiles by itself: asked for a binary, it compiles every kernel once more,
+        for work-groups of any size, which takes as long as the first time.
+        """
+        keeps = program_cache.cache_folder() is not None and not self.is_pocl
         key = program_cache.program_key(source, options, self._driver)
-        binary = program_cache.load(key)
+        binary = program_cache.load(key) if keeps else None
         if binary is not None:
             try:
                 return self._built(self._cl.Program(self.context, [self.device], [binary]), options)
@@ -204,7 +222,7 @@ class Device:
             program = self._built(self._cl.Program(self.context, source), options)
         except self._cl.Error as error:
             raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
-        if program_cache.cache_folder():
+        if keeps:
             _to_keep[key] = program
         return program
 
@@ -216,9 +234,7 @@ class Device:
     @functools.cached_property
     def _driver(self) -> tuple[str, ...]:
         """What a compiled program depends on beside its text."""
-        device, platform = self.device, self.device.platform
-        names = (platform.name, platform.version, device.name, device.version, device.driver_version)
-        return (*names, f"{LOCAL_SIZE} {SMALL_LOCAL_SIZE}")
+        return (*driver_of(self.device), f"{LOCAL_SIZE} {SMALL_LOCAL_SIZE}")
 
     def buffer(self, size: int | np.ndarray, what: str):
         """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in errors."""

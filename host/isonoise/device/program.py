@@ -4,6 +4,7 @@ One text can be hashed, cached and dumped, and an include path with a space cann
 """
 
 import re
+from collections.abc import Iterable
 from importlib import resources
 
 import numpy as np
@@ -72,14 +73,15 @@ def record_reader(name: str, dtype: np.dtype) -> str:
 
 
 def stage_source(
-    name: str, structs: dict[str, np.dtype], constants: dict[str, int], features: dict[str, bool]
+    names: str | Iterable[str], structs: dict[str, np.dtype], constants: dict[str, int], features: dict[str, bool]
 ) -> tuple[str, tuple[str, ...]]:
-    """Text of a stage and its build options.
+    """Text of a stage, or of several that are one program, and its build options.
 
     A feature is a macro FEATURE_<name> of 0 or 1; only those that the text mentions are set, so that a feature of
     another stage does not build this one anew.
     """
-    body = flatten(name)
+    seen: set[str] = set()
+    body = "\n".join(flatten(name, seen) for name in ([names] if isinstance(names, str) else names))
     words = set(re.findall(r"\w+", body))
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
     prelude += [f"#define {key} {value}u" for key, value in constants.items() if key in words]

@@ -86,6 +86,14 @@ def store(key: str, binary: bytes) -> None:
         return
 
 
+def forget(key: str) -> None:
+    """Removes the file, if it is there."""
+    folder = cache_folder()
+    if folder is not None:
+        with contextlib.suppress(OSError):
+            (folder / key).unlink()
+
+
 def _remove_oldest(folder: Path) -> None:
     """Removes the files that were not used for longest, until the rest is within the limit."""
     files = []

@@ -6,6 +6,7 @@ import numpy as np
 
 from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
 from isonoise.device.program import stage_source
+from isonoise.integrator.kernels import ONE_PROGRAM
 
 
 class Stages:
@@ -27,8 +28,10 @@ class Stages:
         self.device = device
         self.arguments: dict[str, object] = {}
         self._kernels: dict[str, object] = {}
-        for file in dict.fromkeys(file for file, _ in table.values()):
-            self._kernels.update(device.build(*stage_source(file, structs, constants, features)))
+        files = dict.fromkeys(file for file, _ in table.values())
+        together = [file for file in ONE_PROGRAM if file in files]
+        for program in ([together] if together else []) + [[file] for file in files if file not in together]:
+            self._kernels.update(device.build(*stage_source(program, structs, constants, features)))
         self._in_small_groups = frozenset(in_small_groups)
         self._names = {
             kernel: tuple(present(dict.fromkeys(arguments.split()), features))

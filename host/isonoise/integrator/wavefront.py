@@ -5,11 +5,12 @@ launches intersect, shade and shadow over the paths in flight, then moves those 
 the next samples' paths behind them. After the last path the samples enter the statistics.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
 
+from isonoise.device import pool
 from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
@@ -33,7 +34,12 @@ RAYS_PER_ITEM = 32
 
 
 class Wavefront:
-    """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads."""
+    """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads.
+
+    `built_in`: features of the program, to test or to measure what it does with more of them than scene and `needs` ask
+    for; by default those. With COUNT_TESTS the buffer `tests` has, after a bounce, the nodes and blocks of triangles
+    that each ray of `intersect` was tested against.
+    """
 
     def __init__(
         self,
@@ -43,11 +49,11 @@ class Wavefront:
         needs: Needs = NOTHING_MORE,
         seed: int = 0,
         pool_size: int | None = None,
+        built_in: Mapping[str, bool] | None = None,
     ):
         self.device, self.scene = device, scene
-        self.features = features(scene, needs)
-        # On two CPU cores 1.12 times as fast as half the pool; a GPU has tens of thousands of lanes to fill.
-        self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
+        self.features = dict(built_in or features(scene, needs))
+        self.pool_size = pool_size or pool.pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
         self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/kept.h knows no more
@@ -84,8 +90,8 @@ class Wavefront:
 
     def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
         scene, device, on = self.scene, self.device, self.features
-        pool, samples = self.pool_size, self.slice_samples
-        plane = pool + PLANE_PADDING
+        paths, samples = self.pool_size, self.slice_samples
+        plane = paths + PLANE_PADDING
         pixels = self.accumulator.pixels
         endless = 0xFFFFFFFF
 
@@ -139,7 +145,7 @@ class Wavefront:
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
             "pool": np.uint32(plane),
             "alive": per_path("the flags of the paths", 4),
-            "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
+            "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
             **{
                 name: per_path("the paths", size)
