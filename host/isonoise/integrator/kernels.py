@@ -1,5 +1,8 @@
-"""The kernels that trace paths: their files, their arguments, and the state of a path."""
+"""The kernels that trace paths: their files, their arguments, and the buffers that hold paths."""
 
+from collections.abc import Mapping
+
+from isonoise.integrator.stages import present
 from isonoise.scene import environment, structs, textures
 
 STRUCTS = {
@@ -96,3 +99,29 @@ PATH_STATE = {
     **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},
 }
 """Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
+
+PATH_BUFFERS = {
+    "hit": {"": 16},
+    "alive": {"": 1},
+    "tests": {"COUNT_TESTS": 8},
+    "shadow_origin": {"NEXT_EVENT": 16},
+    "shadow_direction": {"NEXT_EVENT": 16},
+    "shadow_radiance": {"NEXT_EVENT": 12, "NEXT_EVENT MEDIA": 4},
+}
+"""Buffers of the paths within a bounce: bytes, by the features that all have to be on for them."""
+
+
+def kernel_table(features: Mapping[str, bool], few: bool) -> dict[str, tuple[str, str]]:
+    """The kernels that a scene needs; `few`: whether it has so few primitives that there is no hierarchy."""
+    shadow = ("through" if features["VOLPATH"] else "shadow") if features["NEXT_EVENT"] else None
+    table = KERNELS | (FEW_KERNELS if few else {})
+    return {name: row for name, row in table.items() if name == shadow or name not in ("shadow", "through")}
+
+
+def path_bytes(features: Mapping[str, bool]) -> dict[str, int]:
+    """Bytes a path of every buffer that holds paths."""
+    sizes = {name: size for state, size in present(PATH_STATE, features).items() for name in (state, f"next_{state}")}
+    for name, parts in PATH_BUFFERS.items():
+        size = sum(part for needed, part in parts.items() if all(features[feature] for feature in needed.split()))
+        sizes |= {name: size} if size else {}
+    return sizes

@@ -5,7 +5,7 @@ launches intersect, shade and shadow over the paths in flight, then moves those 
 the next samples' paths behind them. After the last path the samples enter the statistics.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -14,9 +14,18 @@ from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
-from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES
+from isonoise.integrator.kernels import (
+    FEW_KERNELS,
+    PATH_BUFFERS,
+    PATH_STATE,
+    STRUCTS,
+    TAKE_LANES,
+    kernel_table,
+    path_bytes,
+)
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
+from isonoise.integrator.surplus import stand_ins
 from isonoise.scene import structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
@@ -31,9 +40,21 @@ would all compete for the same few places of a cache."""
 RAYS_PER_ITEM = 32
 """Rays that a work-item of a CPU follows at most: PoCL gives every item of a group a stack, too many for the cache."""
 
+_HELD = {
+    "hit": "the hits",
+    "alive": "the flags of the paths",
+    "tests": "the counts of tests",
+    **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance"), "the shadow rays"),
+}
+"""What the buffers of the paths hold, in errors and reports; `the paths` where it isn't here."""
+
 
 class Wavefront:
-    """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads."""
+    """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads.
+
+    `built_in`: features of the program, to test or to measure what it does with more of them than scene and `needs` ask
+    for; by default those.
+    """
 
     def __init__(
         self,
@@ -43,19 +64,19 @@ class Wavefront:
         needs: Needs = NOTHING_MORE,
         seed: int = 0,
         pool_size: int | None = None,
+        built_in: Mapping[str, bool] | None = None,
     ):
         self.device, self.scene = device, scene
-        self.features = features(scene, needs)
+        self.features = dict(built_in or features(scene, needs))
         # On two CPU cores 1.12 times as fast as half the pool; a GPU has tens of thousands of lanes to fill.
         self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
         self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/kept.h knows no more
-        shadow = "through" if self.features["VOLPATH"] else "shadow"
-        self._shadow = shadow if self.features["NEXT_EVENT"] else None
-        unused = {"shadow", "through"} - {self._shadow}
-        self.few = self.lanes > 1 and are_few(scene)
-        table = {name: row for name, row in (KERNELS | (FEW_KERNELS if self.few else {})).items() if name not in unused}
+        hierarchy = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
+        self.few = self.lanes > 1 and not hierarchy and are_few(scene)
+        table = kernel_table(self.features, self.few)
+        self._shadow = next((name for name in ("shadow", "through") if name in table), None)
         self._stages = Stages(
             device,
             table,
@@ -75,6 +96,8 @@ class Wavefront:
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
+        if built_in:
+            self._arguments.update(stand_ins(device, scene, self.features, self._arguments))
         self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
 
     @property
@@ -92,14 +115,10 @@ class Wavefront:
         def table(array: np.ndarray, what: str):
             return device.buffer(array, what) if array.size else None
 
-        def per_path(what: str, size: int = 16):
-            return device.buffer(size * plane, what)
-
         camera = scene.camera[0]
         filter_table = nothing = np.zeros(0, np.float32)
         if on["FILTER_TABLE"]:
             filter_table = inverse_cdf(scene.filter, float(camera["filter_radius"]), float(camera["filter_stddev"]))
-        shadowed = on["NEXT_EVENT"]
         return {
             "camera": device.buffer(scene.camera, "the camera"),
             "inverse_cdf": table(filter_table, "the pixel filter"),
@@ -138,19 +157,12 @@ class Wavefront:
             "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
             "pool": np.uint32(plane),
-            "alive": per_path("the flags of the paths", 1),
             "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
+            **dict.fromkeys(PATH_BUFFERS),
             **{
-                name: per_path("the paths", size)
-                for state, size in self._path_state.items()
-                for name in (state, f"next_{state}")
+                name: device.buffer(size * plane, _HELD.get(name, "the paths")) for name, size in path_bytes(on).items()
             },
-            "hit": per_path("the hits"),
-            "tests": per_path("the counts of tests", 8) if on["COUNT_TESTS"] else None,
-            "shadow_origin": per_path("the shadow rays") if shadowed else None,
-            "shadow_direction": per_path("the shadow rays") if shadowed else None,
-            "shadow_radiance": per_path("the shadow rays", 16 if on["MEDIA"] else 12) if shadowed else None,
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
             "pixel_offset": device.buffer(4 * pixels, "the allocation"),
