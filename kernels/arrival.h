@@ -110,6 +110,7 @@ INLINE uint event_of(const Path* p)
     return p->depth + p->crossed;
 }
 
+#if HAS_SKY || FEATURE_AREA_LIGHTS || FEATURE_NEXT_EVENT
 // Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
 // A negative pdf stands for a delta function, which no other technique can sample.
 INLINE float mis_weight(float pdf, float other)
@@ -117,7 +118,9 @@ INLINE float mis_weight(float pdf, float other)
     const float ratio = other / pdf;
     return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
 }
+#endif
 
+#if FEATURE_TRIANGLES
 // Whether a ray that starts on a triangle has met one that goes on in its plane; where triangles of several groups are about, or
 // it starts on none, whether it grazes.
 INLINE bool meets_neighbour(const Scene* scene, const Path* p, const Surface* s)
@@ -141,7 +144,9 @@ INLINE bool in_plane(const Scene* scene, const Path* p, const Surface* s)
     const Vec3 error = add3(s->error, scale3(abs3(p->origin), GAMMA(7)));
     return distance <= 1.25f * dot3(abs3(s->geometric_normal), error) && meets_neighbour(scene, p, s);
 }
+#endif
 
+#if (FEATURE_HIDE_EMITTERS && FEATURE_AREA_LIGHTS) || (HAS_SEE_THROUGH && !FEATURE_VOLPATH)
 // Lets a path go on behind a surface as if there was none. Returns where it starts then.
 INLINE void go_behind(const Paths* of, size_t i, const Path* p, const Surface* s)
 {
@@ -150,6 +155,7 @@ INLINE void go_behind(const Paths* of, size_t i, const Path* p, const Surface* s
     PLANE(PATH_START, of->path, of->pool)[i] = p->primitive;
     of->alive[i] = 1;
 }
+#endif
 
 #if HAS_SKY
 // What a path brings that leaves the scene.

@@ -12,10 +12,12 @@ INLINE float3 packed(Vec3 v)
     return (float3)(v.x, v.y, v.z);
 }
 
+#if FEATURE_ANALYTICS || FEATURE_INSTANCES
 INLINE Vec3 unpacked(float3 v)
 {
     return vec3(v.x, v.y, v.z);
 }
+#endif
 
 INLINE float3 packed_abs(float3 v)
 {

@@ -72,13 +72,7 @@ INLINE Vec3 environment_radiance(const EnvironmentMap* map, Vec3 direction, floa
     return radiance;
 }
 
-INLINE float environment_pdf(const EnvironmentMap* map, Vec3 direction)
-{
-    float pdf;
-    environment_radiance(map, direction, &pdf);
-    return pdf;
-}
-
+#if FEATURE_NEXT_EVENT
 // The last of some ascending bounds, `stride` words apart, that is not above `key`; the first is 0. A guide says where it lies
 // for the first bits of the key, so that few are left to be compared (Chen and Asau, "On Generating Random Variates from an
 // Empirical Distribution", AIIE Transactions 6, 1974).
@@ -145,4 +139,5 @@ INLINE Vec3 environment_sample(const EnvironmentMap* map, Vec2 u, Vec3* directio
     *pdf = record->density * weight / GREATER(polar.y, LEAST_SINE);
     return radiance;
 }
+#endif
 #endif

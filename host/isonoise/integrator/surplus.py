@@ -6,6 +6,7 @@ import numpy as np
 
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
+from isonoise.integrator.kernels import kernel_table
 from isonoise.scene import structs
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.environment import ENVIRONMENT
@@ -28,13 +29,16 @@ def everything(used: Mapping[str, bool], volpath: bool) -> dict[str, bool]:
 
 
 def stand_ins(
-    device: Device, scene: CompiledScene, features: Mapping[str, bool], arguments: Mapping[str, object]
+    device: Device, scene: CompiledScene, features: Mapping[str, bool], arguments: Mapping[str, object], few: bool
 ) -> dict[str, object]:
     """The arguments of kernels that `features` ask for and `arguments`, of the scene, have not.
 
+    `few`: whether it has so few primitives that there is no hierarchy.
+
     Kernels look for no other sky once the feature is on: one stands in that is black and never picked.
     """
-    names = {name for feature, on in features.items() if on for name in FEATURES[feature].buffers}
+    taken = {name.rpartition(":")[2] for _, names in kernel_table(features, few).values() for name in names.split()}
+    names = taken & {name for feature, on in features.items() if on for name in FEATURES[feature].buffers}
     missing = sorted(name for name in names if arguments.get(name) is None)
     added: dict[str, object] = {name: device.buffer(STAND_IN, "what the scene does not use") for name in missing}
     if (features["CONSTANT_LIGHT"] or features["ENVIRONMENT_MAP"]) and scene.environment_light < 0:

@@ -97,7 +97,7 @@ class Wavefront:
         self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
         if built_in:
-            self._arguments.update(stand_ins(device, scene, self.features, self._arguments))
+            self._arguments.update(stand_ins(device, scene, self.features, self._arguments, self.few))
         self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
 
     @property
