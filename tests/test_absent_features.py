@@ -270,26 +270,30 @@ def test_the_state_of_a_path_is_the_sum_of_what_its_features_state(monkeypatch, 
 def test_a_feature_more_takes_the_bytes_that_it_states(monkeypatch, name):
     """Those of the paths to the byte, and a stand-in for each of its buffers; all others stay as they are."""
     scene = compile_scene(load(name))
-    bare, wavefront = allocated(monkeypatch, scene)
+    without, wavefront = allocated(monkeypatch, scene)
     used = wavefront.features
     planes = int(wavefront.stages.arguments["pool"])
+    records = {
+        "faces": 12 * len(scene.faces),
+        "shapes": scene.shapes.nbytes,
+        "srgb": stated("srgb"),
+        "environment": ENVIRONMENT.itemsize,
+    }
     of_statistics = {"MEDIAN", "BATCHES", "POWER", "HALF"}
     for feature in (each for each, on in used.items() if not on and each not in of_statistics | {"FILTER_TABLE"}):
         more, of_more = allocated(monkeypatch, scene, built_in=used | {feature: True})
-        if wavefront.few and not of_more.few:
-            del bare["corners"], bare["corner_numbers"]
-            wavefront.few = False
+        gone = () if of_more.few else ("corners", "corner_numbers")  # it does not do without a hierarchy
+        bare = {each: size for each, size in without.items() if each not in gone}
         new = {each: size for each, size in more.items() if each not in bare}
         grown = {each: more[each] - size for each, size in bare.items() if more[each] != size}
-        paths = {each: size for each, size in new.items() if each in path_bytes(of_more.features)}
+        paths = {each: size for each, size in (new | grown).items() if each in path_bytes(of_more.features)}
         sky = feature in ("CONSTANT_LIGHT", "ENVIRONMENT_MAP") and scene.environment_light < 0
-        assert grown == ({"lights": structs.LIGHT.itemsize} if sky else {}), feature
+        lights = {"lights": structs.LIGHT.itemsize} if sky else {}
+        assert {each: size for each, size in grown.items() if each not in paths} == lights, feature
         assert sum(paths.values()) == cost(feature, used).path_bytes * planes, feature
         assert set(new) - set(paths) == set(FEATURES[feature].buffers) - set(bare), feature
-        real = {"faces": 12 * len(scene.faces), "srgb": stated("srgb"), "environment": ENVIRONMENT.itemsize}
         for each in set(new) - set(paths) - {"light_nodes", "light_places"}:  # made of the lights there are
-            assert new[each] == real.get(each, STAND_IN), (feature, each)
-    assert sum(bare.values()) <= wavefront.device.allocated
+            assert new[each] == records.get(each, STAND_IN), (feature, each)
 
 
 def test_statistics_take_the_bytes_that_they_state(monkeypatch):
