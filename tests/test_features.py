@@ -14,7 +14,7 @@ from isonoise.scene import builtin_scenes, compile_scene, load
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.statistics import NOTHING_MORE, Needs, Statistics
-from isonoise.strategies.allocation import uniform_allocation
+from isonoise.strategies.even import uniform_allocation
 
 EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
 TURN_SAMPLES = ("UVS", "INSTANCES")

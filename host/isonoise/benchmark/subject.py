@@ -12,7 +12,7 @@ from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.statistics import NOTHING_MORE, Needs
-from isonoise.strategies.allocation import uniform_allocation
+from isonoise.strategies.even import uniform_allocation
 
 
 class MeasuredDevice(Device):

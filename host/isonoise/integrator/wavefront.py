@@ -25,7 +25,6 @@ from isonoise.integrator.kernels import (
 )
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
-from isonoise.integrator.surplus import stand_ins
 from isonoise.scene import structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
@@ -97,6 +96,8 @@ class Wavefront:
         self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
         if built_in:
+            from isonoise.integrator.surplus import stand_ins
+
             self._arguments.update(stand_ins(device, scene, self.features, self._arguments, self.few))
         self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
 
