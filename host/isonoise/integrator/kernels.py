@@ -41,7 +41,8 @@ KERNELS = {
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
         "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light "
         "hit ray_origin ray_direction throughput path shadow_origin "
-        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
+        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:world_triangles "
+        "INSTANCES:instance "
         "VOLPATH:crossing MEDIA:media MEDIA:medium "
         "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_TREE:lit",
     ),

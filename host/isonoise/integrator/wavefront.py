@@ -142,6 +142,7 @@ class Wavefront:
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
             "instances": table(scene.instances, "the instances"),
+            "world_triangles": np.uint32(scene.group_begins[0, 0]),
             "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
             "media": table(scene.media, "the media"),
