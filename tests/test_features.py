@@ -7,10 +7,14 @@ from feature_sets import all_but, covering_rows, is_closed, needs_of, only, pair
 from small_scene import assert_same_bits
 
 from isonoise.device.opencl import Device
+from isonoise.device.program import stage_source
+from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.features import FEATURES, features
+from isonoise.integrator.few import MOST_CORNERS
+from isonoise.integrator.kernels import STRUCTS, kernel_table
 from isonoise.integrator.surplus import everything
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load, structs, textures
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.statistics import NOTHING_MORE, Needs, Statistics
@@ -36,14 +40,15 @@ def rendered(device: Device, scene: CompiledScene, spp: int, needs: Needs = NOTH
     return wavefront.accumulator.statistics(scene.radiance_scale)
 
 
-def runs_as_specialised(device: Device, monkeypatch, row: dict[str, bool], folder: Path) -> None:
+def runs_as_specialised(device: Device, monkeypatch, row: dict[str, bool], folder: Path, of_scene=None) -> None:
     """The program with the features of `row` builds without warnings and all its kernels run. The picture of a scene
     that uses what it can of them is, to the bit, that of the program with what the scene uses alone; with UVS if the
-    row has them, since they may turn the lobes of rough materials about their normals.
+    row has them, since they may turn the lobes of rough materials about their normals. `of_scene`: the features that
+    the scene uses, if it is not to use all that it can.
     """
     build = Device.build
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
-    scene, needs = compile_scene(load(scene_with(row, folder))), needs_of(row)
+    scene, needs = compile_scene(load(scene_with(of_scene or row, folder))), needs_of(row)
     used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "UVS")}
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}
     more, specialised = (rendered(device, scene, 16, needs, built_in) for built_in in (row, used))
@@ -67,16 +72,30 @@ def test_few_rows_hold_every_two_features():
     assert missing <= found
 
 
-@pytest.mark.parametrize(
-    "row", [pytest.param(only(), id="none"), pytest.param(all_but("VOLPATH"), id="all that take many paths")]
-)
-def test_none_and_all_run(device, monkeypatch, tmp_path, row):
-    runs_as_specialised(device, monkeypatch, row, tmp_path)
+def test_none_run(device, monkeypatch, tmp_path):
+    runs_as_specialised(device, monkeypatch, only(), tmp_path)
+
+
+def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
+    """All that change nothing, in the programs that take many paths a work-item."""
+    few = only("SPHERES", "TRIANGLES", "DIFFUSE", "CONDUCTOR", "NEXT_EVENT", "POINT_LIGHTS", "RUSSIAN_ROULETTE")
+    row = all_but("LIGHT_TREE", "HIDE_EMITTERS", "FILTER_TABLE", "VOLPATH")
+    runs_as_specialised(device, monkeypatch, row, tmp_path, few)
+
+
+def test_all_build(device):
+    """Where a work-item takes one path, which only scenes of VOLPATH have on this device."""
+    constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
+    constants |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS, "SEARCH_STEPS": 4}
+    for file in dict.fromkeys(file for file, _ in kernel_table(all_but(), few=False).values()):
+        text, options = stage_source(file, STRUCTS, constants, all_but())
+        device.build(text, (*options, "-Werror"))
 
 
 @pytest.mark.long
-def test_all_run(device, monkeypatch, tmp_path):
-    runs_as_specialised(device, monkeypatch, all_but(), tmp_path)
+@pytest.mark.parametrize("off", [(), ("VOLPATH",)])
+def test_all_run(device, monkeypatch, tmp_path, off):
+    runs_as_specialised(device, monkeypatch, all_but(*off), tmp_path)
 
 
 @pytest.mark.long
