@@ -55,6 +55,7 @@ INLINE float cylinder_distance(Vec3 origin, Vec3 direction, float t_max)
 }
 #endif
 
+#if FEATURE_ANALYTICS
 // Distance along the ray to an analytic primitive, INFINITY if it is not met in (0, t_max). The plane of a disk is not met by
 // rays that start or end on it. Neither is a sphere or cylinder by those that end on it: `sample_light` names it only
 // where nothing of it lies before, and far away its own rounding would. A ray that starts on it may meet its far side; there
@@ -83,3 +84,4 @@ INLINE float analytic_distance(__global const Analytic* analytics, uint index, V
 #endif
     return INFINITY;
 }
+#endif

@@ -19,6 +19,7 @@ typedef struct {
     uint light_count, environment_light;
     __global const Medium* media;
     __global const Instance* instances;
+    uint world_triangles;  // those before are in no group
     uint2 seed;
 } Scene;
 
@@ -110,6 +111,7 @@ INLINE uint event_of(const Path* p)
     return p->depth + p->crossed;
 }
 
+#if HAS_SKY || FEATURE_AREA_LIGHTS || FEATURE_NEXT_EVENT
 // Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
 // A negative pdf stands for a delta function, which no other technique can sample.
 INLINE float mis_weight(float pdf, float other)
@@ -117,17 +119,22 @@ INLINE float mis_weight(float pdf, float other)
     const float ratio = other / pdf;
     return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
 }
+#endif
 
-// Whether a ray that starts on a triangle has met one that goes on in its plane; where triangles of several groups are about, or
-// it starts on none, whether it grazes.
-INLINE bool meets_neighbour(const Scene* scene, const Path* p, const Surface* s)
+#if FEATURE_TRIANGLES
+// Whether a ray that starts on a triangle has met one that goes on in its plane; where one of them is an instance's, or it starts
+// on none, whether it grazes.
+INLINE bool meets_neighbour(const Scene* scene, const Paths* of, size_t i, const Path* p, const Surface* s)
 {
-#if FEATURE_TRIANGLES && !FEATURE_INSTANCES
-    if (!(p->start & ANALYTIC_BIT)) {
+#if FEATURE_INSTANCES
+    const bool both_in_world = p->start < scene->world_triangles && of->instance[i] == NONE;
+#else
+    const bool both_in_world = !(p->start & ANALYTIC_BIT);
+#endif
+    if (both_in_world) {
         const Vec3 normal = FROM3((int)TRIANGLE_FLOATS * (int)p->start + 12, scene->geometry.triangles);
         return abs1(dot3(normal, s->geometric_normal)) > 0.999f;
     }
-#endif
     return abs1(dot3(p->direction, s->geometric_normal)) < 0.5f;
 }
 
@@ -135,13 +142,15 @@ INLINE bool meets_neighbour(const Scene* scene, const Path* p, const Surface* s)
 // neighbour in the same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions, where
 // the light of the other side would be seen to leak through. Both points carry an error, the origin was moved by its own. Beside
 // an edge with a wall at an angle origins lie in its plane too, far from the world's origin even most of them: those go on.
-INLINE bool in_plane(const Scene* scene, const Path* p, const Surface* s)
+INLINE bool in_plane(const Scene* scene, const Paths* of, size_t i, const Path* p, const Surface* s)
 {
     const float distance = abs1(dot3(sub3(p->origin, s->position), s->geometric_normal));
     const Vec3 error = add3(s->error, scale3(abs3(p->origin), GAMMA(7)));
-    return distance <= 1.25f * dot3(abs3(s->geometric_normal), error) && meets_neighbour(scene, p, s);
+    return distance <= 1.25f * dot3(abs3(s->geometric_normal), error) && meets_neighbour(scene, of, i, p, s);
 }
+#endif
 
+#if (FEATURE_HIDE_EMITTERS && FEATURE_AREA_LIGHTS) || (HAS_SEE_THROUGH && !FEATURE_VOLPATH)
 // Lets a path go on behind a surface as if there was none. Returns where it starts then.
 INLINE void go_behind(const Paths* of, size_t i, const Path* p, const Surface* s)
 {
@@ -150,6 +159,7 @@ INLINE void go_behind(const Paths* of, size_t i, const Path* p, const Surface* s
     PLANE(PATH_START, of->path, of->pool)[i] = p->primitive;
     of->alive[i] = 1;
 }
+#endif
 
 #if HAS_SKY
 // What a path brings that leaves the scene.
@@ -207,7 +217,7 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
     }
     if (!p->in_volume && dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return false;
 #if FEATURE_TRIANGLES
-    if (!(p->in_volume || from_volume) && !(p->primitive & ANALYTIC_BIT) && in_plane(scene, p, s)) return false;
+    if (!(p->in_volume || from_volume) && !(p->primitive & ANALYTIC_BIT) && in_plane(scene, of, i, p, s)) return false;
 #endif
 #if FEATURE_MEDIA
     if (p->in_volume) {

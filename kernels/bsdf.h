@@ -13,6 +13,7 @@
 #define HAS_DELTA_BSDFS (FEATURE_DIELECTRIC || FEATURE_THIN_DIELECTRIC || FEATURE_CONDUCTOR)
 #define HAS_ROUGH_TRANSMISSION (FEATURE_ROUGH_DIELECTRIC || FEATURE_PRINCIPLED)
 
+#if FEATURE_NEXT_EVENT
 // Whether next-event estimation can find anything: some lobe is no delta function, and the side is one that scatters.
 INLINE bool bsdf_is_smooth(const Shading* at)
 {
@@ -36,6 +37,7 @@ INLINE Vec4 lit_side(const Shading* at)
 #endif
     return at->bsdf->kind & from_all_sides ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
 }
+#endif
 
 #if FEATURE_NEXT_EVENT
 // bsdf * |cos| for light from `wo`, and the pdf with which `bsdf_sample` finds it.

@@ -12,10 +12,12 @@ INLINE float4 packed(Vec3 v)
     return (float4)(v.x, v.y, v.z, 0.0f);
 }
 
+#if FEATURE_ANALYTICS || FEATURE_INSTANCES
 INLINE Vec3 unpacked(float4 v)
 {
     return vec3(v.x, v.y, v.z);
 }
+#endif
 
 INLINE float4 packed_abs(float4 v)
 {

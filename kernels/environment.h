@@ -20,7 +20,6 @@ typedef struct {
     float s, t;  // in [0, 1], along columns and rows
 } EnvironmentCell;
 
-
 INLINE EnvironmentCell environment_cell(const EnvironmentMap* map, uint column, uint row)
 {
     const uint width = map->record->size[0], next = column + 1u == width ? 0u : column + 1u;
@@ -67,13 +66,7 @@ INLINE Vec3 environment_radiance(const EnvironmentMap* map, Vec3 direction, floa
     return radiance;
 }
 
-INLINE float environment_pdf(const EnvironmentMap* map, Vec3 direction)
-{
-    float pdf;
-    environment_radiance(map, direction, &pdf);
-    return pdf;
-}
-
+#if FEATURE_NEXT_EVENT
 // An entry of an alias table that is picked evenly, and what is left of the random number, in [0, 1).
 typedef struct {
     uint entry;
@@ -136,4 +129,5 @@ INLINE Vec3 environment_sample(const EnvironmentMap* map, Vec2 u, Vec3* directio
     *pdf = record->density * weight / GREATER(polar.y, LEAST_SINE);
     return radiance;
 }
+#endif
 #endif

@@ -3,6 +3,7 @@
 #include "light_tree.h"
 #include "surface.h"
 
+#if FEATURE_NEXT_EVENT
 typedef struct {
     Vec3 position, error, normal;  // normal is zero where the light has no surface
     uint primitive;                  // which the position lies on, and which is met there first; else NONE
@@ -22,6 +23,7 @@ INLINE LightSample no_light(void)
     none.is_delta = none.is_infinite = false;
     return none;
 }
+#endif
 
 #if FEATURE_SPHERE_LIGHTS
 // 1 - cos of half the angle under which a sphere appears, without cancellation when it is far away.
@@ -52,6 +54,7 @@ INLINE float pick_probability(const Geometry* g, __global const Light* lights, u
 #endif
 }
 
+#if FEATURE_AREA_LIGHTS
 // Density with which `sample_light` would have found the point at `distance` along `direction` on this light, had it picked it.
 INLINE float light_pdf(const Geometry* g, const Light* light, Vec3 reference, Vec3 direction, float distance,
                        Vec3 normal)
@@ -69,8 +72,9 @@ INLINE float light_pdf(const Geometry* g, const Light* light, Vec3 reference, Ve
 #endif
     return density;
 }
+#endif
 
-#if FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_TREE
+#if FEATURE_NEXT_EVENT && FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_TREE
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
 INLINE uint pick_by_power(__global const Alias* table, uint count, float u_high, float u_low)
 {
@@ -82,7 +86,7 @@ INLINE uint pick_by_power(__global const Alias* table, uint count, float u_high,
 }
 #endif
 
-#if FEATURE_SPHERE_LIGHTS
+#if FEATURE_NEXT_EVENT && FEATURE_SPHERE_LIGHTS
 // Uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small cones), else over its area.
 INLINE float sample_sphere(const Geometry* g, const Analytic* sphere, Vec3 reference, Vec2 u, Surface* s)
 {
@@ -111,7 +115,7 @@ INLINE float sample_sphere(const Geometry* g, const Analytic* sphere, Vec3 refer
 }
 #endif
 
-#if FEATURE_AREA_LIGHTS
+#if FEATURE_NEXT_EVENT && FEATURE_AREA_LIGHTS
 // A point on the light's surface. Returns its density in solid angle, or 0 where it is uniform over the area instead.
 INLINE float sample_surface(const Geometry* g, const Light* light, Vec3 reference, Vec2 u, Surface* s)
 {
@@ -161,7 +165,7 @@ INLINE Vec3 emitted_radiance(const Geometry* g, const Light* light, const Surfac
 }
 #endif
 
-#if FEATURE_SPOT_LIGHTS
+#if FEATURE_NEXT_EVENT && FEATURE_SPOT_LIGHTS
 // Share of the spot's intensity that leaves along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is
 // taken from the chord, which is exact for narrow spots too.
 INLINE float spot_falloff(const Light* light, Vec3 direction)
@@ -194,6 +198,7 @@ typedef struct {
     float probability;
 } LightPick;
 
+#if FEATURE_NEXT_EVENT
 // One light for the point `reference` and the side that is lit there, by a random number and what lies below its last bit.
 INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
                             Vec3 reference, Vec4 lit, float u, float u_low)
@@ -285,3 +290,4 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #endif
     return sample;
 }
+#endif

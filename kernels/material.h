@@ -6,6 +6,7 @@
 #define HAS_WRAPPERS (FEATURE_SIDES || FEATURE_MASK || FEATURE_BLEND || FEATURE_BUMP || FEATURE_NORMAL_MAP)
 #define HAS_SEE_THROUGH (FEATURE_MASK || FEATURE_NULL)
 
+#if FEATURE_TWOSIDED || FEATURE_SIDES
 // Materials of two sides show the same on both: what is behind the surface is mirrored to before it.
 INLINE void turn_to_viewer(Shading* at)
 {
@@ -15,6 +16,7 @@ INLINE void turn_to_viewer(Shading* at)
     at->turned = !at->turned;
 #endif
 }
+#endif
 
 #if HAS_FRAMES
 // The frame about at->normal whose s goes along dp/du, where there is such a direction.
@@ -85,6 +87,7 @@ INLINE float bump_share(const Shading* at, const Surface* s, Vec3 direction)
 #endif
 
 #if HAS_WRAPPERS
+#if FEATURE_MASK || FEATURE_BLEND
 // A choice of probability p by `u`, which is spread over [0, 1) again for the next one.
 INLINE bool choose(float p, float* u)
 {
@@ -100,6 +103,7 @@ INLINE float share_parameter(const Shading* at)
     const float share = shown_number(at, 0);
     return LESSER(GREATER(share, 0.0f), 1.0f);
 }
+#endif
 
 // Goes through what wraps the material until it comes to one that wraps no other. Blends and masks choose one of two by
 // `u`, with the probability of its weight: whatever is estimated from the one chosen is so on average for both.

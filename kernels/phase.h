@@ -17,12 +17,14 @@ INLINE float hg_density(float narrow, float one_minus_cos)
     return 0.25f * M_1_PI_F * wide * (1.0f + narrow) / (square * SQRT(square));
 }
 
+#if FEATURE_NEXT_EVENT
 INLINE Vec3 hg_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     const Vec3 off = sub3(wo, hg_axis(at));
     *pdf = hg_density(abs1(at->bsdf->values[0]), 0.5f * dot3(off, off));
     return all3(*pdf);
 }
+#endif
 
 // The cosine's distribution inverted: 1 - cos = 2 (1 - u) (1 + |g| u) ((1 - |g|) / (1 - |g| + 2 |g| u))^2.
 INLINE BsdfSample hg_sample(const Shading* at, Vec2 u)

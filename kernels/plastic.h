@@ -96,11 +96,13 @@ INLINE Microfacets rough_plastic_microfacets(const Shading* at)
     return microfacets(number_parameter(at, 4), number_parameter(at, 4), at->bsdf->flags);
 }
 
+#if FEATURE_NEXT_EVENT
 INLINE Vec3 rough_plastic_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     const Microfacets d = rough_plastic_microfacets(at);
     return rough_plastic_local(at, &d, to_local(at, at->wi), to_local(at, wo), pdf);
 }
+#endif
 
 INLINE BsdfSample rough_plastic_sample(const Shading* at, Vec3 u)
 {

@@ -144,12 +144,14 @@ INLINE Vec3 principled_local(const Shading* at, const Principled* p, Vec3 w, Vec
     return value;
 }
 
+#if FEATURE_NEXT_EVENT
 INLINE Vec3 principled_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     const Principled p = principled_parameters(at);
     const float side = with_sign(1.0f, at->cos_i);
     return principled_local(at, &p, scale3(to_local(at, at->wi), side), scale3(to_local(at, wo), side), pdf);
 }
+#endif
 
 INLINE BsdfSample principled_sample(const Shading* at, Vec3 u)
 {

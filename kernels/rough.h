@@ -17,6 +17,7 @@ INLINE Vec3 rough_conductor_reflectance(const Shading* at, float cos_m)
     return mul3(rgb_parameter(at, 0), fresnel_conductor(cos_m, rgb_parameter(at, 2), rgb_parameter(at, 3)));
 }
 
+#if FEATURE_NEXT_EVENT
 INLINE Vec3 rough_conductor_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     const Vec3 w = to_local(at, at->wi), o = to_local(at, wo), m = unit(add3(w, o));
@@ -28,6 +29,7 @@ INLINE Vec3 rough_conductor_eval(const Shading* at, Vec3 wo, float* pdf)
     *pdf = facet_pdf(&d, w, m, density) / (4.0f * cos_m);
     return scale3(rough_conductor_reflectance(at, cos_m), 0.25f * density * seen_per_cosine(&d, w) * seen(&d, o));
 }
+#endif
 
 INLINE BsdfSample rough_conductor_sample(const Shading* at, Vec2 u)
 {
@@ -49,7 +51,7 @@ INLINE BsdfSample rough_conductor_sample(const Shading* at, Vec2 u)
 }
 #endif
 
-#if FEATURE_ROUGH_DIELECTRIC || FEATURE_PRINCIPLED
+#if (FEATURE_ROUGH_DIELECTRIC && FEATURE_NEXT_EVENT) || FEATURE_PRINCIPLED
 // Of a rough boundary that a path from w meets, w.z > 0: the facet that leads to o, the cosines to it, and the density over
 // directions o for one over facets. `eta`: index of the far side over that of the near side. Returns whether there is one.
 INLINE bool boundary_facet(Vec3 w, Vec3 o, float eta, Vec3* m, float* cos_w, float* cos_o, float* jacobian)
@@ -78,6 +80,7 @@ INLINE Microfacets sampled_microfacets(const Microfacets* d, float cos_w)
     return sampled;
 }
 
+#if FEATURE_NEXT_EVENT
 // Seen from inside all is turned around: a distribution of normals looks the same from both sides.
 INLINE Vec3 rough_dielectric_eval(const Shading* at, Vec3 wo, float* pdf)
 {
@@ -95,6 +98,7 @@ INLINE Vec3 rough_dielectric_eval(const Shading* at, Vec3 wo, float* pdf)
     const float scattered = share * jacobian * density * seen_per_cosine(&d, w) * cos_w * seen(&d, o);
     return scale3(rgb_parameter(at, o.z > 0.0f ? 0 : 1), o.z > 0.0f ? scattered : scattered / (eta * eta));
 }
+#endif
 
 INLINE BsdfSample rough_dielectric_sample(const Shading* at, Vec3 u)
 {

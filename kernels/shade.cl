@@ -151,7 +151,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
                     __global float* shadow_origin, __global float* shadow_direction, __global float* shadow_radiance,
                     __global float* samples, __global uint* alive
 #if FEATURE_INSTANCES
-                    , __global const Instance* instances, __global const uint* instance
+                    , __global const Instance* instances, uint world_triangles, __global const uint* instance
 #endif
 #if FEATURE_VOLPATH
                     , __global uint* crossing
@@ -212,6 +212,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
     of.alive = alive;
 #if FEATURE_INSTANCES
     scene.instances = instances;
+    scene.world_triangles = world_triangles;
     of.instance = instance;
 #endif
 #if FEATURE_VOLPATH

@@ -22,6 +22,7 @@ INLINE Vec3 around(Vec3 n, Vec3 about_z)
 #endif
 
 #if FEATURE_DIFFUSE
+#if FEATURE_NEXT_EVENT
 // bsdf * cos and the pdf of sampling `wo`.
 INLINE Vec3 diffuse_eval(const Shading* at, Vec3 wo, float* pdf)
 {
@@ -30,6 +31,7 @@ INLINE Vec3 diffuse_eval(const Shading* at, Vec3 wo, float* pdf)
     *pdf = lit ? cos_o * M_1_PI_F : 0.0f;
     return scale3(rgb_parameter(at, 0), *pdf);
 }
+#endif
 
 INLINE BsdfSample diffuse_sample(const Shading* at, Vec2 u)
 {

@@ -27,6 +27,7 @@ INLINE float texture_luminance(Vec3 rgb)
     return dot3(rgb, vec3(0.212671f, 0.715160f, 0.072169f));
 }
 
+#if FEATURE_BITMAPS || FEATURE_CHECKERBOARDS
 INLINE Vec2 texture_uv(__global const Texture* t, Vec2 uv)
 {
     return vec2(t->to_uv[0] * uv.x + t->to_uv[1] * uv.y + t->to_uv[2],
@@ -39,6 +40,7 @@ INLINE float floor1(float x)
     const float whole = (float)(int)x;
     return whole > x ? whole - 1.0f : whole;
 }
+#endif
 
 #if FEATURE_BITMAPS
 INLINE Vec3 texel(const Textures* textures, __global const Texture* t, int x, int y)
@@ -108,6 +110,7 @@ INLINE Vec3 bitmap_rgb(const Textures* textures, __global const Texture* t, Vec2
     return add3(scale3(upper, 1.0f - w.y), scale3(lower, w.y));
 }
 
+#if FEATURE_BUMP
 // Slope of the luminance along the surface's u and v; zero where texels are not interpolated.
 INLINE Vec2 bitmap_gradient(const Textures* textures, __global const Texture* t, Vec2 uv)
 {
@@ -119,6 +122,7 @@ INLINE Vec2 bitmap_gradient(const Textures* textures, __global const Texture* t,
     const float dx = texture_luminance(across) * (float)t->size[0], dy = texture_luminance(down) * (float)t->size[1];
     return vec2(t->to_uv[0] * dx + t->to_uv[3] * dy, t->to_uv[1] * dx + t->to_uv[4] * dy);
 }
+#endif
 #endif
 
 #if FEATURE_CHECKERBOARDS
@@ -187,6 +191,7 @@ OUTLINE float texture_number(const Textures* textures, uint texture, const Textu
     return (t->colour[0] + t->colour[1] + t->colour[2]) * (1.0f / 3.0f);
 }
 
+#if FEATURE_BUMP
 // Slope of the number along u and v. Only bitmaps have one: what else there is is constant in pieces, or not along u and v.
 OUTLINE Vec2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
 {
@@ -196,4 +201,5 @@ OUTLINE Vec2 texture_gradient(const Textures* textures, uint texture, const Text
 #endif
     return all2(0.0f);
 }
+#endif
 #endif

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from small_scene import assert_same_bits, lamp_over_floor, without
 
-from isonoise.benchmark import embree, made_scenes, peers, starts, subject
+from isonoise.benchmark import embree, made_scenes, peers, specialisation, starts, subject
 from isonoise.benchmark.against import Earlier
 from isonoise.benchmark.bounces import count_shadow_rays, count_tests, pools, timed_bounces
 from isonoise.benchmark.measure import Settings, head, measure
@@ -24,7 +24,7 @@ from isonoise.benchmark.text import head_text, scene_text, summary_text
 from isonoise.benchmark.tree_facts import sah_cost, tree_facts
 from isonoise.cli import main
 from isonoise.commands import bench
-from isonoise.scene import compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load
 from isonoise.scene.hierarchy import build_hierarchy
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -71,14 +71,13 @@ def fields(value, path: str = "") -> set[str]:
     return {path}
 
 
-def documented() -> tuple[set[str], set[str]]:
-    """Fields of the two tables: of `isonoise bench` and of `isonoise bench --peers`."""
+def documented() -> tuple[set[str], ...]:
+    """Fields of the tables: of `isonoise bench`, and of it with --peers and with --specialisation."""
     text = (CHECKOUT / "host" / "README.md").read_text()
     section = text[text.index("## Benchmarks") : text.index("## Self-test")]
     tables = section.split("| field | what it is |")[1:]
-    rows = [re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for table in tables]
-    first, second = (set(re.findall(r"`([^`]+)`", " ".join(names))) for names in rows)
-    return first, second
+    rows = [re.findall(r"^\| (`.*?) \|", table.split("\n\n")[0], re.MULTILINE) for table in tables]
+    return tuple(set(re.findall(r"`([^`]+)`", " ".join(names))) for names in rows)
 
 
 def test_the_json_is_what_is_documented(cornell):
@@ -561,6 +560,85 @@ def test_bounced_rays_are_diffuse():
     assert np.abs(leave[:, :2].mean(axis=0)).max() < 4 * (0.25 / number) ** 0.5
     assert (begins[:, 2] > 0).all()
     assert begins[:, 2].max() < 1e-2
+
+
+# specialisation
+
+
+def test_what_is_built_in_is_told_from_what_is_used(monkeypatch, capsys):
+    """With two features more than the scene uses, in place of all that there are."""
+    more = {"DIELECTRIC": True, "INSTANCES": True}
+    monkeypatch.setattr(specialisation, "everything", lambda used, volpath: used | more)
+    monkeypatch.setattr(specialisation, "compile_seconds", lambda source, build, settings: 1.5)
+    options = ("--specialisation", "--size", "12x10", "--spp", "3", "--repeat", "2", "--json", "special.json")
+    assert isonoise("bench", "cornell", *options) == 0
+    result = json.loads(Path("special.json").read_text())
+    assert fields(result) == documented()[2]
+    special, *others = result["scenes"][0]["builds"]
+    assert [special["build"], *(build["build"] for build in others)] == ["specialised", "path", "everything"]
+    assert special["specialised_ratio"] == {"median": 1, "min": 1, "max": 1}
+    for build in others:
+        assert build["features"] == special["features"] + len(more)
+        assert build["state_bytes_per_path"] == special["state_bytes_per_path"] + 8
+        assert build["total_bytes"] > special["total_bytes"]
+        assert build["launches"] == special["launches"] > 0
+        assert build["same_bits"]
+        assert build["largest_difference"] == 0
+    out = capsys.readouterr().out
+    assert "the same bits" in out
+    assert "192" in out
+
+
+def test_other_pictures_are_not_the_same_bits():
+    one, other = small_subject(), small_subject(radiance=6.0)
+    images = []
+    for each in (one, other):
+        each.run(profile=False)
+        images.append(each.wavefront.accumulator.statistics())
+    facts = specialisation._difference(*images)
+    assert not facts["same_bits"]
+    assert facts["largest_difference"] == pytest.approx(1 / 6, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "more", "names"),
+    [
+        ("path", {}, ["specialised", "path", "everything"]),
+        ("path", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "path"]),
+        ("volpath", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "everything"]),
+    ],
+)
+def test_programs_that_a_scene_is_measured_with(integrator, more, names):
+    scene = lamp_over_floor() | more
+    scene["integrator"] = scene["integrator"] | {"type": integrator}
+    assert list(specialisation.builds(compile_scene(load(scene)))) == names
+
+
+def test_programs_are_compiled_in_processes_of_their_own(monkeypatch):
+    asked = []
+
+    def process(command, env, **options):
+        asked.append((command[2:5], json.loads(command[5]), list(Path(env["POCL_CACHE_DIR"]).iterdir())))
+        return subprocess.CompletedProcess(command, 0, "2.5\n")
+
+    monkeypatch.setattr(specialisation.subprocess, "run", process)
+    assert specialisation.compile_seconds("cornell", "path", Settings(size=(5, 4))) == 2.5
+    ((words, settings, held),) = asked
+    assert words == ["isonoise.benchmark.specialisation", "cornell", "path"]
+    assert settings["size"] == [5, 4]
+    assert held == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", builtin_scenes())
+def test_specialised_is_faster_and_smaller(name):
+    result = specialisation.measure_specialisation({name: name}, Settings(repeat=5))
+    special, *others = result["scenes"][0]["builds"]
+    for build in others:
+        assert build["specialised_ratio"]["median"] >= 0.98
+        assert build["state_bytes_per_path"] > special["state_bytes_per_path"]
+        assert build["total_bytes"] > special["total_bytes"]
+        assert build["same_bits"]
 
 
 def test_the_render_path_imports_no_benchmark():

@@ -42,7 +42,7 @@ __kernel void look(__global const Environment* record, __global const float* tex
     float pdf;
     const Vec3 direction = LOAD3(i, directions), radiance = environment_radiance(&map, direction, &pdf);
     STORE3(radiance, 0, out + 4 * i);
-    out[4 * i + 3] = environment_pdf(&map, direction) == pdf ? pdf : NAN;
+    out[4 * i + 3] = pdf;
 }
 """
 
@@ -58,7 +58,8 @@ class OnDevice:
 
     def _run(self, kernel: str, made: Environment, given: np.ndarray, rows: int) -> np.ndarray:
         n = len(given)
-        kernels = self.device.build(self._text, ("-cl-std=CL1.2", "-Werror", "-DFEATURE_ENVIRONMENT_MAP=1"))
+        on = ("-DFEATURE_ENVIRONMENT_MAP=1", "-DFEATURE_NEXT_EVENT=1")
+        kernels = self.device.build(self._text, ("-cl-std=CL1.2", "-Werror", *on))
         arrays = (made.record, made.texels, made.rows, made.aliases, given)
         out = self.device.buffer(16 * rows * n, "results")
         buffers = [self.device.buffer(array, "a map") for array in arrays]

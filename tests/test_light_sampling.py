@@ -162,7 +162,7 @@ def lit():
     device, source = Device(), program.kernel_source
     on = {"AREA_LIGHTS", "TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS", "POINT_LIGHTS"}
     on |= {"SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS"}
-    on |= {"CYLINDERS", "TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS", "MANY_LIGHTS"}
+    on |= {"CYLINDERS", "TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS", "MANY_LIGHTS", "NEXT_EVENT"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
         constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}

@@ -3,15 +3,14 @@
 Preprocessing is done by the system's `cpp` where there is one; tests that need it are skipped elsewhere.
 """
 
-import itertools
 import re
 import shutil
-import subprocess
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
+from feature_sets import all_but, only
 
 from isonoise.device import program
 from isonoise.device.opencl import Device
@@ -33,46 +32,6 @@ CONSTANTS |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS}
 MANY = CONSTANTS | {"LANES": 64}
 """For work-items that take many paths: kernels/paths.h. There are none in scenes of the feature VOLPATH."""
 TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in FEW_KERNELS.values()})
-
-NEEDS = {  # no scene has the one without the others
-    "VERTEX_NORMALS": {"TRIANGLES"},
-    "SPHERES": {"ANALYTICS"},
-    "DISKS": {"ANALYTICS"},
-    "CYLINDERS": {"ANALYTICS"},
-    "TRIANGLE_LIGHTS": {"AREA_LIGHTS", "TRIANGLES"},
-    "SPHERE_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "SPHERES"},
-    "DISK_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "DISKS"},
-    "CYLINDER_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "CYLINDERS"},
-    "NEXT_EVENT": {"DIFFUSE"},
-    "TEXTURES": {"UVS"},
-    "BITMAPS": {"TEXTURES", "UVS"},
-    "CHECKERBOARDS": {"TEXTURES", "UVS"},
-    "MESH_ATTRIBUTES": {"TEXTURES", "UVS"},
-    "BUMP": {"TEXTURES", "UVS"},
-    "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "TRIANGLES"},
-    "MEDIA": {"VOLPATH"},
-    "LIGHT_TREE": {"NEXT_EVENT", "DIFFUSE", "MANY_LIGHTS"},
-    "BATCHES": {"MEDIAN"},
-}
-COMPANION = {  # of these a scene with the one has at least one: it stands for them where nothing else does
-    "ANALYTICS": "SPHERES",
-    "AREA_LIGHTS": "TRIANGLE_LIGHTS",
-    "NEXT_EVENT": "POINT_LIGHTS",
-}
-
-
-def only(*names: str) -> dict[str, bool]:
-    """Features with these on, and those without which they are in no scene."""
-    on = set(names)
-    on |= {COMPANION[name] for name in names if name in COMPANION}
-    on |= {needed for name in on for needed in NEEDS.get(name, ())}
-    return {name: name in on for name in FEATURES}
-
-
-def all_but(*names: str) -> dict[str, bool]:
-    """Features with these off, and those that need them."""
-    off = {name for name in FEATURES if name in names or NEEDS.get(name, set()) & set(names)}
-    return {name: name not in off for name in FEATURES}
 
 
 def mentioned(text: str) -> set[str]:
@@ -171,129 +130,9 @@ def test_options_are_the_mentioned_features_alone(name):
     assert all(option.endswith("=0") for option in options[1:])
 
 
-def preprocessed(name: str, features: dict[str, bool], constants: dict[str, int]) -> str:
-    cpp = shutil.which("cpp")
-    if cpp is None:
-        pytest.skip("no C preprocessor 'cpp' on PATH")
-    text, options = stage_source(name, STRUCTS, constants, features)
-    flags = [option for option in options if option.startswith("-D")]
-    done = subprocess.run([cpp, "-P", "-xc", "-Wundef", *flags, "-"], input=text, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert not re.search("FEATURE_|LANES", done.stderr)
-    return done.stdout
-
-
-MARKERS = {  # functions and variables that belong to one feature
-    "shade.cl": {
-        "TRIANGLES": "triangle_surface",
-        "VERTEX_NORMALS": "interpolated",
-        "ANALYTICS": "analytic_surface",
-        "SPHERES": "sphere_surface",
-        "DIFFUSE": "diffuse_sample",
-        "DIELECTRIC": "dielectric_sample",
-        "CONDUCTOR": "conductor_sample",
-        "AREA_LIGHTS": "sample_surface",
-        "SPHERE_LIGHTS": "sample_sphere",
-        "INSTANCES": "instanced_surface_at",
-        "ENVIRONMENT_MAP": "environment_radiance",
-        "VOLPATH": "(of->|restrict )crossing",
-        "MEDIA": "fly",
-        "NEXT_EVENT": "next_event",
-        "LIGHT_TREE": "pick_from_tree",
-        "RUSSIAN_ROULETTE": "survival",
-    },
-    "intersect.cl": {
-        "TRIANGLES": "triangles_met",
-        "SPHERES": "sphere_distance",
-        "DISKS": "disk_distance",
-        "CYLINDERS": "cylinder_distance",
-        "INSTANCES": "ray_to_object",
-    },
-    "shadow.cl": {
-        "TRIANGLES": "triangles_met",
-        "SPHERES": "sphere_distance",
-        "DISKS": "disk_distance",
-        "CYLINDERS": "cylinder_distance",
-        "INSTANCES": "ray_to_object",
-    },
-    "through.cl": {
-        "TRIANGLES": "triangles_met",
-        "SPHERES": "sphere_distance",
-        "INSTANCES": "ray_to_object",
-        "MEDIA": "transmittance",
-        "THIN_DIELECTRIC": "thin_dielectric_reflectance",
-    },
-    "generate.cl": {"THIN_LENS": "lens", "INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "sensor_medium"},
-    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium", "LIGHT_TREE": "lit"},
-    "reduce.cl": {"MEDIAN": "medians", "BATCHES": "batch_sum", "POWER": "powers", "HALF": "halves"},
-    "summarise.cl": {"MEDIAN": "medians", "POWER": "powers", "HALF": "halves"},
-}
-
-
-@pytest.mark.parametrize(
-    ("name", "constants", "never"),
-    [
-        *(pytest.param(name, CONSTANTS, (), id=name) for name in STAGES),
-        *(pytest.param(name, MANY, ("VOLPATH", "MEDIA"), id=f"{name}, many") for name in TAKE_MANY),
-    ],
-)
-def test_absent_features_leave_no_code(name, constants, never):
-    """With one feature off, what belongs to it is gone; and every feature that a stage mentions makes a difference,
-    among all others or alone: some share their code."""
-
-    def without_all(*names):
-        return preprocessed(name, all_but(*never, *names), constants)
-
-    def with_only(*names):
-        return preprocessed(name, only(*names), constants)
-
-    everything, nothing = without_all(), with_only()
-    for feature in mentioned(flatten(name)) - set(never):
-        without, alone = without_all(feature), with_only(feature)
-        used = len(without.split()) < len(everything.split()) or len(alone.split()) > len(nothing.split())
-        assert used, f"{name} mentions {feature} and does not use it"
-    for feature, marker in MARKERS.get(name, {}).items():
-        if feature in never:
-            continue
-        pattern = rf"\b{marker}\b"
-        assert re.search(pattern, everything), f"{marker} is no longer in {name}: mend this test"
-        assert not re.search(pattern, without_all(feature)), f"{marker} without {feature}"
-
-
 @pytest.fixture(scope="module")
 def device():
     return Device()
-
-
-@pytest.mark.parametrize(
-    ("features", "constants"),
-    [
-        pytest.param(all_but(), CONSTANTS, id="all"),
-        pytest.param(only(), CONSTANTS, id="none"),
-        pytest.param(all_but("VOLPATH"), MANY, id="all, many"),
-        pytest.param(only(), MANY, id="none, many"),
-    ],
-)
-def test_stages_build_without_warnings(device, features, constants):
-    for name in STAGES:
-        text, options = stage_source(name, STRUCTS, constants, features)
-        device.build(text, (*options, "-Werror"))
-
-
-@pytest.mark.long
-def test_every_feature_and_every_two_build_without_warnings(device):
-    """Those that only scenes without any surface have aside: every combination has triangles or analytic shapes."""
-    built = set()
-    for pair in itertools.combinations_with_replacement(FEATURES, 2):
-        features = only(*pair)
-        if not features["ANALYTICS"]:
-            features |= {"TRIANGLES": True}
-        for name, constants in itertools.product(STAGES, [CONSTANTS] if features["VOLPATH"] else [CONSTANTS, MANY]):
-            text, options = stage_source(name, STRUCTS, constants, features)
-            if (hash(text), options) not in built:
-                built.add((hash(text), options))
-                device.build(text, (*options, "-Werror"))
-    assert len(built) > 100
 
 
 # Records.

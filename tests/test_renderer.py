@@ -14,7 +14,7 @@ from isonoise.renderer import Renderer
 from isonoise.rendering import render
 from isonoise.statistics import Statistics
 from isonoise.strategies import Strategy, Wave, available_strategies
-from isonoise.strategies.allocation import uniform_allocation
+from isonoise.strategies.even import uniform_allocation
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 

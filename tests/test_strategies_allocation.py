@@ -6,7 +6,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from isonoise.strategies.allocation import deficit, proportional, proportional_to_error, uniform_allocation
+from isonoise.strategies.allocation import deficit, proportional, proportional_to_error
+from isonoise.strategies.even import uniform_allocation
 
 
 def exact_shares(count, variance, budget, cap):

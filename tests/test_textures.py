@@ -67,7 +67,7 @@ def kernel_of(device, *on: str):
         flatten("texture.h"),
         KERNEL,
     ]
-    flags = ["-DFEATURE_TEXTURES=1", *(f"-DFEATURE_{kind}={int(kind in on)}" for kind in KINDS)]
+    flags = ["-DFEATURE_TEXTURES=1", "-DFEATURE_BUMP=1", *(f"-DFEATURE_{kind}={int(kind in on)}" for kind in KINDS)]
     return device.build("\n".join(text), ("-cl-std=CL1.2", "-Werror", *flags))["look"]
 
 

@@ -198,15 +198,21 @@ def _add_bench(commands) -> None:
         "--max-depth", metavar="N", type=arguments.max_depth, help="longest path: 1 is emitters only, -1 no end"
     )
     what.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
-    what.add_argument(
+    instead = what.add_mutually_exclusive_group()
+    instead.add_argument(
         "--peers",
         action="store_true",
         help="measure the speed over that of Mitsuba 3 and, for rays, of Embree, instead; see below",
     )
-    what.add_argument(
+    instead.add_argument(
         "--tune",
         action="store_true",
         help="instead, measure how many paths in flight are fastest, and keep that for all later renders on the device",
+    )
+    instead.add_argument(
+        "--specialisation",
+        action="store_true",
+        help="measure the speed over that of programs with everything built in, instead; see below",
     )
     output = bench.add_argument_group("what to do with it")
     output.add_argument("--json", metavar="FILE", help="write all figures; host/README.md documents the fields")
@@ -311,7 +317,8 @@ def _bench_epilog() -> str:
         [
             f"scenes beside files and built-in ones: {', '.join(MADE_SCENES)}: a mesh of as many triangles under an",
             "environment map, made on the spot; `python -m isonoise.benchmark.made_scenes NAME FOLDER` writes it.",
-            f"Without SCENE: {', '.join(DEFAULT_SCENES)}; with --peers mesh-1.3m as well.",
+            f"Without SCENE: {', '.join(DEFAULT_SCENES)}; with --peers mesh-1.3m as well; with --specialisation the",
+            "built-in scenes.",
             "",
             "A run has about 2 million samples on a CPU and 16 million on a GPU unless --spp says otherwise.",
             "",
@@ -323,6 +330,10 @@ def _bench_epilog() -> str:
             "where a scene is made of triangles alone, with Embree on one thread on the same rays: the camera's, and",
             "those after one diffuse bounce. It needs the extra `peers`; DRJIT_LIBLLVM_PATH may have to name a",
             "libLLVM, 19 or newer.",
+            "",
+            "--specialisation takes turns with programs that hold more than the scene uses: `path` what scenes of that",
+            "integrator may use, `everything` what those of volpath may besides. It compares the images, too. What is",
+            "compiled for the first time is compiled in processes of their own: that takes a minute a scene on a CPU.",
             "",
             "exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C",
         ]

@@ -16,7 +16,7 @@ from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.scene.load import load
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
-from isonoise.strategies.allocation import proportional, uniform_allocation
+from isonoise.strategies.even import uniform_allocation
 
 
 @dataclass(frozen=True)
@@ -152,8 +152,11 @@ class Renderer:
         """The wave's map, of at most `samples` samples; what is cut off a uniform wave is kept for the next step."""
         if wave.spp is None:
             allocation = self._checked(self.strategy.allocate(self.statistics(), None), None)
-            total = int(allocation.sum(dtype=np.int64))
-            return allocation if samples is None or total <= samples else proportional(allocation, samples, self._waves)
+            if samples is None or int(allocation.sum(dtype=np.int64)) <= samples:
+                return allocation
+            from isonoise.strategies.allocation import proportional  # what uniform waves do without
+
+            return proportional(allocation, samples, self._waves)
         pixels = self.scene.width * self.scene.height
         budget = max(1, round(wave.spp * pixels))
         if samples is not None and samples < budget:

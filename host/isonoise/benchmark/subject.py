@@ -2,6 +2,7 @@
 
 import time
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,8 @@ from isonoise.device.opencl import Device
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.hierarchy import build_hierarchy
-from isonoise.strategies.allocation import uniform_allocation
+from isonoise.statistics import NOTHING_MORE, Needs
+from isonoise.strategies.even import uniform_allocation
 
 
 class MeasuredDevice(Device):
@@ -46,13 +48,21 @@ class Subject:
     """A compiled scene with its program built and every kernel launched once.
 
     A run is a uniform wave of `samples` samples, at most one more in one pixel than in another, and the reading of its
-    statistics.
+    statistics. `needs` and `built_in` as of `Wavefront`.
     """
 
-    def __init__(self, scene: CompiledScene, device: MeasuredDevice, samples: int, pool_size: int | None = None):
+    def __init__(
+        self,
+        scene: CompiledScene,
+        device: MeasuredDevice,
+        samples: int,
+        pool_size: int | None = None,
+        needs: Needs = NOTHING_MORE,
+        built_in: Mapping[str, bool] | None = None,
+    ):
         self.scene, self.device, self.samples = scene, device, samples
         self.bvh = build_hierarchy(scene)
-        self.wavefront = Wavefront(device, scene, self.bvh, pool_size=pool_size)
+        self.wavefront = Wavefront(device, scene, self.bvh, needs, pool_size=pool_size, built_in=built_in)
         self.wavefront.warm_up()
         self.allocation = uniform_allocation((scene.height, scene.width), samples, 0)
 

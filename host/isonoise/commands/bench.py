@@ -17,7 +17,7 @@ from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable, write_whole
 from isonoise.progress import Bar
-from isonoise.scene.builtin import find_scene
+from isonoise.scene.builtin import builtin_scenes, find_scene
 
 EXIT_SLOWER = 1
 DEFAULT_SCENES = ("cornell", "bright-spots", "mesh-82k")
@@ -34,12 +34,21 @@ def run(options: argparse.Namespace) -> int:
     settings = Settings(options.repeat, options.size, options.spp, options.max_depth, options.device)
     with tempfile.TemporaryDirectory(prefix="isonoise-bench-") as folder:
         if options.tune:
-            if options.against or options.peers or options.json:
-                raise UserError("--tune chooses a pool size: it goes with none of --against, --peers, --json")
+            if options.against or options.json:
+                raise UserError("--tune chooses a pool size: it goes with neither --against nor --json")
             return _tune(settings, _sources(options.scenes or TUNED_SCENES, Path(folder)))
+        if options.against and (options.peers or options.specialisation):
+            raise UserError("--against compares measurements without --peers and without --specialisation")
+        if options.specialisation:
+            from isonoise.benchmark.specialisation import measure_specialisation
+            from isonoise.benchmark.specialisation_text import specialisation_text
+
+            sources = _sources(options.scenes or builtin_scenes(), Path(folder))
+            result = measure_specialisation(sources, settings)
+            _write(options.json, result)
+            _say(specialisation_text(result))
+            return EXIT_DONE
         if options.peers:
-            if options.against:
-                raise UserError("--against compares measurements without --peers")
             from isonoise.benchmark.peers import PEER_SCENES, measure_peers
             from isonoise.benchmark.peers_text import peers_text
 

@@ -52,7 +52,9 @@ def _image(path: str) -> None:
 
 
 def _scene(source: str, parameters: dict[str, str]) -> None:
+    from isonoise.integrator.costs import cost
     from isonoise.integrator.features import FEATURES, features
+    from isonoise.integrator.kernels import path_bytes
     from isonoise.scene import compile_scene, load
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 
@@ -61,12 +63,15 @@ def _scene(source: str, parameters: dict[str, str]) -> None:
         print(f"{name:12} {value}")
     used = features(scene, make_strategy(DEFAULT_STRATEGY).needs)
     width = max(map(len, used))
-    print(f"\nin, with the strategy {DEFAULT_STRATEGY}:")
-    for name in (name for name, on in used.items() if on):
-        print(f"  {name:{width}}  {FEATURES[name].meaning}: {FEATURES[name].cost}")
-    print("\nleft out, because the scene or the strategy has no use for it:")
-    for name in (name for name, on in used.items() if not on):
-        print(f"  {name:{width}}  {FEATURES[name].meaning}: saves {FEATURES[name].cost}")
+
+    def line(name: str) -> str:
+        return f"  {name:{width}}  {FEATURES[name].meaning}: {cost(name, used)}"
+
+    state = sum(path_bytes(used).values())
+    print(f"\nin, with the strategy {DEFAULT_STRATEGY}; a path in flight has {state} bytes of state:")
+    print(*(line(name) for name, on in used.items() if on), sep="\n")
+    print("\nleft out, because the scene or the strategy has no use for it, with what that saves:")
+    print(*(line(name) for name, on in used.items() if not on), sep="\n")
 
 
 def facts(scene: CompiledScene) -> dict[str, str]:

@@ -3,93 +3,131 @@
 Kernels test `FEATURE_<name>` with #if; the host sets every one to 0 or 1.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from isonoise.integrator.pixel_filter import CELLS
 from isonoise.scene import structs, textures
+from isonoise.scene.boundaries import NODES
 from isonoise.scene.bsdfs import reads_uvs
+from isonoise.scene.bvh import BLOCK_ROWS, WIDTH
 from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.light_tree import pays
+from isonoise.scene.environment import ENVIRONMENT, ENVIRONMENT_ROW
+from isonoise.scene.light_tree import ROWS, pays
 from isonoise.statistics import NOTHING_MORE, Needs
 
 
 @dataclass(frozen=True)
 class Feature:
-    """What a feature is and what it costs when it is on."""
+    """What a feature is. `buffers` are there for it, by the names of the kernels' arguments, with the size of what they
+    hold; some serve several features. What else it costs is computed from the kernels: `integrator.costs`."""
 
     meaning: str
-    cost: str
+    buffers: Mapping[str, str] = field(default_factory=dict)
 
+
+def _records(dtype: np.dtype, of: str) -> str:
+    return f"{dtype.itemsize} bytes {of}"
+
+
+_LIGHTS = {"lights": _records(structs.LIGHT, "a light"), "light_alias": _records(structs.ALIAS, "a light")}
 
 FEATURES = {
     "TRIANGLES": Feature(
-        "triangle meshes", "64 bytes a triangle and its share of the hierarchy, block test in intersect and shadow"
+        "triangle meshes",
+        {
+            "triangles": _records(structs.TRIANGLE, "a triangle"),
+            "blocks": f"{4 * BLOCK_ROWS * WIDTH} bytes for up to {WIDTH} triangles",
+            "corners": "12 bytes a corner, where there is no hierarchy",
+            "corner_numbers": "12 bytes a triangle, where there is no hierarchy",
+        },
     ),
-    "VERTEX_NORMALS": Feature("smooth shading by vertex normals", "36 bytes a triangle, interpolation in shade"),
-    "UVS": Feature("texture coordinates", "8 bytes a vertex and 12 a triangle, interpolation in shade"),
-    "TEXTURES": Feature("parameters that vary over a surface", "records and texels, code in shade"),
-    "BITMAPS": Feature("images as textures", "4 or 16 bytes a texel, code in shade"),
-    "CHECKERBOARDS": Feature("checkerboards", "code in shade"),
-    "MESH_ATTRIBUTES": Feature("colours of vertices and faces", "12 bytes each, code in shade"),
-    "ANALYTICS": Feature("shapes that are not triangles", "a record each, a second kind of leaf"),
-    "SPHERES": Feature("spheres", "sphere test in intersect and shadow"),
-    "DISKS": Feature("disks", "disk test in intersect and shadow"),
-    "CYLINDERS": Feature("cylinders", "cylinder test in intersect and shadow"),
+    "VERTEX_NORMALS": Feature("smooth shading by vertex normals", {"corner_normals": "36 bytes a triangle"}),
+    "UVS": Feature("texture coordinates", {"uvs": "8 bytes a vertex", "faces": "12 bytes a triangle"}),
+    "TEXTURES": Feature("parameters that vary over a surface", {"textures": _records(textures.TEXTURE, "a texture")}),
+    "BITMAPS": Feature(
+        "images as textures",
+        {
+            "texel_bytes": "4 bytes a texel of 8-bit images",
+            "texel_floats": "16 bytes a texel of others",
+            "srgb": "1,024 bytes",
+        },
+    ),
+    "CHECKERBOARDS": Feature("checkerboards"),
+    "MESH_ATTRIBUTES": Feature("colours of vertices and faces", {"attributes": "12 bytes a colour"}),
+    "ANALYTICS": Feature(
+        "shapes that are not triangles",
+        {"analytics": _records(structs.ANALYTIC, "a shape"), "shapes": _records(structs.SHAPE, "a shape or mesh")},
+    ),
+    "SPHERES": Feature("spheres"),
+    "DISKS": Feature("disks"),
+    "CYLINDERS": Feature("cylinders"),
     "INSTANCES": Feature(
-        "groups of shapes that stand in several places",
-        "100 bytes an instance, 8 bytes a path; transforms of rays in intersect and shadow, of surfaces in shade",
+        "groups of shapes that stand in several places", {"instances": _records(structs.INSTANCE, "an instance")}
     ),
-    "DIFFUSE": Feature("diffuse reflection", "code in shade"),
-    "DIELECTRIC": Feature("smooth glass", "code in shade"),
-    "THIN_DIELECTRIC": Feature("thin smooth glass", "code in shade"),
-    "CONDUCTOR": Feature("smooth metal", "code in shade"),
-    "ROUGH_CONDUCTOR": Feature("rough metal", "code in shade"),
-    "ROUGH_DIELECTRIC": Feature("rough glass", "code in shade"),
-    "PLASTIC": Feature("smooth plastic", "code in shade"),
-    "ROUGH_PLASTIC": Feature("rough plastic", "code in shade"),
-    "PRINCIPLED": Feature("the principled material", "code in shade"),
-    "BECKMANN": Feature("rough surfaces by Beckmann's distribution", "code in shade"),
-    "ALL_NORMALS": Feature("rough surfaces sampled by all their normals", "code in shade"),
-    "NULL": Feature("surfaces that let all through", "code in shade"),
-    "SIDES": Feature("materials that differ on the two sides", "code in shade"),
-    "MASK": Feature("opacity", "code in shade"),
-    "BLEND": Feature("blends of materials", "code in shade"),
-    "BUMP": Feature("bump maps", "code in shade"),
-    "NORMAL_MAP": Feature("normal maps", "code in shade"),
-    "TWOSIDED": Feature("two-sided materials", "code in shade"),
-    "VOLPATH": Feature(
-        "surfaces that let paths and light through unturned",
-        "8 bytes a path; the shadow stage looks at such surfaces instead of ending there",
+    "DIFFUSE": Feature("diffuse reflection"),
+    "DIELECTRIC": Feature("smooth glass"),
+    "THIN_DIELECTRIC": Feature("thin smooth glass"),
+    "CONDUCTOR": Feature("smooth metal"),
+    "ROUGH_CONDUCTOR": Feature("rough metal"),
+    "ROUGH_DIELECTRIC": Feature("rough glass"),
+    "PLASTIC": Feature("smooth plastic"),
+    "ROUGH_PLASTIC": Feature("rough plastic", {"boundaries": f"{4 * NODES} bytes a kind of plastic"}),
+    "PRINCIPLED": Feature("the principled material"),
+    "BECKMANN": Feature("rough surfaces by Beckmann's distribution"),
+    "ALL_NORMALS": Feature("rough surfaces sampled by all their normals"),
+    "NULL": Feature("surfaces that let all through"),
+    "SIDES": Feature("materials that differ on the two sides"),
+    "MASK": Feature("opacity"),
+    "BLEND": Feature("blends of materials"),
+    "BUMP": Feature("bump maps"),
+    "NORMAL_MAP": Feature("normal maps"),
+    "TWOSIDED": Feature("two-sided materials"),
+    "VOLPATH": Feature("surfaces that let paths and light through unturned"),
+    "MEDIA": Feature("media", {"media": _records(structs.MEDIUM, "a medium")}),
+    "AREA_LIGHTS": Feature("surfaces that shine", _LIGHTS),
+    "TEXTURED_LIGHTS": Feature("lights whose radiance varies over them"),
+    "TRIANGLE_LIGHTS": Feature("triangles that shine"),
+    "SPHERE_LIGHTS": Feature("spheres that shine"),
+    "DISK_LIGHTS": Feature("disks that shine"),
+    "CYLINDER_LIGHTS": Feature("cylinders that shine"),
+    "POINT_LIGHTS": Feature("point lights", _LIGHTS),
+    "SPOT_LIGHTS": Feature("spot lights", _LIGHTS),
+    "DIRECTIONAL_LIGHTS": Feature("directional lights", _LIGHTS),
+    "CONSTANT_LIGHT": Feature("constant environment", _LIGHTS),
+    "ENVIRONMENT_MAP": Feature(
+        "environment map",
+        {
+            **_LIGHTS,
+            "environment": _records(ENVIRONMENT, "in all"),
+            "environment_texels": "16 bytes a texel",
+            "environment_rows": _records(ENVIRONMENT_ROW, "a row of texels"),
+            "environment_aliases": "4 bytes a cell between texels",
+        },
     ),
-    "MEDIA": Feature("media", "12 bytes a path, free flights in shade, transmittance in the shadow stage"),
-    "AREA_LIGHTS": Feature("surfaces that shine", "light table, emission and its weight in shade"),
-    "TEXTURED_LIGHTS": Feature("lights whose radiance varies over them", "texture look-up in light sampling"),
-    "TRIANGLE_LIGHTS": Feature("triangles that shine", "sampling code in shade"),
-    "SPHERE_LIGHTS": Feature("spheres that shine", "sampling code in shade"),
-    "DISK_LIGHTS": Feature("disks that shine", "sampling code in shade"),
-    "CYLINDER_LIGHTS": Feature("cylinders that shine", "sampling code in shade"),
-    "POINT_LIGHTS": Feature("point lights", "sampling code in shade"),
-    "SPOT_LIGHTS": Feature("spot lights", "sampling code in shade"),
-    "DIRECTIONAL_LIGHTS": Feature("directional lights", "sampling code in shade"),
-    "CONSTANT_LIGHT": Feature("constant environment", "sampling code and radiance of missed rays in shade"),
-    "ENVIRONMENT_MAP": Feature("environment map", "20 bytes a texel, code in shade"),
-    "MANY_LIGHTS": Feature("more than one light", "8 bytes a light, code in shade"),
+    "MANY_LIGHTS": Feature("more than one light"),
     "LIGHT_TREE": Feature(
-        "many lights, picked by what they could send to a point", "about 100 bytes a light, 32 a path, code in shade"
+        "many lights, picked by what they could send to a point",
+        {
+            "light_nodes": f"{4 * ROWS * WIDTH} bytes for up to {WIDTH} lights or nodes",
+            "light_places": "4 bytes a light and node",
+        },
     ),
-    "NEXT_EVENT": Feature("next-event estimation", "shadow stage, 44 bytes a path"),
-    "RUSSIAN_ROULETTE": Feature("russian roulette", "code in shade"),
-    "HIDE_EMITTERS": Feature("lights hidden from the camera", "code in shade"),
-    "THIN_LENS": Feature("a lens with depth of field", "code in generate"),
-    "ORTHOGRAPHIC": Feature("a camera of parallel rays", "code in generate"),
-    "FILTER_TABLE": Feature("pixel filter other than a box", "table of 16 KiB"),
-    "MEDIAN": Feature("chunk medians M_x", "4 bytes a pixel and entry of a chunk, 4 more, sorting in reduce"),
-    "BATCHES": Feature("chunks of means of several samples", "8 bytes a pixel, a division an entry in reduce"),
-    "POWER": Feature("mean of a power of the samples", "8 bytes a pixel, a power or logarithm a sample in reduce"),
-    "HALF": Feature("mean of every second sample", "24 bytes a pixel, three sums in reduce"),
-    "COUNT_TESTS": Feature("nodes and blocks of triangles tested, counted", "8 bytes a path, code in intersect"),
+    "NEXT_EVENT": Feature("next-event estimation"),
+    "RUSSIAN_ROULETTE": Feature("russian roulette"),
+    "HIDE_EMITTERS": Feature("lights hidden from the camera"),
+    "THIN_LENS": Feature("a lens with depth of field"),
+    "ORTHOGRAPHIC": Feature("a camera of parallel rays"),
+    "FILTER_TABLE": Feature("pixel filter other than a box", {"inverse_cdf": f"{4 * (CELLS + 1):,} bytes"}),
+    "MEDIAN": Feature("chunk medians M_x", {"medians": "4 bytes a pixel and entry of a chunk, and 4 a pixel"}),
+    "BATCHES": Feature("chunks of means of several samples", {"medians": "8 bytes more a pixel"}),
+    "POWER": Feature("mean of a power of the samples", {"powers": "8 bytes a pixel"}),
+    "HALF": Feature("mean of every second sample", {"halves": "24 bytes a pixel"}),
+    "COUNT_TESTS": Feature("nodes and blocks of triangles tested, counted"),
 }
+"""What a scene, or a strategy, may use. What is in all programs, such as `nodes` and `bsdfs`, is in no feature."""
 
 
 _SMOOTH = {

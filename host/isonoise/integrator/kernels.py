@@ -1,4 +1,6 @@
-"""The kernels that trace paths: their files, their arguments, and the state of a path."""
+"""The kernels that trace paths: their files, their arguments, and the buffers that hold paths."""
+
+from collections.abc import Mapping
 
 from isonoise.scene import environment, structs, textures
 
@@ -37,7 +39,8 @@ KERNELS = {
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
         "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_aliases environment_light "
         "hit ray_origin ray_direction throughput path shadow_origin "
-        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
+        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:world_triangles "
+        "INSTANCES:instance "
         "VOLPATH:crossing MEDIA:media MEDIA:medium "
         "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_TREE:lit",
     ),
@@ -104,3 +107,35 @@ PATH_STATE = {
     **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},
 }
 """Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
+
+PATH_BUFFERS = {
+    "hit": {"": 16},
+    "alive": {"": 4},
+    "tests": {"COUNT_TESTS": 8},
+    "shadow_origin": {"NEXT_EVENT": 16},
+    "shadow_direction": {"NEXT_EVENT": 16},
+    "shadow_radiance": {"NEXT_EVENT": 12, "NEXT_EVENT MEDIA": 4},
+}
+"""Buffers of the paths within a bounce: bytes, by the features that all have to be on for them."""
+
+
+def kernel_table(features: Mapping[str, bool], few: bool) -> dict[str, tuple[str, str]]:
+    """The kernels that a scene needs; `few`: whether it has so few primitives that there is no hierarchy."""
+    shadow = ("through" if features["VOLPATH"] else "shadow") if features["NEXT_EVENT"] else None
+    table = KERNELS | (FEW_KERNELS if few else {})
+    return {name: row for name, row in table.items() if name == shadow or name not in ("shadow", "through")}
+
+
+def path_bytes(features: Mapping[str, bool]) -> dict[str, int]:
+    """Bytes a path of every buffer that holds paths."""
+    sizes = {name: size for state, size in present(PATH_STATE, features).items() for name in (state, f"next_{state}")}
+    for name, parts in PATH_BUFFERS.items():
+        size = sum(part for needed, part in parts.items() if all(features[feature] for feature in needed.split()))
+        sizes |= {name: size} if size else {}
+    return sizes
+
+
+def present(named: Mapping[str, object], features: Mapping[str, bool]) -> dict[str, object]:
+    """What goes by `name`, or by `NAME:name` with the feature NAME on; the names without their features."""
+    parted = [(key.rpartition(":"), value) for key, value in named.items()]
+    return {name: value for (feature, _, name), value in parted if not feature or features[feature]}

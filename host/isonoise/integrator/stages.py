@@ -6,7 +6,7 @@ import numpy as np
 
 from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
 from isonoise.device.program import stage_source
-from isonoise.integrator.kernels import ONE_PROGRAM
+from isonoise.integrator.kernels import ONE_PROGRAM, present
 
 
 class Stages:
@@ -46,9 +46,3 @@ class Stages:
         arguments = tuple(given[name] if name in given else self.arguments[name] for name in self._names[kernel])
         local_size = SMALL_LOCAL_SIZE if kernel in self._in_small_groups else LOCAL_SIZE
         self.device.launch(self._kernels[kernel], items, arguments, per_work_item, local_size)
-
-
-def present(named: Mapping[str, object], features: Mapping[str, bool]) -> dict[str, object]:
-    """What goes by `name`, or by `NAME:name` with the feature NAME on; the names without their features."""
-    parted = [(key.rpartition(":"), value) for key, value in named.items()]
-    return {name: value for (feature, _, name), value in parted if not feature or features[feature]}

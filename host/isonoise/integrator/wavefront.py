@@ -15,9 +15,19 @@ from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
-from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES, TAKE_MANY
+from isonoise.integrator.kernels import (
+    FEW_KERNELS,
+    PATH_BUFFERS,
+    PATH_STATE,
+    STRUCTS,
+    TAKE_LANES,
+    TAKE_MANY,
+    kernel_table,
+    path_bytes,
+    present,
+)
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
-from isonoise.integrator.stages import Stages, present
+from isonoise.integrator.stages import Stages
 from isonoise.scene import structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
@@ -31,6 +41,14 @@ would all compete for the same few places of a cache."""
 
 RAYS_PER_ITEM = 32
 """Rays that a work-item of a CPU follows at most: PoCL gives every item of a group a stack, too many for the cache."""
+
+_HELD = {
+    "hit": "the hits",
+    "alive": "the flags of the paths",
+    "tests": "the counts of tests",
+    **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance"), "the shadow rays"),
+}
+"""What the buffers of the paths hold, in errors and reports; `the paths` where it isn't here."""
 
 
 class Wavefront:
@@ -57,11 +75,10 @@ class Wavefront:
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
         self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/kept.h knows no more
-        shadow = "through" if self.features["VOLPATH"] else "shadow"
-        self._shadow = shadow if self.features["NEXT_EVENT"] else None
-        unused = {"shadow", "through"} - {self._shadow}
-        self.few = self.lanes > 1 and are_few(scene)
-        table = {name: row for name, row in (KERNELS | (FEW_KERNELS if self.few else {})).items() if name not in unused}
+        hierarchy = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
+        self.few = self.lanes > 1 and not hierarchy and are_few(scene)
+        table = kernel_table(self.features, self.few)
+        self._shadow = next((name for name in ("shadow", "through") if name in table), None)
         self._stages = Stages(
             device,
             table,
@@ -81,6 +98,10 @@ class Wavefront:
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
+        if built_in:
+            from isonoise.integrator.surplus import stand_ins
+
+            self._arguments.update(stand_ins(device, scene, self.features, self._arguments, self.few))
         self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
 
     @property
@@ -98,14 +119,10 @@ class Wavefront:
         def table(array: np.ndarray, what: str):
             return device.buffer(array, what) if array.size else None
 
-        def per_path(what: str, size: int = 16):
-            return device.buffer(size * plane, what)
-
         camera = scene.camera[0]
         filter_table = nothing = np.zeros(0, np.float32)
         if on["FILTER_TABLE"]:
             filter_table = inverse_cdf(scene.filter, float(camera["filter_radius"]), float(camera["filter_stddev"]))
-        shadowed = on["NEXT_EVENT"]
         return {
             "camera": device.buffer(scene.camera, "the camera"),
             "inverse_cdf": table(filter_table, "the pixel filter"),
@@ -128,6 +145,7 @@ class Wavefront:
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
             "instances": table(scene.instances, "the instances"),
+            "world_triangles": np.uint32(scene.group_begins[0, 0]),
             "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
             "media": table(scene.media, "the media"),
@@ -144,19 +162,12 @@ class Wavefront:
             "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
             "pool": np.uint32(plane),
-            "alive": per_path("the flags of the paths", 4),
             "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
+            **dict.fromkeys(PATH_BUFFERS),
             **{
-                name: per_path("the paths", size)
-                for state, size in self._path_state.items()
-                for name in (state, f"next_{state}")
+                name: device.buffer(size * plane, _HELD.get(name, "the paths")) for name, size in path_bytes(on).items()
             },
-            "hit": per_path("the hits"),
-            "tests": per_path("the counts of tests", 8) if on["COUNT_TESTS"] else None,
-            "shadow_origin": per_path("the shadow rays") if shadowed else None,
-            "shadow_direction": per_path("the shadow rays") if shadowed else None,
-            "shadow_radiance": per_path("the shadow rays", 16 if on["MEDIA"] else 12) if shadowed else None,
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
             "pixel_offset": device.buffer(4 * pixels, "the allocation"),

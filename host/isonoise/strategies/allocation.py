@@ -4,28 +4,14 @@ from bisect import bisect_right
 
 import numpy as np
 
-MAX_COUNT = 2**32 - 1
-"""Samples that a pixel can count (uint32), all waves together."""
+from isonoise.strategies.even import MAX_COUNT, check_budget, first_in_hashed_order, uniform_allocation
+
 SAMPLE = 2**14
 """Pixels on which the water level is sought first."""
 MAX_STEPS = 200
 """Of the search for the level; a handful is usual, and bisection from any bracket of floats ends well before."""
 ROUNDING = 1e-13
 """Relative error of a sum of millions of float64 numbers; a level is not known better."""
-
-
-def uniform_allocation(shape: tuple[int, int], budget: int, wave_index: int) -> np.ndarray:
-    """The same count in every pixel; the remainder goes, one sample each, by a hashed order that changes with the wave.
-
-    Returns uint32 of `shape` (height, width) that sums to `budget` exactly.
-    Raises ValueError if the budget is negative or more than uint32 counts hold.
-    """
-    pixels = shape[0] * shape[1]
-    _check_budget(budget, pixels * MAX_COUNT)
-    each, rest = divmod(int(budget), pixels)
-    allocation = np.full(pixels, each, dtype=np.uint32)
-    allocation[_first_in_hashed_order(np.arange(pixels, dtype=np.uint32), rest, wave_index)] += np.uint32(1)
-    return allocation.reshape(shape)
 
 
 def proportional(weights: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
@@ -42,7 +28,7 @@ def proportional(weights: np.ndarray, budget: int, wave_index: int) -> np.ndarra
         return uniform_allocation(weights.shape, budget, wave_index)
     share = weights.reshape(-1) / np.float64(top)
     share *= int(budget) / share.sum()
-    _check_budget(budget, MAX_COUNT if share.max() >= MAX_COUNT else weights.size * MAX_COUNT)
+    check_budget(budget, MAX_COUNT if share.max() >= MAX_COUNT else weights.size * MAX_COUNT)
     return _rounded(share, int(budget), wave_index).astype(np.uint32).reshape(weights.shape)
 
 
@@ -110,7 +96,7 @@ def _allocate(count, slope, offset, budget: int, wave_index: int, cap: float) ->
         raise ValueError(f"cap is a whole number of at least 2, or inf, not {cap}")
     shape, count = count.shape, count.reshape(-1)
     budget = int(budget)
-    _check_budget(budget, count.size * MAX_COUNT - int(count.sum(dtype=np.int64)))
+    check_budget(budget, count.size * MAX_COUNT - int(count.sum(dtype=np.int64)))
 
     def room(limit: float) -> np.ndarray:
         """Samples that every pixel can get if none may multiply its count by more than `limit`; whole numbers."""
@@ -128,11 +114,6 @@ def _allocate(count, slope, offset, budget: int, wave_index: int, cap: float) ->
         if missing:
             allocation += _spread(np.maximum(room(limit).astype(np.int64) - allocation, 0), missing, wave_index)
     return allocation.astype(np.uint32).reshape(shape)
-
-
-def _check_budget(budget: int, most: int) -> None:
-    if not 0 <= budget <= most:
-        raise ValueError(f"a wave of {budget} samples is outside of 0 to {most}, what the pixels can count")
 
 
 def _clipped(variance: np.ndarray, clip: float) -> np.ndarray:
@@ -228,7 +209,7 @@ def _spread(room: np.ndarray, total: int, wave_index: int) -> np.ndarray:
     level, missing = divmod(total - held, room.size - at)
     open_pixels = np.flatnonzero(room > level)
     spread = np.minimum(room, level)
-    spread[open_pixels[_first_in_hashed_order(open_pixels.astype(np.uint32), missing, wave_index)]] += 1
+    spread[open_pixels[first_in_hashed_order(open_pixels.astype(np.uint32), missing, wave_index)]] += 1
     return spread
 
 
@@ -239,26 +220,5 @@ def _largest(values: np.ndarray, k: int, pixels: np.ndarray, wave_index: int) ->
     threshold = np.partition(values, values.size - k)[values.size - k]
     above = np.flatnonzero(values > threshold)
     equal = np.flatnonzero(values == threshold)
-    tied = _first_in_hashed_order(pixels[equal].astype(np.uint32), k - above.size, wave_index)
+    tied = first_in_hashed_order(pixels[equal].astype(np.uint32), k - above.size, wave_index)
     return np.concatenate([above, equal[tied]])
-
-
-def _first_in_hashed_order(pixels: np.ndarray, k: int, wave_index: int) -> np.ndarray:
-    """Indices into `pixels` (uint32, distinct) of the k that come first in the wave's order."""
-    if k == 0 or k == pixels.size:
-        return np.arange(k)
-    salt = _mix(np.array([wave_index & MAX_COUNT], dtype=np.uint32)) ^ np.uint32((wave_index >> 32) & MAX_COUNT)
-    return np.argpartition(_mix(_mix(pixels) ^ salt), k)[:k]
-
-
-def _mix(x: np.ndarray) -> np.ndarray:
-    """A bijection of the 32-bit integers that looks random: C. Wellons' lowbias32 (github.com/skeeto/hash-prospector).
-
-    One to one, so that no two pixels of a wave share a place in the order.
-    """
-    x = x ^ (x >> np.uint32(16))
-    x *= np.uint32(0x7FEB352D)
-    x ^= x >> np.uint32(15)
-    x *= np.uint32(0x846CA68B)
-    x ^= x >> np.uint32(16)
-    return x

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isonoise.statistics import Statistics
-from isonoise.strategies.allocation import proportional, uniform_allocation
+from isonoise.strategies.allocation import proportional
 from isonoise.strategies.base import Strategy, Wave
+from isonoise.strategies.even import uniform_allocation
 from isonoise.strategies.parameters import check_range
 
 SIGMAS = 6

@@ -7,22 +7,26 @@ import sys
 from collections.abc import Iterable
 
 from isonoise.errors import UserError
-from isonoise.strategies.adaptive import Absolute, Pooled, RelativeMean, RelativeMedian, Tsallis
 from isonoise.strategies.base import Strategy
-from isonoise.strategies.cycles import Cycles
-from isonoise.strategies.dammertz import Dammertz
-from isonoise.strategies.luxcore import LuxCore
-from isonoise.strategies.oracle import Oracle
-from isonoise.strategies.purgathofer import Purgathofer
-from isonoise.strategies.tungsten import Tungsten
-from isonoise.strategies.uniform import Uniform
 
 ENTRY_POINT_GROUP = "isonoise.strategies"
-DEFAULT_STRATEGY = Pooled.name
+DEFAULT_STRATEGY = "pooled"
 
-_OWN = (Uniform, Pooled, RelativeMedian, RelativeMean, Absolute, Tsallis, Oracle)
-_RIVALS = (Purgathofer, Dammertz, Cycles, Tungsten, LuxCore)
-_BUILT_IN = {strategy.name: strategy for strategy in (*_OWN, *_RIVALS)}
+_BUILT_IN = {
+    "uniform": "isonoise.strategies.uniform:Uniform",
+    "pooled": "isonoise.strategies.adaptive:Pooled",
+    "relative-median": "isonoise.strategies.adaptive:RelativeMedian",
+    "relative-mean": "isonoise.strategies.adaptive:RelativeMean",
+    "absolute": "isonoise.strategies.adaptive:Absolute",
+    "tsallis": "isonoise.strategies.adaptive:Tsallis",
+    "oracle": "isonoise.strategies.oracle:Oracle",
+    "purgathofer": "isonoise.strategies.purgathofer:Purgathofer",
+    "dammertz": "isonoise.strategies.dammertz:Dammertz",
+    "cycles": "isonoise.strategies.cycles:Cycles",
+    "tungsten": "isonoise.strategies.tungsten:Tungsten",
+    "luxcore": "isonoise.strategies.luxcore:LuxCore",
+}
+"""Where they are, so that a render imports the one that it uses: isonoise's own, then those of others."""
 
 
 def available_strategies() -> list[str]:
@@ -53,7 +57,8 @@ def describe(strategy: Strategy) -> str:
     A parameter's value is read from the attribute of its name; one kept under no such name is left out.
     """
     cls = type(strategy)
-    head = cls.name if _BUILT_IN.get(getattr(cls, "name", None)) is cls else f"{cls.__module__}:{cls.__qualname__}"
+    place = f"{cls.__module__}:{cls.__qualname__}"
+    head = cls.name if _BUILT_IN.get(getattr(cls, "name", None)) == place else place
     values = {name: getattr(strategy, name) for name in _parameters(cls) if hasattr(strategy, name)}
     return ":".join([head, ",".join(f"{name}={_text(value)}" for name, value in values.items())]).rstrip(":")
 
@@ -84,7 +89,8 @@ def _split(spec: str) -> tuple[str, dict[str, str]]:
 
 def _find(name: str) -> type:
     if name in _BUILT_IN:
-        return _BUILT_IN[name]
+        module, _, strategy = _BUILT_IN[name].partition(":")
+        return getattr(importlib.import_module(module), strategy)
     for entry in (entry for entry in _entry_points() if entry.name == name):
         try:
             return entry.load()

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.statistics import Statistics
-from isonoise.strategies.allocation import uniform_allocation
 from isonoise.strategies.base import Strategy, Wave
+from isonoise.strategies.even import uniform_allocation
 from isonoise.strategies.parameters import check_range
 
 BLOCK = 4

@@ -1,0 +1,273 @@
+"""Sets of features that a scene may have, few sets that hold every two of them, and small scenes that use a set."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import small_files
+
+from isonoise.integrator.features import FEATURES
+from isonoise.statistics import Needs
+
+NEEDS = {  # no scene has the one without the others
+    "VERTEX_NORMALS": {"TRIANGLES"},
+    "SPHERES": {"ANALYTICS"},
+    "DISKS": {"ANALYTICS"},
+    "CYLINDERS": {"ANALYTICS"},
+    "TRIANGLE_LIGHTS": {"AREA_LIGHTS", "TRIANGLES"},
+    "SPHERE_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "SPHERES"},
+    "DISK_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "DISKS"},
+    "CYLINDER_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "CYLINDERS"},
+    "TEXTURES": {"UVS"},
+    "BITMAPS": {"TEXTURES", "UVS"},
+    "CHECKERBOARDS": {"TEXTURES", "UVS"},
+    "MESH_ATTRIBUTES": {"TEXTURES", "UVS"},
+    "BUMP": {"TEXTURES", "UVS"},
+    "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "TRIANGLES"},
+    "MEDIA": {"VOLPATH"},
+    "LIGHT_TREE": {"NEXT_EVENT", "MANY_LIGHTS"},
+    "BATCHES": {"MEDIAN"},
+}
+SURFACE_LIGHTS = ("TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS")
+LIGHTS = ("POINT_LIGHTS", "SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "ENVIRONMENT_MAP", *SURFACE_LIGHTS)
+SMOOTH = ("DIFFUSE", "ROUGH_CONDUCTOR", "ROUGH_DIELECTRIC", "PLASTIC", "ROUGH_PLASTIC", "PRINCIPLED", "MEDIA")
+ROUGH = ("ROUGH_CONDUCTOR", "ROUGH_DIELECTRIC", "ROUGH_PLASTIC")
+ANY_OF = {  # a scene with the one has at least one of each of these; the first stands for them where nothing else does
+    "ANALYTICS": [("SPHERES", "DISKS", "CYLINDERS")],
+    "AREA_LIGHTS": [SURFACE_LIGHTS],
+    "NEXT_EVENT": [LIGHTS, SMOOTH],
+    "TEXTURES": [("BITMAPS", "CHECKERBOARDS", "MESH_ATTRIBUTES")],
+    "BECKMANN": [ROUGH],
+    "ALL_NORMALS": [ROUGH],
+}
+
+
+def closed(names: set[str]) -> set[str]:
+    """These features and those without which they are in no scene."""
+    on, before = set(names), None
+    while on != before:
+        before = set(on)
+        on |= {needed for name in before for needed in NEEDS.get(name, ())}
+        on |= {group[0] for name in before for group in ANY_OF.get(name, ()) if on.isdisjoint(group)}
+    return on
+
+
+def is_closed(on: set[str]) -> bool:
+    return closed(on) == on
+
+
+def only(*names: str) -> dict[str, bool]:
+    """Features with these on, and those without which they are in no scene."""
+    on = closed(set(names))
+    return {name: name in on for name in FEATURES}
+
+
+def all_but(*names: str) -> dict[str, bool]:
+    """Features with these off, and those that need them."""
+    on = set(FEATURES) - set(names)
+    while not is_closed(on):
+        on -= {name for name in on if not closed({name}) - _alternatives(name) <= on or _lacks_a_group(name, on)}
+    return {name: name in on for name in FEATURES}
+
+
+def _alternatives(name: str) -> set[str]:
+    return {each for group in ANY_OF.get(name, ()) for each in group}
+
+
+def _lacks_a_group(name: str, on: set[str]) -> bool:
+    return any(on.isdisjoint(group) for group in ANY_OF.get(name, ()))
+
+
+def pairs_of(features: dict[str, bool]) -> set[tuple[str, bool, str, bool]]:
+    """Every two features with their values, the names in order."""
+    items = sorted(features.items())
+    return {(a, x, b, y) for place, (a, x) in enumerate(items) for b, y in items[place + 1 :]}
+
+
+def possible_pairs() -> set[tuple[str, bool, str, bool]]:
+    """Those that some scene has: all off, and what can be made of the features that are on."""
+    found = pairs_of(only())
+    for a in FEATURES:
+        for b in FEATURES:
+            if a < b:
+                found.add((a, True, b, True))
+            if a != b and _without(only(a), b):
+                found.add((a, True, b, False) if a < b else (b, False, a, True))
+    return found
+
+
+def _without(features: dict[str, bool], name: str) -> dict[str, bool] | None:
+    """Features that are on with `name` off, if there are: another of its alternatives in its place."""
+    on = {each for each, is_on in features.items() if is_on}
+    if name not in on:
+        return features
+    if any(name in NEEDS.get(each, ()) for each in on):
+        return None
+    on.discard(name)
+    for owner in list(on):
+        for group in ANY_OF.get(owner, ()):
+            if on.isdisjoint(group):
+                others = [each for each in group if each != name and name not in closed({each})]
+                if not others:
+                    return None
+                on |= closed({others[0]})
+    return {each: each in on for each in FEATURES} if name not in closed(on) else None
+
+
+def covering_rows(seed: int = 1) -> list[dict[str, bool]]:
+    """Few sets of features in which every possible pair of values of two features occurs: greedy, the best of 40."""
+    rng = random.Random(seed)
+    names, missing, rows = list(FEATURES), possible_pairs(), []
+    while missing:
+        best, gain = None, set()
+        for _ in range(40):
+            a, x, b, y = rng.choice(sorted(missing))
+            row = _random_row({a: x, b: y}, names, rng)
+            covered = pairs_of(row) & missing if row else set()
+            if len(covered) > len(gain):
+                best, gain = row, covered
+        if best:
+            rows.append(best)
+            missing -= gain
+    return rows
+
+
+def _random_row(fixed: dict[str, bool], names: list[str], rng: random.Random) -> dict[str, bool] | None:
+    """A set with the `fixed` features as they are there."""
+    off = {name for name, value in fixed.items() if not value}
+    start: dict[str, bool] | None = only(*(name for name, value in fixed.items() if value))
+    for name in off:
+        start = start and _without(start, name)
+    if not start:
+        return None
+    on = {name for name, value in start.items() if value}
+    for name in rng.sample(names, len(names)):
+        more = closed(on | {name})
+        if rng.random() < 0.45 and not more & off:
+            on = more
+    return {name: name in on for name in FEATURES}
+
+
+def needs_of(features: dict[str, bool]) -> Needs:
+    """The statistics that a set asks for."""
+    return Needs(
+        median=features["MEDIAN"],
+        batch=4 if features["BATCHES"] else 1,
+        power=2.0 if features["POWER"] else None,
+        half=features["HALF"],
+    )
+
+
+def scene_with(on: dict[str, bool], folder: Path) -> dict:
+    """A small scene that uses of a set of features what it can, and no other: files of it are written to `folder`."""
+    rough = {
+        "distribution": "beckmann" if on["BECKMANN"] else "ggx",
+        "alpha": 0.2,
+        "sample_visible": not on["ALL_NORMALS"],
+    }
+    (folder / "image.png").write_bytes(small_files.encoded("PNG"))
+    (folder / "sky.hdr").write_bytes(small_files.hdr())
+    image = {"type": "bitmap", "filename": str(folder / "image.png")}
+    simple = {
+        "DIFFUSE": {"type": "diffuse", "reflectance": 0.6},
+        "CONDUCTOR": {"type": "conductor"},
+        "DIELECTRIC": {"type": "dielectric"},
+        "THIN_DIELECTRIC": {"type": "thindielectric"},
+        "ROUGH_CONDUCTOR": {"type": "roughconductor", **rough},
+        "ROUGH_DIELECTRIC": {"type": "roughdielectric", **rough},
+        "PLASTIC": {"type": "plastic"},
+        "ROUGH_PLASTIC": {"type": "roughplastic", **rough},
+        "PRINCIPLED": {"type": "principled", "roughness": 0.4},
+        "NULL": {"type": "null"},
+    }
+    materials = [material for name, material in simple.items() if on[name]]
+    shapes = [
+        shape
+        for name, shape in zip(
+            ("TRIANGLES", "SPHERES", "DISKS", "CYLINDERS"), ("rectangle", "sphere", "disk", "cylinder"), strict=True
+        )
+        if on[name]
+    ]
+    if materials:
+        plain = materials[0]
+        paint = {"type": "diffuse", "reflectance": 0.3}
+        more = {
+            "MASK": {"type": "mask", "opacity": 0.5, "bsdf": plain},
+            "BLEND": {"type": "blendbsdf", "weight": 0.4, "bsdf": plain, "bsdf_1": materials[-1]},
+            "BUMP": {"type": "bumpmap", "height": image, "bsdf": plain},
+            "NORMAL_MAP": {"type": "normalmap", "normalmap": {**image, "raw": True}, "bsdf": plain},
+            "SIDES": {"type": "twosided", "bsdf": plain, "bsdf_1": paint},
+            "TWOSIDED": {"type": "twosided", "bsdf": plain},
+            "CHECKERBOARDS": {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
+            "BITMAPS": {"type": "diffuse", "reflectance": image},
+        }
+        asked = {name: on[name] for name in more}
+        for name in ("BUMP", "NORMAL_MAP"):
+            asked[name] &= on["BITMAPS"] and plain["type"] == "diffuse"
+        for name in ("SIDES", "TWOSIDED", "CHECKERBOARDS", "BITMAPS"):
+            asked[name] &= on["DIFFUSE"]
+        materials += [material for name, material in more.items() if asked[name]]
+
+    smooth = any(on[name] for name in SMOOTH)
+    lit = any(on[name] for name in LIGHTS)
+    integrator = {
+        "type": "volpath" if on["VOLPATH"] else "path",
+        "max_depth": 6 if on["NEXT_EVENT"] or not (lit and smooth) else 1,
+        "rr_depth": 2 if on["RUSSIAN_ROULETTE"] else 99,
+        "hide_emitters": on["HIDE_EMITTERS"],
+    }
+    sensor: dict = {"type": "perspective", "fov": 60.0}
+    if on["ORTHOGRAPHIC"]:
+        sensor = {"type": "orthographic"}
+    if on["THIN_LENS"]:
+        sensor = {"type": "thinlens", "fov": 60.0, "aperture_radius": 0.1, "focus_distance": 5.0}
+    rfilter = {"type": "gaussian" if on["FILTER_TABLE"] else "box"}
+    sensor["film"] = {"type": "hdrfilm", "width": 9, "height": 7, "rfilter": rfilter}
+    scene: dict = {"type": "scene", "integrator": integrator, "sensor": sensor}
+
+    number = max(len(shapes), len(materials)) if shapes and materials else 0
+    for k in range(number):
+        place = (0.9 * (k % 5) - 1.8, 0.8 * (k // 5) - 1.0, 4.0 + 0.3 * k)
+        shape = {"type": shapes[k % len(shapes)], "bsdf": materials[k % len(materials)]}
+        scene[f"shape{k}"] = {**shape, "to_world": placed(place, 0.5)}
+    if materials and on["TRIANGLES"] and (on["VERTEX_NORMALS"] or on["MESH_ATTRIBUTES"]):
+        (folder / "mesh.ply").write_bytes(small_files.ply())
+        colours = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}
+        mesh = {"type": "ply", "filename": str(folder / "mesh.ply"), "face_normals": not on["VERTEX_NORMALS"]}
+        paint = colours if on["MESH_ATTRIBUTES"] and on["DIFFUSE"] else materials[0]
+        scene["mesh"] = {**mesh, "bsdf": paint, "to_world": placed((1.5, 1.5, 4.0), 0.5)}
+    if number and on["INSTANCES"]:
+        scene["group"] = {"type": "shapegroup", "in": {"type": shapes[0], "bsdf": materials[0]}}
+        for k in range(2):
+            ref = {"type": "ref", "id": "group"}
+            scene[f"instance{k}"] = {"type": "instance", "group": ref, "to_world": placed((k - 0.5, 1.5, 5.0), 0.4)}
+    if on["MEDIA"] and on["SPHERES"] and on["NULL"]:
+        fog = {"type": "homogeneous", "sigma_t": 1.0, "albedo": 0.7}
+        ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}
+        scene["cloud"] = {**ball, "to_world": placed((0.0, 0.0, 4.5), 1.2)}
+
+    radiance = {"type": "rgb", "value": [2.0, 1.5, 1.0]}
+    lamps = zip(SURFACE_LIGHTS, ("rectangle", "sphere", "disk", "cylinder"), strict=True)
+    for k, (name, shape) in enumerate(lamps):
+        if on[name] and materials:
+            shines = image if on["TEXTURED_LIGHTS"] and on["BITMAPS"] and shape == "rectangle" else radiance
+            lamp = {"type": shape, "bsdf": materials[0], "emitter": {"type": "area", "radiance": shines}}
+            scene[name] = {**lamp, "to_world": placed((k - 1.5, 2.0, 4.0), 0.3)}
+    if on["POINT_LIGHTS"]:
+        scene["point"] = {"type": "point", "position": [0.0, 1.0, 2.0], "intensity": radiance}
+    if on["SPOT_LIGHTS"]:
+        scene["spot"] = {"type": "spot", "intensity": radiance, "cutoff_angle": 40.0}
+    if on["DIRECTIONAL_LIGHTS"]:
+        scene["sun"] = {"type": "directional", "direction": [0.1, -0.4, 1.0], "irradiance": radiance}
+    if on["ENVIRONMENT_MAP"]:
+        scene["sky"] = {"type": "envmap", "filename": str(folder / "sky.hdr")}
+    elif on["CONSTANT_LIGHT"]:
+        scene["sky"] = {"type": "constant", "radiance": radiance}
+    return scene
+
+
+def placed(at: tuple[float, float, float], size: float) -> np.ndarray:
+    """A shape of this size there, turned to the camera: that looks along +z."""
+    matrix = np.diag([-size, size, -size, 1.0])
+    matrix[:3, 3] = at
+    return matrix

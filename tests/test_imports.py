@@ -1,0 +1,104 @@
+"""What a command does without it does not import: processes of their own are asked at their end what they hold."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import small_files
+
+import isonoise
+
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(isonoise.__file__).parents[1])}
+HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex"}
+SHARED = {f"isonoise.strategies.{name}" for name in ("base", "even", "measures", "parameters", "registry", "schedule")}
+"""What all strategies have in common, and the floor of the stated error (`measures`)."""
+MOST_SECONDS = 1.0
+"""Of both cores together, to the first program that is to be compiled: 0.55 where this was written."""
+
+AT_THE_END = """
+import json, sys
+from isonoise.cli import main
+try:
+    code = main(sys.argv[1:])
+except SystemExit as exit_:
+    code = exit_.code
+print(json.dumps([code, sorted(sys.modules)]))
+"""
+TO_THE_COMPILER = """
+import sys, time
+from isonoise.device.opencl import Device
+
+def build(self, text, options):
+    print(time.process_time())
+    raise SystemExit(0)
+
+Device.build = build
+from isonoise.cli import main
+main(sys.argv[1:])
+"""
+
+
+def python(code: str, *arguments) -> str:
+    """What a process prints last."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()[-1]
+
+
+def modules_after(*command) -> set[str]:
+    code, modules = json.loads(python(AT_THE_END, *command))
+    assert code == 0, command
+    return set(modules)
+
+
+def render(scene, *options, folder: Path) -> set[str]:
+    return modules_after("render", scene, "--size", "8x6", "--spp", "1", "-o", folder / "image.exr", *options)
+
+
+def strategies(modules: set[str]) -> set[str]:
+    return {name for name in modules if name.startswith("isonoise.strategies.")} - SHARED
+
+
+def test_a_uniform_render_has_no_code_of_other_renders(tmp_path):
+    """No allocation, no other strategy, no mesh reader, no plots, no measuring and no testing."""
+    modules = render("cornell", "--strategy", "uniform", folder=tmp_path)
+    assert strategies(modules) == {"isonoise.strategies.uniform"}
+    assert modules.isdisjoint(HEAVY)
+    for package in ("benchmark", "comparison", "selftest", "integrator.surplus", "integrator.costs"):
+        assert not [name for name in modules if name.startswith(f"isonoise.{package}")], package
+    assert {"isonoise.strategies.even", "numpy", "pyopencl", "OpenEXR"} <= modules  # or the names have changed
+
+
+def test_an_adaptive_render_has_its_own_strategy_alone(tmp_path):
+    modules = render("cornell", "--strategy", "relative-mean", folder=tmp_path)
+    assert strategies(modules) == {"isonoise.strategies.adaptive", "isonoise.strategies.allocation"}
+
+
+@pytest.mark.parametrize(("kind", "imports"), [("ply", False), ("glb", True)])
+def test_trimesh_reads_what_we_do_not(tmp_path, kind, imports):
+    path = tmp_path / f"mesh.{kind}"
+    path.write_bytes(small_files.ply() if kind == "ply" else small_files.foreign(kind))
+    assert ("trimesh" in modules_after("info", path)) == imports
+
+
+@pytest.mark.parametrize("command", [("info", "cornell"), ("devices",), ("plugins",), ("--version",)])
+def test_commands_that_draw_nothing_import_no_plots(command):
+    assert modules_after(*command).isdisjoint(HEAVY)
+
+
+def test_comparisons_import_plots_when_they_draw():
+    code = "import json, sys, isonoise.commands.compare, isonoise.comparison.runner; print(json.dumps([*sys.modules]))"
+    assert set(json.loads(python(code))).isdisjoint({"matplotlib", "jinja2", "mitsuba"})
+
+
+def test_a_render_starts_within_a_second(tmp_path):
+    """Seconds of the processor, of the fastest of three: others may keep the machine busy."""
+    seconds = min(
+        float(python(TO_THE_COMPILER, "render", "cornell", "--spp", "1", "-o", tmp_path / "image.exr"))
+        for _ in range(3)
+    )
+    assert seconds < MOST_SECONDS
