@@ -17,6 +17,7 @@ typedef struct {
     __global const Light* lights;
     __global const Alias* light_alias;
     uint light_count, environment_light;
+    uint textured_slots;  // bits of the slots in which some material has a texture
     __global const Medium* media;
     __global const Instance* instances;
     uint2 seed;
@@ -88,7 +89,7 @@ INLINE Path load_path(const Paths* of, size_t i)
     p.crossed = PLANE(1, of->crossing, pool)[i];
 #endif
     p.was_lit = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-#if FEATURE_LIGHT_TREE
+#if HAS_LIT
     p.was_lit = load_planes4(of->lit, i, pool);
 #endif
     p.within = 0u;
@@ -151,6 +152,16 @@ INLINE void go_behind(const Paths* of, size_t i, const Path* p, const Surface* s
     of->alive[i] = 1;
 }
 
+#if HAS_SEE_THROUGH && !FEATURE_VOLPATH
+// The same where a material lets a path through: next-event estimation did not see what is behind, it takes part in no weight.
+INLINE void pass_unseen(const Paths* of, size_t i, const Path* p, const Surface* s)
+{
+    go_behind(of, i, p, s);
+    PLANE(3, of->ray_direction, of->pool)[i] = -1.0f;
+    PLANE(PATH_DEPTH, of->path, of->pool)[i] = p->depth + 1u;
+}
+#endif
+
 #if HAS_SKY
 // What a path brings that leaves the scene.
 INLINE Vec3 arriving_sky(const Scene* scene, const Path* p)
@@ -187,11 +198,12 @@ INLINE Surface meet_surface(const Scene* scene, const Paths* of, size_t i, const
 #endif
 }
 
-// Adds what the path brings to its sample. Returns whether the surface, or a volume before it that takes its place, may scatter it.
-// `may_miss`: whether there may be none.
-INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s, bool may_miss)
+// Brings the path to the surface, or to a volume before it that takes its place. Returns whether it may be scattered there.
+// `may_miss`: whether there may be none. `shines`: whether it met a light, whose emission is still to be added.
+INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s, bool may_miss, bool* shines)
 {
     bool from_volume = false;
+    *shines = false;
 #if FEATURE_MEDIA
     float flown = p->distance;
     if (p->within != MEDIUM_NONE)
@@ -226,7 +238,7 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
             return false;
         }
 #endif
-        if (dot3(s->normal, p->direction) < 0.0f) ADD3(arriving_emission(scene, p, s), p->sample, of->samples);
+        *shines = dot3(s->normal, p->direction) < 0.0f;
     }
 #endif
     return true;

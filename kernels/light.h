@@ -1,6 +1,5 @@
 // Lights: picking one, sampling a point on it, and the density of that for a direction that was found otherwise.
 #pragma once
-#include "light_tree.h"
 #include "surface.h"
 
 typedef struct {
@@ -40,10 +39,12 @@ INLINE bool sampled_by_cone(const Geometry* g, __global const Analytic* sphere, 
 #endif
 
 // Probability with which `sample_light` would have picked a light for a point and the side that is lit there (see `lit_side`).
-// `pdf`: of the direction that found it; after a delta function, when it is negative, the tree is not asked.
+// `pdf`: of the direction that found it; after a delta function, when it is negative, it is not asked for.
 INLINE float pick_probability(const Geometry* g, __global const Light* lights, uint light, Vec3 point, Vec4 lit, float pdf)
 {
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_LIST
+    return pdf < 0.0f ? 0.0f : light_list_probability(&g->light_list, light, point, lit);
+#elif FEATURE_LIGHT_TREE
     return pdf < 0.0f ? 0.0f : light_tree_probability(&g->light_tree, light, point, lit);
 #else
     return lights[light].pick_probability;
@@ -68,7 +69,7 @@ INLINE float light_pdf(const Geometry* g, __global const Light* light, Vec3 refe
     return density;
 }
 
-#if !FEATURE_LIGHT_TREE
+#if !HAS_LIT
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
 INLINE uint pick_by_power(__global const Alias* table, uint count, float u_high, float u_low)
 {
@@ -110,30 +111,30 @@ INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, V
 
 #if FEATURE_AREA_LIGHTS
 // A point on the light's surface. Returns its density in solid angle, or 0 where it is uniform over the area instead.
-INLINE float sample_surface(const Geometry* g, __global const Light* light, Vec3 reference, Vec2 u, Surface* s)
+INLINE float sample_surface(uint kind, const Geometry* g, __global const Light* light, Vec3 reference, Vec2 u, Surface* s)
 {
     float density = 0.0f;
 #if FEATURE_TRIANGLE_LIGHTS
-    if (light->kind & LIGHT_TRIANGLE) {
+    if (kind & LIGHT_TRIANGLE) {
         const float root = SQRT(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
         *s = triangle_surface(g, light->primitive, 1.0f - root, root * u.y);
     }
 #endif
 #if FEATURE_SPHERE_LIGHTS
-    if (light->kind & LIGHT_SPHERE) density = sample_sphere(g, g->analytics + light->primitive, reference, u, s);
+    if (kind & LIGHT_SPHERE) density = sample_sphere(g, g->analytics + light->primitive, reference, u, s);
 #endif
 #if FEATURE_DISK_LIGHTS
-    if (light->kind & LIGHT_DISK)
+    if (kind & LIGHT_DISK)
         transformed_surface(g->analytics + light->primitive, on_plane(square_to_disk(u), 0.0f), vec3(0.0f, 0.0f, 1.0f), s);
 #endif
 #if FEATURE_CYLINDER_LIGHTS
-    if (light->kind & LIGHT_CYLINDER) {
+    if (kind & LIGHT_CYLINDER) {
         const Vec2 side = circle(u.x);
         transformed_surface(g->analytics + light->primitive, on_plane(side, u.y), on_plane(side, 0.0f), s);
     }
 #endif
 #if FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS
-    if (!(light->kind & LIGHT_TRIANGLE)) complete_analytic(g, light->primitive, s);
+    if (!(kind & LIGHT_TRIANGLE)) complete_analytic(g, light->primitive, s);
 #endif
     return density;
 }
@@ -192,7 +193,9 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
                             Vec3 reference, Vec4 lit, float u, float u_low)
 {
     LightPick pick;
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_LIST
+    pick.light = pick_from_list(&g->light_list, reference, lit, u, u_low, &pick.probability);
+#elif FEATURE_LIGHT_TREE
     pick.light = pick_from_tree(&g->light_tree, reference, lit, u, u_low, &pick.probability);
 #else
     pick.light = pick_by_power(table, count, u, u_low);
@@ -201,15 +204,17 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
     return pick;
 }
 
-// A point on the light that was picked, for the point `reference`.
-INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference, Vec2 u)
+// A point on the light that was picked, which is of one of these kinds, for the point `reference`.
+INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference,
+                                   Vec2 u)
 {
     LightSample sample = no_light();
     __global const Light* light = lights + pick.light;
+    const uint kind = kinds == LIGHT_TRIANGLE ? kinds : light->kind & kinds;  // a constant, where it may be one
     sample.pdf = pick.probability;
     sample.radiance = LOAD3(0, light->radiance);
 #if FEATURE_POINT_LIGHTS
-    if (light->kind & LIGHT_POINT) {
+    if (kind & LIGHT_POINT) {
         sample.position = LOAD3(0, light->position);
         const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
@@ -219,7 +224,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     }
 #endif
 #if FEATURE_SPOT_LIGHTS
-    if (light->kind & LIGHT_SPOT) {
+    if (kind & LIGHT_SPOT) {
         sample.position = LOAD3(0, light->position);
         const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
@@ -229,14 +234,14 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     }
 #endif
 #if FEATURE_DIRECTIONAL_LIGHTS
-    if (light->kind & LIGHT_DIRECTIONAL) {
+    if (kind & LIGHT_DIRECTIONAL) {
         sample.direction = neg3(LOAD3(0, light->position));
         sample.is_delta = sample.is_infinite = true;
         return sample;
     }
 #endif
 #if FEATURE_ENVIRONMENT_MAP
-    if (light->kind & LIGHT_ENVIRONMENT_MAP) {
+    if (kind & LIGHT_ENVIRONMENT_MAP) {
         float density;
         sample.radiance = environment_sample(&g->environment, u, &sample.direction, &density);
         sample.pdf *= density;
@@ -245,7 +250,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     }
 #endif
 #if FEATURE_CONSTANT_LIGHT
-    if (light->kind & LIGHT_CONSTANT) {
+    if (kind & LIGHT_CONSTANT) {
         const float z = 1.0f - 2.0f * u.x, r = 2.0f * SQRT(GREATER(u.x * (1.0f - u.x), 0.0f));
         sample.direction = on_plane(scale2(circle(u.y), r), z);
         sample.pdf *= 0.25f * M_1_PI_F;
@@ -255,7 +260,7 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #endif
 #if FEATURE_AREA_LIGHTS
     Surface s = no_surface();
-    const float density = sample_surface(g, light, reference, u, &s);
+    const float density = sample_surface(kind, g, light, reference, u, &s);
     const Vec3 arm = sub3(s.position, reference);
     const float distance2 = dot3(arm, arm);
     sample.direction = unit(arm);
@@ -265,13 +270,18 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
     sample.position = s.position;
     sample.error = s.error;
     sample.normal = s.geometric_normal;
-    sample.primitive = light->kind & LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
+    sample.primitive = kind & LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
 #if FEATURE_SPHERE_LIGHTS || FEATURE_CYLINDER_LIGHTS
     // what shines inwards may be seen through itself: then it is not left out of the shadow ray
-    if ((light->kind & (LIGHT_SPHERE | LIGHT_CYLINDER)) &&
+    if ((kind & (LIGHT_SPHERE | LIGHT_CYLINDER)) &&
         (g->shapes[g->analytics[light->primitive].shape].flags & SHAPE_FLIP_NORMALS))
         sample.primitive = NONE;
 #endif
 #endif
     return sample;
+}
+
+INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference, Vec2 u)
+{
+    return sample_light_of(~0u, g, lights, pick, reference, u);
 }

@@ -74,4 +74,15 @@ INLINE Vec3 kept3(const float* kept, uint member, size_t lane)
 {
     return vec3(kept1(kept, member, lane), kept1(kept, member + 1u, lane), kept1(kept, member + 2u, lane));
 }
+
+INLINE void keep4(Vec4 v, float* kept, uint member, size_t lane)
+{
+    keep3(xyz(v), kept, member, lane);
+    keep1(v.w, kept, member + 3u, lane);
+}
+
+INLINE Vec4 kept4(const float* kept, uint member, size_t lane)
+{
+    return with_w(kept3(kept, member, lane), kept1(kept, member + 3u, lane));
+}
 #endif

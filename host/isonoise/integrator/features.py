@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isonoise.scene import structs, textures
+from isonoise.scene import light_list, structs, textures
 from isonoise.scene.bsdfs import reads_uvs
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.light_tree import pays
@@ -79,6 +79,9 @@ FEATURES = {
     "LIGHT_TREE": Feature(
         "many lights, picked by what they could send to a point", "about 100 bytes a light, 32 a path, code in shade"
     ),
+    "LIGHT_LIST": Feature(
+        "some lights, each weighed by what it could send to a point", "52 bytes a light, 32 a path, code in shade"
+    ),
     "NEXT_EVENT": Feature("next-event estimation", "shadow stage, 44 bytes a path"),
     "RUSSIAN_ROULETTE": Feature("russian roulette", "code in shade"),
     "HIDE_EMITTERS": Feature("lights hidden from the camera", "code in shade"),
@@ -115,6 +118,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
     rough = np.isin(scene.bsdfs["kind"], _ROUGH)
     endless = scene.max_depth < 0
     next_event = bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1)
+    weighs_lights = next_event and pays(scene.lights)
     return {
         "TRIANGLES": len(scene.faces) > 0,
         "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
@@ -159,7 +163,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "DIRECTIONAL_LIGHTS": structs.LIGHT_DIRECTIONAL in light,
         "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
         "ENVIRONMENT_MAP": structs.LIGHT_ENVIRONMENT_MAP in light,
-        "LIGHT_TREE": next_event and pays(scene.lights),
+        "LIGHT_TREE": weighs_lights and not light_list.serves(scene.lights),
+        "LIGHT_LIST": weighs_lights and light_list.serves(scene.lights),
         "NEXT_EVENT": next_event,
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,

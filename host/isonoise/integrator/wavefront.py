@@ -17,7 +17,7 @@ from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
 from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
-from isonoise.scene import structs, textures
+from isonoise.scene import bsdfs, light_list, structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.light_tree import build_light_tree
@@ -50,7 +50,7 @@ class Wavefront:
         self.pool_size = pool_size or (2**17 if device.is_cpu else 2**20)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
-        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/kept.h knows no more
+        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/steps.h knows no more
         shadow = "through" if self.features["VOLPATH"] else "shadow"
         self._shadow = shadow if self.features["NEXT_EVENT"] else None
         unused = {"shadow", "through"} - {self._shadow}
@@ -67,6 +67,7 @@ class Wavefront:
                 "LANES": self.lanes,
                 "PATHS_PER_BLOCK": self.block_size,
                 "MOST_CORNERS": MOST_CORNERS,
+                "MOST_LISTED_LIGHTS": light_list.MOST,
                 "SEARCH_STEPS": scene.environment.steps if scene.environment else 0,
             },
             STRUCTS,
@@ -118,6 +119,7 @@ class Wavefront:
             "texel_floats": table(scene.texel_floats, "the texels"),
             "srgb": table(textures.SRGB if on["BITMAPS"] else nothing, "the table of sRGB"),
             "attributes": table(scene.attributes, "the mesh attributes"),
+            "textured_slots": np.uint32(bsdfs.textured_slots(scene.bsdfs)),
             "vertex_normals": table(scene.vertex_normals if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
@@ -132,7 +134,7 @@ class Wavefront:
             "light_alias": table(scene.light_alias, "the light table"),
             "light_count": np.uint32(len(scene.lights)),
             **self._environment(),
-            **self._light_tree(),
+            **self._weighed_lights(),
             "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
@@ -179,8 +181,10 @@ class Wavefront:
             "environment_columns": device.buffer(sky.columns, "the environment map"),
         }
 
-    def _light_tree(self) -> dict[str, object]:
-        """The buffers of the tree over the lights, if there is one."""
+    def _weighed_lights(self) -> dict[str, object]:
+        """The buffers by which one of many lights is picked, if there are as many."""
+        if self.features["LIGHT_LIST"]:
+            return {"light_bounds": self.device.buffer(light_list.build_light_list(self.scene), "the light list")}
         if not self.features["LIGHT_TREE"]:
             return {}
         tree = build_light_tree(self.scene)

@@ -25,7 +25,7 @@ sum to 1; axes x, y, z of the cones; cosine and sine of their half angles; cosin
 the children (int32 bits): above 0 a node, else ~light. Where there is no child, the share is 0."""
 _NOWHERE = 1e18
 """Radius where there is no child: that is never the nearest."""
-_LEAST_SHARE = 1e-30
+LEAST_SHARE = 1e-30
 """So that whatever has power is picked with a probability that 32-bit floats can tell from none."""
 
 
@@ -108,7 +108,7 @@ def _records(slots: np.ndarray, bounds: Emission, lights: np.ndarray) -> np.ndar
     intensity = np.zeros(slots.shape)
     intensity[used] = of.intensity
     shares = intensity / intensity.sum(axis=1, keepdims=True)
-    nodes[:, 4] = np.where(used, np.maximum(shares, _LEAST_SHARE), 0.0)
+    nodes[:, 4] = np.where(used, np.maximum(shares, LEAST_SHARE), 0.0)
     return nodes
 
 
