@@ -35,13 +35,14 @@ INLINE float likely_part(float middle, float radius, float distance)
 // How much light a light could send to a point, in a unit of its own. `normal`: there; its w is 1 where light from all sides
 // counts (then the rest is 0), else 0. The sine of half the angle under which a sphere appears is radius / distance; adding it
 // to a cosine comes close to the cosine of the difference, and is 0 where that is.
-INLINE float light_weight(__global const LightBound* light, Vec3 point, Vec4 normal)
+// `wide`: whether its normals may differ.
+INLINE float light_weight(__global const LightBound* light, bool wide, Vec3 point, Vec4 normal)
 {
     const Vec3 arm = sub3(LOAD3(0, light->center), point);
     const float distance2 = GREATER(dot3(arm, arm), 1e-36f), inverse = inverse_root(distance2), distance = distance2 * inverse;
     const float incidence = dot3(xyz(normal), arm) + normal.w * distance;
     float emission = -dot3(LOAD3(0, light->axis), arm);
-    if (light->sin_spread != 0.0f) {  // else its normals are all the same
+    if (wide) {
         const float across2 = GREATER(distance2 - emission * emission, 1e-36f), across = across2 * inverse_root(across2);
         emission = emission > light->cos_spread * distance ? distance
                                                            : emission * light->cos_spread + across * light->sin_spread;
@@ -107,7 +108,7 @@ INLINE float light_list_probability(const LightList* list, uint light, Vec3 poin
 {
     float total = 0.0f, of_light = 0.0f;
     for (uint other = 0u; other < list->lights; ++other) {
-        const float weight = light_weight(list->bounds + other, point, normal);
+        const float weight = light_weight(list->bounds + other, true, point, normal);
         total += weight;
         of_light = other == light ? weight : of_light;
     }
@@ -118,16 +119,25 @@ INLINE float light_list_probability(const LightList* list, uint light, Vec3 poin
 INLINE uint pick_from_list(const LightList* list, Vec3 point, Vec4 normal, float u, float u_low, float* probability)
 {
     float total = 0.0f;
-    for (uint light = 0u; light < list->lights; ++light) total += light_weight(list->bounds + light, point, normal);
+    for (uint light = 0u; light < list->lights; ++light) total += light_weight(list->bounds + light, true, point, normal);
     const Mixture m = mixture(total);
     Draw d = begin_draw(u, u_low);
     for (uint light = 0u; light < list->lights; ++light)
-        take_off(&d, light, light_probability(m, light_weight(list->bounds + light, point, normal), list->bounds[light].share));
+        take_off(&d, light, light_probability(m, light_weight(list->bounds + light, true, point, normal), list->bounds[light].share));
     *probability = d.probability;
     return d.light;
 }
 
 #if LANES > 1
+INLINE void weigh_light(__global const LightBound* light, bool wide, const float* points, const float* normals, float* weights,
+                        float* totals, uint count)
+{
+    EACH_OF(k, count) {
+        weights[k] = light_weight(light, wide, kept3(points, 0u, k), kept4(normals, 0u, k));
+        totals[k] += weights[k];
+    }
+}
+
 // The same for the first `count` lanes of what a work-item keeps: of points (3 members), normals (4) and random numbers (2) to
 // lights and probabilities (2).
 INLINE void pick_all_from_list(const LightList* list, const float* points, const float* normals, const float* u, float* picks,
@@ -136,11 +146,10 @@ INLINE void pick_all_from_list(const LightList* list, const float* points, const
     float weights[MOST_LISTED_LIGHTS * LANES], totals[LANES], by_weight[LANES], by_share[LANES], left[LANES], rest[LANES];
     EACH_OF(k, count) totals[k] = 0.0f;
     for (uint light = 0u; light < list->lights; ++light) {
-        EACH_OF(k, count) {
-            const float weight = light_weight(list->bounds + light, kept3(points, 0u, k), kept4(normals, 0u, k));
-            weights[light * LANES + k] = weight;
-            totals[k] += weight;
-        }
+        if (list->bounds[light].sin_spread != 0.0f)
+            weigh_light(list->bounds + light, true, points, normals, weights + light * LANES, totals, count);
+        else
+            weigh_light(list->bounds + light, false, points, normals, weights + light * LANES, totals, count);
     }
     EACH_OF(k, count) {
         const Mixture m = mixture(totals[k]);

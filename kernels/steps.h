@@ -17,12 +17,12 @@ INLINE size_t path_of(const Batch* batch, uint k)
     return SPLITS ? batch->met[k] : batch->begin + k;
 }
 
-// Lanes for which a condition holds; `k` is the lane.
-#define LIST_OF(list, found, k, count, condition)      \
-    uint found = 0u;                                   \
-    for (uint k = 0u; k < (count); ++k) {              \
-        list[found] = k;                               \
-        found += (condition) ? 1u : 0u;                \
+// Lanes for which a condition holds, 0 or 1; `k` is the lane. No jump depends on it, none can be mispredicted.
+#define LIST_OF(list, found, k, count, condition) \
+    uint found = 0u;                              \
+    for (uint k = 0u; k < (count); ++k) {         \
+        list[found] = k;                          \
+        found += (uint)(condition);               \
     }
 
 INLINE void mark(uint bits, float* kept, size_t lane)
@@ -76,6 +76,8 @@ INLINE void arrive_all(const Scene* scene, const Paths* of, const Batch* batch, 
     EACH_OF(k, count) {
         keep1(as_float(0u), kept, KEPT_MARKS, k);
         keep1(as_float(0u), kept, KEPT_KIND, k);
+        keep1(as_float(0u), kept, KEPT_BSDF, k);
+        keep1(as_float(0u), kept, KEPT_PICK, k);
     }
 #if FEATURE_TRIANGLES
     EACH_OF(k, count) {
@@ -87,7 +89,7 @@ INLINE void arrive_all(const Scene* scene, const Paths* of, const Batch* batch, 
 #endif
 #if FEATURE_ANALYTICS
     uint list[LANES + 1];
-    LIST_OF(list, found, k, count, met[path_of(batch, k)] & ANALYTIC_BIT && met[path_of(batch, k)] != NONE)
+    LIST_OF(list, found, k, count, (met[path_of(batch, k)] >= ANALYTIC_BIT) & (met[path_of(batch, k)] != NONE))
     EACH_OF(j, found) {
         if (j >= found) continue;
         const size_t i = path_of(batch, list[j]);
@@ -176,19 +178,22 @@ INLINE void look(const Scene* scene, const Paths* of, size_t i, uint kinds, floa
     (FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS || FEATURE_POINT_LIGHTS || FEATURE_SPOT_LIGHTS || \
      FEATURE_DIRECTIONAL_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP)
 
+INLINE bool looks_at_triangle(const Scene* scene, const float* kept, size_t lane)
+{
+    return scene->lights[kept_bits(kept, KEPT_PICK, lane)].kind & LIGHT_TRIANGLE;
+}
+
 INLINE void look_for_lights(const Scene* scene, const Paths* of, const Batch* batch, float* kept)
 {
     const uint count = batch->count;
 #if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
     uint list[LANES + 1];
-    LIST_OF(list, found, k, count, is_marked(MARK_LOOKS, kept, k) &&
-            scene->lights[kept_bits(kept, KEPT_PICK, k)].kind & LIGHT_TRIANGLE)
+    LIST_OF(list, found, k, count, is_marked(MARK_LOOKS, kept, k) & looks_at_triangle(scene, kept, k))
     EACH_OF(j, found) {
         if (j >= found) continue;
         look(scene, of, path_of(batch, list[j]), LIGHT_TRIANGLE, kept, list[j]);
     }
-    LIST_OF(list, others, k, count, is_marked(MARK_LOOKS, kept, k) &&
-            !(scene->lights[kept_bits(kept, KEPT_PICK, k)].kind & LIGHT_TRIANGLE))
+    LIST_OF(list, others, k, count, is_marked(MARK_LOOKS, kept, k) & !looks_at_triangle(scene, kept, k))
     EACH_OF(j, others) {
         if (j >= others) continue;
         look(scene, of, path_of(batch, list[j]), ~LIGHT_TRIANGLE, kept, list[j]);
@@ -209,8 +214,8 @@ INLINE void look_up_textures(const Scene* scene, const Batch* batch, float* kept
     uint list[LANES + 1];
     for (uint slot = 0u; slot < BSDF_SLOTS; ++slot) {
         if (!(scene->textured_slots & (1u << slot))) continue;
-        LIST_OF(list, found, k, batch->count, is_marked(MARK_SCATTERS, kept, k) &&
-                scene->bsdfs[kept_bits(kept, KEPT_BSDF, k)].textures[slot] != NONE)
+        LIST_OF(list, found, k, batch->count, is_marked(MARK_SCATTERS, kept, k) &
+                (scene->bsdfs[kept_bits(kept, KEPT_BSDF, k)].textures[slot] != NONE))
         EACH_OF(j, found) {
             if (j >= found) continue;
             const Surface s = kept_surface(kept, list[j]);
