@@ -75,7 +75,7 @@ INLINE Path load_path(const Paths* of, size_t i)
     p.primitive = as_uint(hit.w);
     p.start = PLANE(PATH_START, of->path, pool)[i];
     p.sample = PLANE(PATH_SAMPLE, of->path, pool)[i];
-    p.pixel = of->sample_pixel[p.sample];
+    p.pixel = of->sample_pixel[(int)p.sample];
     p.index = PLANE(PATH_INDEX, of->path, pool)[i];
     p.depth = PLANE(PATH_DEPTH, of->path, pool)[i];
     p.crossed = 0u;
@@ -125,7 +125,7 @@ INLINE bool meets_neighbour(const Scene* scene, const Path* p, const Surface* s)
 {
 #if FEATURE_TRIANGLES && !FEATURE_INSTANCES
     if (!(p->start & ANALYTIC_BIT)) {
-        const Vec3 normal = LOAD3(0, scene->geometry.triangles + TRIANGLE_FLOATS * p->start + 12u);
+        const Vec3 normal = FROM3((int)TRIANGLE_FLOATS * (int)p->start + 12, scene->geometry.triangles);
         return abs1(dot3(normal, s->geometric_normal)) > 0.999f;
     }
 #endif

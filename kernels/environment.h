@@ -6,9 +6,9 @@
 #if FEATURE_ENVIRONMENT_MAP
 typedef struct {
     __global const Environment* record;
-    __global const float* texels;         // four numbers each: RGB, and as bits the bound of the cell that begins there
-    __global const EnvironmentRow* rows;  // of texels
-    __global const uint* columns;         // guides to the bounds: of the rows, then of the columns of each row
+    __global const float* texels;  // four numbers each: RGB, threshold of the cell that begins there
+    __global const float* rows;    // three numbers each: threshold, alias as bits, sine
+    __global const uint* aliases;  // of the cells
 } EnvironmentMap;
 
 #define LEAST_SINE 1e-20f  // at a pole the density is infinite and what it weighs nothing: both stay numbers
@@ -20,23 +20,18 @@ typedef struct {
     float s, t;  // in [0, 1], along columns and rows
 } EnvironmentCell;
 
-INLINE Vec3 load_texel(__global const float* row, uint column)
-{
-    return vec3(row[4u * column], row[4u * column + 1u], row[4u * column + 2u]);
-}
 
 INLINE EnvironmentCell environment_cell(const EnvironmentMap* map, uint column, uint row)
 {
     const uint width = map->record->size[0], next = column + 1u == width ? 0u : column + 1u;
-    __global const float* upper = map->texels + 4u * row * width;
-    __global const float* lower = upper + 4u * width;
+    const int upper = (int)(row * width), lower = upper + (int)width;
     EnvironmentCell cell;
-    cell.texel00 = load_texel(upper, column);
-    cell.texel10 = load_texel(upper, next);
-    cell.texel01 = load_texel(lower, column);
-    cell.texel11 = load_texel(lower, next);
-    cell.sine0 = map->rows[row].sine;
-    cell.sine1 = map->rows[row + 1u].sine;
+    cell.texel00 = FROM3(4 * (upper + (int)column), map->texels);
+    cell.texel10 = FROM3(4 * (upper + (int)next), map->texels);
+    cell.texel01 = FROM3(4 * (lower + (int)column), map->texels);
+    cell.texel11 = FROM3(4 * (lower + (int)next), map->texels);
+    cell.sine0 = map->rows[3 * (int)row + 2];
+    cell.sine1 = map->rows[3 * (int)row + 5];
     return cell;
 }
 
@@ -79,27 +74,27 @@ INLINE float environment_pdf(const EnvironmentMap* map, Vec3 direction)
     return pdf;
 }
 
-// The last of some ascending bounds, `stride` words apart, that is not above `key`; the first is 0. A guide says where it lies
-// for the first bits of the key, so that few are left to be compared (Chen and Asau, "On Generating Random Variates from an
-// Empirical Distribution", AIIE Transactions 6, 1974).
-INLINE uint last_bound(__global const uint* bounds, uint stride, __global const uint* guide, uint shift, uint key)
+// An entry of an alias table that is picked evenly, and what is left of the random number, in [0, 1).
+typedef struct {
+    uint entry;
+    float rest;
+} EvenPick;
+
+// `u` is a multiple of 2^-24. What is left of it lies in the middle of a step: so no entry gets more than its share on average.
+INLINE EvenPick pick_evenly(float u, uint count)
 {
-    guide += key >> shift;
-    uint found = guide[0], count = guide[1] - found + 1u;
-    // as often as the longest search needs: loops over paths become vector instructions only without loops of their own
-#pragma unroll
-    for (uint step = 0; step < SEARCH_STEPS; ++step) {
-        const uint half_way = count >> 1;
-        found += bounds[stride * (found + half_way)] <= key ? half_way : 0u;
-        count -= half_way;
-    }
-    return found;
+    const ulong scaled = (ulong)(uint)(u * 0x1p24f) * count;
+    const float rest = 0x1p-24f * ((float)(uint)(scaled & 0xFFFFFFu) + 0.5f * (float)count);
+    const EvenPick pick = {(uint)(scaled >> 24), LESSER(rest, 0x1.fffffep-1f)};
+    return pick;
 }
 
-// Place of `key` between two bounds.
-INLINE float place_between(uint low, uint high, uint key)
+// Whether an entry stays or gives way to its alias, and what is left of the random number then.
+INLINE uint stay_or_alias(EvenPick pick, float threshold, uint alias, float* rest)
 {
-    return (float)(key - low) / (float)(high - low);
+    const bool stays = pick.rest < threshold;
+    *rest = (stays ? pick.rest : pick.rest - threshold) / (stays ? threshold : 1.0f - threshold);
+    return stays ? pick.entry : alias;
 }
 
 // Inverts the distribution of a density that goes from a at 0 to b at 1 in a straight line; written so that nothing cancels.
@@ -115,21 +110,17 @@ INLINE Vec3 environment_sample(const EnvironmentMap* map, Vec2 u, Vec3* directio
 {
     __global const Environment* record = map->record;
     const uint width = record->size[0], cells = record->size[1] - 1u;
-    // a row of cells, a cell of it; the rest of each number serves within
-    const uint row_key = (uint)(u.y * 0x1p24f) << 8, column_key = (uint)(u.x * 0x1p24f) << 8;
-    __global const uint* row_bounds = (__global const uint*)map->rows;
-    const uint row = last_bound(row_bounds, 2u, map->columns, record->row_shift, row_key);
-    const uint row_end = row + 1u == cells ? 0xFFFFFFFFu : row_bounds[2u * row + 2u];
-    __global const uint* bounds = (__global const uint*)map->texels + 4u * row * width + 3u;
-    __global const uint* guide = map->columns + record->row_guide + row * record->column_guide;
-    const uint column = last_bound(bounds, 4u, guide, record->column_shift, column_key);
-    const uint column_end = column + 1u == width ? 0xFFFFFFFFu : bounds[4u * column + 4u];
+    float down, along;
+    const EvenPick row_pick = pick_evenly(u.y, cells), column_pick = pick_evenly(u.x, width);
+    const int in_rows = 3 * (int)row_pick.entry;
+    const uint row = stay_or_alias(row_pick, map->rows[in_rows], as_uint(map->rows[in_rows + 1]), &down);
+    const int in_cells = (int)(row * width + column_pick.entry);
+    const uint column = stay_or_alias(column_pick, map->texels[4 * in_cells + 3], map->aliases[in_cells], &along);
     EnvironmentCell cell = environment_cell(map, column, row);
     const float w00 = cell.sine0 * luminance(cell.texel00), w10 = cell.sine0 * luminance(cell.texel10);
     const float w01 = cell.sine1 * luminance(cell.texel01), w11 = cell.sine1 * luminance(cell.texel11);
-    cell.t = sample_linear(place_between(row_bounds[2u * row], row_end, row_key), w00 + w10, w01 + w11);
-    cell.s = sample_linear(place_between(bounds[4u * column], column_end, column_key), (1.0f - cell.t) * w00 + cell.t * w01,
-                           (1.0f - cell.t) * w10 + cell.t * w11);
+    cell.t = sample_linear(down, w00 + w10, w01 + w11);
+    cell.s = sample_linear(along, (1.0f - cell.t) * w00 + cell.t * w01, (1.0f - cell.t) * w10 + cell.t * w11);
     float weight;
     const Vec3 radiance = cell_radiance(map, &cell, &weight);
 

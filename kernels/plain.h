@@ -253,15 +253,16 @@ INLINE uint lowest_bit(uint bits)
 #endif
 }
 
-// The i-th triple of an array without padding. Macros: the address space of `p` may be any.
-#define LOAD3(i, p) vec3((p)[3 * (i)], (p)[3 * (i) + 1], (p)[3 * (i) + 2])
+// Three numbers from one place of an array on, and its i-th triple. Macros: the address space of `p` may be any.
+#define FROM3(at, p) vec3((p)[(int)(at)], (p)[(int)(at) + 1], (p)[(int)(at) + 2])
+#define LOAD3(i, p) FROM3(3 * (int)(i), p)
 
 #define STORE3(v, i, p)                \
     do {                               \
         const Vec3 stored_ = (v);      \
-        (p)[3 * (i)] = stored_.x;      \
-        (p)[3 * (i) + 1] = stored_.y;  \
-        (p)[3 * (i) + 2] = stored_.z;  \
+        (p)[3 * (int)(i)] = stored_.x;      \
+        (p)[3 * (int)(i) + 1] = stored_.y;  \
+        (p)[3 * (int)(i) + 2] = stored_.z;  \
     } while (0)
 
 #define ADD3(v, i, p) STORE3(add3(LOAD3(i, p), v), i, p)

@@ -48,7 +48,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
                     __global const Light* lights, __global const Alias* light_alias, uint light_count,
 #if FEATURE_ENVIRONMENT_MAP
                     __global const Environment* environment, __global const float* environment_texels,
-                    __global const EnvironmentRow* environment_rows, __global const uint* environment_columns,
+                    __global const float* environment_rows, __global const uint* environment_aliases,
 #endif
                     uint environment_light, __global float* hit, __global float* ray_origin,
                     __global float* ray_direction, __global float* throughput, __global uint* path,
@@ -88,7 +88,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
     geometry->environment.record = environment;
     geometry->environment.texels = environment_texels;
     geometry->environment.rows = environment_rows;
-    geometry->environment.columns = environment_columns;
+    geometry->environment.aliases = environment_aliases;
 #endif
 #if FEATURE_LIGHT_LIST
     const LightList light_list = {light_bounds, light_count};
@@ -149,20 +149,21 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
 #endif
     }
 #if SPLITS
-    uint met[LANES + VECTOR], missed[LANES + VECTOR], count_met = 0u, count_missed = 0u;
+    int met[LANES + VECTOR], missed[LANES + VECTOR];
+    uint count_met = 0u, count_missed = 0u;
     for (uint k = 0u; k < count; ++k) {
         const bool misses = as_uint(PLANE(3, hit, pool)[begin + k]) == NONE;
-        met[count_met] = missed[count_missed] = (uint)begin + k;
+        met[count_met] = missed[count_missed] = (int)(begin + k);
         count_met += misses ? 0u : 1u;
         count_missed += misses ? 1u : 0u;
     }
     EACH_OF(k, count_missed) {
         if (k >= count_missed) continue;
-        const Path p = load_path(&of, missed[k]);
+        const Path p = load_path(&of, (size_t)missed[k]);
         if (!FEATURE_HIDE_EMITTERS || p.depth > 0u) ADD3(arriving_sky(&scene, &p), p.sample, samples);
     }
 #define COUNT count_met
-#define PATH(k) met[k]
+#define PATH(k) (size_t)met[k]
 #else
 #define COUNT count
 #define PATH(k) (begin + (k))

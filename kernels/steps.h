@@ -8,20 +8,26 @@
 // The paths of a work-item.
 typedef struct {
     size_t begin;
-    const uint* met;  // those that met something, where others are listed apart
+    const int* met;  // those that met something, where others are listed apart
     uint count;
 } Batch;
 
-INLINE size_t path_of(const Batch* batch, uint k)
+INLINE size_t path_of(const Batch* batch, size_t k)
 {
-    return SPLITS ? batch->met[k] : batch->begin + k;
+    return SPLITS ? (size_t)batch->met[k] : batch->begin + k;
+}
+
+// The same of a lane from a list: by a signed place, of which 16 are gathered at once.
+INLINE size_t listed_path(const Batch* batch, int lane)
+{
+    return SPLITS ? (size_t)batch->met[lane] : (size_t)((int)batch->begin + lane);
 }
 
 // Lanes for which a condition holds, 0 or 1; `k` is the lane. No jump depends on it, none can be mispredicted.
 #define LIST_OF(list, found, k, count, condition) \
     uint found = 0u;                              \
     for (uint k = 0u; k < (count); ++k) {         \
-        list[found] = k;                          \
+        list[found] = (int)k;                        \
         found += (uint)(condition);               \
     }
 
@@ -88,11 +94,11 @@ INLINE void arrive_all(const Scene* scene, const Paths* of, const Batch* batch, 
     }
 #endif
 #if FEATURE_ANALYTICS
-    uint list[LANES + 1];
+    int list[LANES + 1];
     LIST_OF(list, found, k, count, (met[path_of(batch, k)] >= ANALYTIC_BIT) & (met[path_of(batch, k)] != NONE))
     EACH_OF(j, found) {
         if (j >= found) continue;
-        const size_t i = path_of(batch, list[j]);
+        const size_t i = listed_path(batch, list[j]);
         arrive_at(scene, of, i, met[i] | ANALYTIC_BIT, max_depth, kept, list[j]);
     }
 #endif
@@ -112,11 +118,11 @@ INLINE void arrive_all(const Scene* scene, const Paths* of, const Batch* batch, 
 // What paths bring that met lights.
 INLINE void add_emission(const Scene* scene, const Paths* of, const Batch* batch, const float* kept)
 {
-    uint list[LANES + 1];
+    int list[LANES + 1];
     LIST_OF(list, found, k, batch->count, is_marked(MARK_SHINES, kept, k))
     EACH_OF(j, found) {
         if (j >= found) continue;
-        const Path p = load_path(of, path_of(batch, list[j]));
+        const Path p = load_path(of, listed_path(batch, list[j]));
         const Surface s = kept_surface(kept, list[j]);
         ADD3(arriving_emission(scene, &p, &s), p.sample, of->samples);
     }
@@ -187,16 +193,15 @@ INLINE void look_for_lights(const Scene* scene, const Paths* of, const Batch* ba
 {
     const uint count = batch->count;
 #if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
-    uint list[LANES + 1];
-    LIST_OF(list, found, k, count, is_marked(MARK_LOOKS, kept, k) & looks_at_triangle(scene, kept, k))
-    EACH_OF(j, found) {
-        if (j >= found) continue;
-        look(scene, of, path_of(batch, list[j]), LIGHT_TRIANGLE, kept, list[j]);
-    }
+    int list[LANES + 1];
     LIST_OF(list, others, k, count, is_marked(MARK_LOOKS, kept, k) & !looks_at_triangle(scene, kept, k))
+    EACH_OF(k, count) {
+        if (k >= count || !is_marked(MARK_LOOKS, kept, k) || !looks_at_triangle(scene, kept, k)) continue;
+        look(scene, of, path_of(batch, k), LIGHT_TRIANGLE, kept, k);
+    }
     EACH_OF(j, others) {
         if (j >= others) continue;
-        look(scene, of, path_of(batch, list[j]), ~LIGHT_TRIANGLE, kept, list[j]);
+        look(scene, of, listed_path(batch, list[j]), ~LIGHT_TRIANGLE, kept, list[j]);
     }
 #else
     EACH_OF(k, count) {
@@ -211,7 +216,7 @@ INLINE void look_for_lights(const Scene* scene, const Paths* of, const Batch* ba
 // What textures show, slot by slot of those in which the scene has some.
 INLINE void look_up_textures(const Scene* scene, const Batch* batch, float* kept)
 {
-    uint list[LANES + 1];
+    int list[LANES + 1];
     for (uint slot = 0u; slot < BSDF_SLOTS; ++slot) {
         if (!(scene->textured_slots & (1u << slot))) continue;
         LIST_OF(list, found, k, batch->count, is_marked(MARK_SCATTERS, kept, k) &
@@ -230,25 +235,36 @@ INLINE void look_up_textures(const Scene* scene, const Batch* batch, float* kept
 }
 #endif
 
-// What materials of one kind scatter of the light, and where paths go on from them.
-INLINE void scatter(const Scene* scene, const Paths* of, const Batch* batch, uint kind, float* kept)
+// What a material of this kind scatters of the light, and where a path goes on from it.
+INLINE void scatter(const Scene* scene, const Paths* of, size_t i, uint kind, float* kept, size_t lane)
 {
-    uint list[LANES + 1];
-    LIST_OF(list, found, k, batch->count, kept_bits(kept, KEPT_KIND, k) == kind)
-    EACH_OF(j, found) {
-        if (j >= found) continue;
-        const uint k = list[j];
-        const Vec3 direction = load_planes3(of->ray_direction, path_of(batch, k), of->pool);
-        const Shading at = kept_shading(scene, kind, direction, kept, k);
+    const Shading at = kept_shading(scene, kind, load_planes3(of->ray_direction, i, of->pool), kept, lane);
 #if FEATURE_NEXT_EVENT
-        if (kind & ~DELTA_BSDFS) {
-            float pdf = 0.0f;
-            const Vec3 scattered = eval_kind(kind, &at, kept3(kept, KEPT_LIGHT, k), &pdf);
-            keep4(with_w(scattered, pdf), kept, KEPT_SCATTERED, k);
-        }
+    if (kind & ~DELTA_BSDFS) {
+        float pdf = 0.0f;
+        const Vec3 scattered = eval_kind(kind, &at, kept3(kept, KEPT_LIGHT, lane), &pdf);
+        keep4(with_w(scattered, pdf), kept, KEPT_SCATTERED, lane);
+    }
 #endif
-        const BsdfSample next = sample_kind(kind, &at, kept3(kept, KEPT_RANDOM, k));
-        keep_next(&next, kept, k);
+    const BsdfSample next = sample_kind(kind, &at, kept3(kept, KEPT_RANDOM, lane));
+    keep_next(&next, kept, lane);
+}
+
+// All of one kind. What is soon done is done for all that there are, without a list: to gather them would cost more.
+INLINE void scatter_all(const Scene* scene, const Paths* of, const Batch* batch, uint kind, float* kept)
+{
+    if (kind == BSDF_DIFFUSE) {
+        EACH_OF(k, batch->count) {
+            if (k >= batch->count || kept_bits(kept, KEPT_KIND, k) != kind) continue;
+            scatter(scene, of, path_of(batch, k), kind, kept, k);
+        }
+    } else {
+        int list[LANES + 1];
+        LIST_OF(list, found, k, batch->count, kept_bits(kept, KEPT_KIND, k) == kind)
+        EACH_OF(j, found) {
+            if (j >= found) continue;
+            scatter(scene, of, listed_path(batch, list[j]), kind, kept, list[j]);
+        }
     }
 }
 
@@ -291,31 +307,31 @@ INLINE void shade_in_steps(const Scene* scene, const Paths* of, const Batch* bat
     look_up_textures(scene, batch, kept);
 #endif
 #if FEATURE_DIFFUSE
-    scatter(scene, of, batch, BSDF_DIFFUSE, kept);
+    scatter_all(scene, of, batch, BSDF_DIFFUSE, kept);
 #endif
 #if FEATURE_DIELECTRIC
-    scatter(scene, of, batch, BSDF_DIELECTRIC, kept);
+    scatter_all(scene, of, batch, BSDF_DIELECTRIC, kept);
 #endif
 #if FEATURE_THIN_DIELECTRIC
-    scatter(scene, of, batch, BSDF_THIN_DIELECTRIC, kept);
+    scatter_all(scene, of, batch, BSDF_THIN_DIELECTRIC, kept);
 #endif
 #if FEATURE_CONDUCTOR
-    scatter(scene, of, batch, BSDF_CONDUCTOR, kept);
+    scatter_all(scene, of, batch, BSDF_CONDUCTOR, kept);
 #endif
 #if FEATURE_ROUGH_CONDUCTOR
-    scatter(scene, of, batch, BSDF_ROUGH_CONDUCTOR, kept);
+    scatter_all(scene, of, batch, BSDF_ROUGH_CONDUCTOR, kept);
 #endif
 #if FEATURE_ROUGH_DIELECTRIC
-    scatter(scene, of, batch, BSDF_ROUGH_DIELECTRIC, kept);
+    scatter_all(scene, of, batch, BSDF_ROUGH_DIELECTRIC, kept);
 #endif
 #if FEATURE_PLASTIC
-    scatter(scene, of, batch, BSDF_PLASTIC, kept);
+    scatter_all(scene, of, batch, BSDF_PLASTIC, kept);
 #endif
 #if FEATURE_ROUGH_PLASTIC
-    scatter(scene, of, batch, BSDF_ROUGH_PLASTIC, kept);
+    scatter_all(scene, of, batch, BSDF_ROUGH_PLASTIC, kept);
 #endif
 #if FEATURE_PRINCIPLED
-    scatter(scene, of, batch, BSDF_PRINCIPLED, kept);
+    scatter_all(scene, of, batch, BSDF_PRINCIPLED, kept);
 #endif
     leave_all(scene, of, batch, max_depth, rr_depth, kept);
 }

@@ -104,25 +104,27 @@ INLINE void triangle_uv(const Geometry* g, uint triangle, float u, float v, Vec3
 #if FEATURE_TRIANGLES
 INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float v)
 {
-    __global const float* record = g->triangles + TRIANGLE_FLOATS * triangle;
-    const Vec3 corner = LOAD3(0, record), edge1 = LOAD3(0, record + 4), edge2 = LOAD3(0, record + 8);
+    const int record = (int)TRIANGLE_FLOATS * (int)triangle;
+    const Vec3 corner = FROM3(record, g->triangles), edge1 = FROM3(record + 4, g->triangles);
+    const Vec3 edge2 = FROM3(record + 8, g->triangles);
     const Vec3 along1 = scale3(edge1, u), along2 = scale3(edge2, v);
-    const uint flags = as_uint(record[11]);
+    const uint flags = as_uint(g->triangles[record + 11]);
     Surface s = no_surface();
     s.position = add3(corner, add3(along1, along2));
     // the edges are differences of corners: their rounding is bounded by GAMMA(1) of themselves
     s.error = scale3(add3(add3(abs3(corner), abs3(along1)), abs3(along2)), GAMMA(5));
-    s.geometric_normal = s.normal = LOAD3(0, record + 12);
-    s.bsdf = as_uint(record[3]);
-    s.light = as_uint(record[7]);
+    s.geometric_normal = s.normal = FROM3(record + 12, g->triangles);
+    s.bsdf = as_uint(g->triangles[record + 3]);
+    s.light = as_uint(g->triangles[record + 7]);
 #if FEATURE_MEDIA
-    s.media = as_uint(record[15]);
+    s.media = as_uint(g->triangles[record + 15]);
 #endif
 #if FEATURE_VERTEX_NORMALS
     if (flags & SHAPE_VERTEX_NORMALS) {
-        __global const uint* at = g->faces + 3u * triangle;
-        const Vec3 interpolated = unit(combine3(1.0f - u - v, LOAD3(at[0], g->vertex_normals), u, LOAD3(at[1], g->vertex_normals),
-                                                v, LOAD3(at[2], g->vertex_normals)));
+        const int face = 3 * (int)triangle;
+        const Vec3 interpolated = unit(combine3(1.0f - u - v, LOAD3(g->faces[face], g->vertex_normals), u,
+                                                LOAD3(g->faces[face + 1], g->vertex_normals), v,
+                                                LOAD3(g->faces[face + 2], g->vertex_normals)));
         s.normal = dot3(interpolated, interpolated) > 0.0f ? interpolated : s.geometric_normal;
     }
 #endif

@@ -29,7 +29,7 @@ FOLDER = resources.files("isonoise.kernels")
 FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
 STAGES = [name for name in FILES if name.endswith(".cl")]
 CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
-CONSTANTS |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS, "SEARCH_STEPS": 4}
+CONSTANTS |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS}
 MANY = CONSTANTS | {"LANES": 64}
 """For work-items that take many paths: kernels/paths.h. There are none in scenes of the feature VOLPATH."""
 TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in FEW_KERNELS.values()})

@@ -5,7 +5,7 @@ import pytest
 from records import slot
 
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.lights import alias_table, picked
+from isonoise.scene.alias import alias_table, alias_tables, picked
 from isonoise.scene.spectra import LUMINANCE
 
 
@@ -20,6 +20,7 @@ def _distributions() -> list[np.ndarray]:
         weights += [np.ones(count), rng.random(count) + 1e-3, rng.pareto(0.5, count) + 1e-12]
         weights.append(np.where(rng.random(count) < 0.9, 0.0, rng.random(count)) + np.eye(1, count, count // 2)[0])
         weights.append(np.eye(1, count, count - 1)[0])
+        weights.append(np.arange(count) % 4 // 2 + np.eye(1, count)[0])  # deficits that end where surpluses do
     return weights
 
 
@@ -34,6 +35,21 @@ def test_alias_table_picks_in_proportion(weights):
     assert result.sum() == pytest.approx(1.0, abs=1e-12)
     assert table["threshold"].min() >= 0
     assert table["threshold"].max() <= 1
+
+
+def test_alias_tables_of_rows_are_those_of_each():
+    """Rows of all sorts, side by side; one without weight is even."""
+    rng = np.random.default_rng(8)
+    weights = np.stack(
+        [rng.random(64), 10 ** rng.uniform(-30, 30, 64), np.eye(64)[63], np.ones(64), np.arange(64) % 4 // 2]
+    )
+    weights = np.concatenate([weights, np.zeros((1, 64)), weights[::-1]])
+    threshold, alias = alias_tables(weights)
+    even = np.where(weights.any(axis=1, keepdims=True), weights, 1.0)
+    for row, expected in enumerate(even / even.sum(axis=1, keepdims=True)):
+        result = (threshold[row] + np.bincount(alias[row], 1.0 - threshold[row], 64)) / 64
+        np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-15)
+        assert np.all(result[expected == 0] == 0)
 
 
 def test_alias_table_sums_exactly_to_the_stated_probabilities():

@@ -17,7 +17,10 @@ from isonoise.device import program_cache
 from isonoise.errors import DeviceError
 
 LOCAL_SIZE = 64
-"""Work-items a group, the same for all kernels: PoCL compiles a kernel anew for every local size."""
+"""Work-items a group, the same at every launch of a kernel: PoCL compiles it anew for every local size."""
+SMALL_LOCAL_SIZE = 8
+"""Work-items a group where each does the work of many. PoCL gives a thread half of the groups that are left, which with
+few large ones leaves the others idle at the end."""
 
 
 @functools.cache
@@ -204,7 +207,7 @@ class Device:
         """What a compiled program depends on beside its text."""
         device, platform = self.device, self.device.platform
         names = (platform.name, platform.version, device.name, device.version, device.driver_version)
-        return (*names, str(LOCAL_SIZE))
+        return (*names, f"{LOCAL_SIZE} {SMALL_LOCAL_SIZE}")
 
     def buffer(self, size: int | np.ndarray, what: str):
         """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in errors."""
@@ -226,10 +229,12 @@ class Device:
         self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, whole_words)
         return buffer
 
-    def launch(self, kernel, items: int, arguments: tuple, per_work_item: int = 1) -> None:
+    def launch(
+        self, kernel, items: int, arguments: tuple, per_work_item: int = 1, local_size: int = LOCAL_SIZE
+    ) -> None:
         """Runs a kernel over at least `items`; kernels return at once beyond their own bound."""
-        groups = -(-items // (per_work_item * LOCAL_SIZE))
-        event = kernel(self.queue, (groups * LOCAL_SIZE,), (LOCAL_SIZE,), *arguments)
+        groups = -(-items // (per_work_item * local_size))
+        event = kernel(self.queue, (groups * local_size,), (local_size,), *arguments)
         if self.profile:
             self._running.append((kernel, items, event))
 

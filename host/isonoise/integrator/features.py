@@ -75,7 +75,7 @@ FEATURES = {
     "SPOT_LIGHTS": Feature("spot lights", "sampling code in shade"),
     "DIRECTIONAL_LIGHTS": Feature("directional lights", "sampling code in shade"),
     "CONSTANT_LIGHT": Feature("constant environment", "sampling code and radiance of missed rays in shade"),
-    "ENVIRONMENT_MAP": Feature("environment map", "16 bytes a texel, code in shade"),
+    "ENVIRONMENT_MAP": Feature("environment map", "20 bytes a texel, code in shade"),
     "LIGHT_TREE": Feature(
         "many lights, picked by what they could send to a point", "about 100 bytes a light, 32 a path, code in shade"
     ),

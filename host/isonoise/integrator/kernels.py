@@ -10,7 +10,6 @@ STRUCTS = {
     "Bsdf": structs.BSDF,
     "Texture": textures.TEXTURE,
     "Environment": environment.ENVIRONMENT,
-    "EnvironmentRow": environment.ENVIRONMENT_ROW,
     "Light": structs.LIGHT,
     "Alias": structs.ALIAS,
     "LightBound": structs.LIGHT_BOUND,
@@ -37,7 +36,7 @@ KERNELS = {
         "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes "
         "TEXTURES:textured_slots analytics shapes bsdfs ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
-        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_columns environment_light "
+        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_aliases environment_light "
         "hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:instance "
         "VOLPATH:crossing MEDIA:media MEDIA:medium "
@@ -91,6 +90,9 @@ FEW_KERNELS = {
 
 TAKE_LANES = {"generate", "shade"}
 """Kernels of which a work-item takes several paths: kernels/paths.h."""
+
+TAKE_MANY = {"intersect", "shadow", "count_alive", "move_paths"}
+"""Kernels of which a work-item of a CPU takes several rays, one after the other, or a block of paths."""
 
 PATH_STATE = {
     **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},

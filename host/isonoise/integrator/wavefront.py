@@ -14,7 +14,7 @@ from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
-from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES
+from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES, TAKE_MANY
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages, present
 from isonoise.scene import bsdfs, light_list, structs, textures
@@ -68,9 +68,9 @@ class Wavefront:
                 "PATHS_PER_BLOCK": self.block_size,
                 "MOST_CORNERS": MOST_CORNERS,
                 "MOST_LISTED_LIGHTS": light_list.MOST,
-                "SEARCH_STEPS": scene.environment.steps if scene.environment else 0,
             },
             STRUCTS,
+            in_small_groups=(TAKE_MANY | TAKE_LANES if self.lanes > 1 else TAKE_MANY) if device.lanes > 1 else (),
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
@@ -178,7 +178,7 @@ class Wavefront:
             "environment": device.buffer(sky.record, "the environment map"),
             "environment_texels": device.buffer(sky.texels, "the environment map"),
             "environment_rows": device.buffer(sky.rows, "the environment map"),
-            "environment_columns": device.buffer(sky.columns, "the environment map"),
+            "environment_aliases": device.buffer(sky.aliases, "the environment map"),
         }
 
     def _weighed_lights(self) -> dict[str, object]:

@@ -7,6 +7,7 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.scene import lights as lighting
 from isonoise.scene import structs, vocabulary
+from isonoise.scene.alias import alias_table, picked
 from isonoise.scene.bounds import instance_extents
 from isonoise.scene.bsdfs import Bsdfs, mark_see_through, reads_uvs
 from isonoise.scene.camera import compile_camera
@@ -262,8 +263,8 @@ def _lights(
     if (textured.any() and scale > _LARGEST) or (sky is not None and not np.isfinite(sky.record["scale"]).all()):
         raise SceneError("the lights are so dim that images in them leave the range of 32-bit floats")
     beyond = np.flatnonzero(np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP)))
-    alias = lighting.alias_table(lighting.pick_probabilities(lights, bounds))
-    lights["pick_probability"] = lighting.picked(alias)
+    alias = alias_table(lighting.pick_probabilities(lights, bounds))
+    lights["pick_probability"] = picked(alias)
     if textured.any():
         lights["radiance"][textured] = scale  # times the texture
     return lights, alias, int(beyond[0]) if len(beyond) else -1, scale

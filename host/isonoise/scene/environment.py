@@ -4,10 +4,11 @@ The map is Mitsuba 3's `envmap` (3.9.1): in its own space u = atan2(x, -z) / 2 p
 lie at one half along u, which closes upon itself, but along v from 0 to 1, so that the first and the last row are the
 poles. Radiance is interpolated bilinearly between texels.
 
-It is sampled in proportion to luminance * sin(theta) at the texels, interpolated bilinearly as well: a row of cells, a
-cell of it, and a place within, each by inversion. So nearly the density that radiance has, however steep: a texel 10^7
-times brighter than its neighbours makes no more noise than a plain sky. Where radiance is not zero the density is not
-either. Of the poles, where the sine is zero, its mean over the reach of the texel counts.
+It is sampled in proportion to luminance * sin(theta) at the texels, interpolated bilinearly as well: a row of cells
+and a cell of it by alias tables, which take one step however steep the map is, and a place within by inversion. So
+nearly the density that radiance has: a texel 10^7 times brighter than its neighbours makes no more noise than a plain
+sky. Where radiance is not zero the density is not either. Of the poles, where the sine is zero, its mean over the reach
+of the texel counts.
 """
 
 import warnings
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.scene.alias import alias_tables
 from isonoise.scene.images import Image
 
 ENVIRONMENT = np.dtype(
@@ -24,23 +26,18 @@ ENVIRONMENT = np.dtype(
         ("size", "u4", 2),  # texels: width, height
         ("scale", "f4"),  # radiance = texel * scale
         ("density", "f4"),  # pdf = density * interpolated (luminance * sine) / sin(theta); 0 if all is dark
-        ("row_shift", "u4"),  # of a number of 32 bits: what is left is an entry of the rows' guide
-        ("row_guide", "u4"),  # entries of the rows' guide
-        ("column_shift", "u4"),  # the same for the columns of a row
-        ("column_guide", "u4"),
     ]
 )
 
 ENVIRONMENT_ROW = np.dtype(
     [
-        ("cumulative", "u4"),  # probability of the rows of cells before this one, times 2^32
+        ("threshold", "f4"),  # of the alias table over rows of cells: scene/alias.py
+        ("alias", "u4"),
         ("sine", "f4"),  # weight of this row of texels
     ]
 )
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # the weights of kernels/vectors.h: the density is computed with them
-_BEYOND = 2.0**32 - 1  # the largest bound
-_GUIDED = 8  # entries that one of a guide stands for, at most
 _ROWS = 64  # that are summed at once
 _ORTHOGONAL = 1e-3  # how far the axes of to_world may be off
 
@@ -51,13 +48,10 @@ class Environment:
     the seam, the next column's."""
 
     record: np.ndarray  # (1,) ENVIRONMENT
-    texels: np.ndarray  # (height, width, 4) float32: RGB, brightest luminance in [1, 2); the bits of a uint32 bound:
-    # probability of the cells before this one in its row, times 2^32
+    texels: np.ndarray  # (height, width, 4) float32: RGB, brightest luminance in [1, 2); threshold of the cell in
+    # the alias table of its row
     rows: np.ndarray  # (height,) ENVIRONMENT_ROW
-    columns: np.ndarray  # (row_guide + (height - 1) * column_guide,) uint32, guides: for the first bits of a number the
-    # last bound that is not above it, by rows and then by columns of each row
-    steps: int  # comparisons that halve what a guide leaves to be searched, at most; a multiple of 4, so that many
-    # maps share a program
+    aliases: np.ndarray  # (height - 1, width) uint32: of the cells in their row
     mean: np.ndarray  # (3,) float64: mean radiance over the sphere
     largest: float  # luminance of the brightest texel
 
@@ -83,12 +77,12 @@ def make_environment(image: Image, to_world: np.ndarray, scale: float, where: st
     texels = np.zeros((height, width, 4), np.float32)
     np.ldexp(pixels, exponent, out=texels[..., :3])
     record = np.zeros(1, ENVIRONMENT)
-    rows, guides, total, mean = _table(texels, record)
+    rows, aliases, total, mean = _tables(texels)
     record["to_world"] = rotation.ravel()
     record["size"] = width, height
     record["scale"] = unit = np.ldexp(scale, -exponent)
     record["density"] = width * (height - 1) / (2 * np.pi**2 * total) if total > 0 else 0.0
-    return Environment(record, texels, rows, guides, _search_steps(record, guides), mean * unit, brightest * scale)
+    return Environment(record, texels, rows, aliases, mean * unit, brightest * scale)
 
 
 def _brightest(pixels: np.ndarray) -> float:
@@ -116,62 +110,27 @@ def _sines(height: int) -> np.ndarray:
     return sines
 
 
-def _table(texels: np.ndarray, record: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Rows, guides, the sum of the cells' weights, and the mean radiance over the sphere; enters bounds into the texels
-    and what is said of guides into the record."""
+def _tables(texels: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Rows, aliases, the sum of the cells' weights, and the mean radiance over the sphere; enters thresholds into the
+    texels."""
     height, width, _ = texels.shape
-    sines, bits = _sines(height), texels.view(np.uint32)[..., 3]
+    sines = _sines(height)
     weights, sums = np.empty(height - 1), np.empty((height, 3))
-    record["row_shift"], record["row_guide"] = _guide_size(height - 1)
-    record["column_shift"], record["column_guide"] = shift, entries = _guide_size(width)
-    guides = np.empty((height - 1, entries), np.uint32)
+    aliases = np.empty((height - 1, width), np.uint32)
     for first in range(0, height - 1, _ROWS):
         last = min(first + _ROWS, height - 1)
         part = texels[first : last + 1, :, :3].astype(np.float64)
         sums[first : last + 1] = part.sum(axis=1)
         node = (part @ _LUMINANCE) * sines[first : last + 1, None]
         pair = node + np.roll(node, -1, axis=1)
-        cumulative = np.cumsum(pair[:-1] + pair[1:], axis=1)
-        weights[first:last] = cumulative[:, -1] / 4
-        bits[first:last] = bounds = _bounds(cumulative)
-        for row in range(first, last):
-            guides[row] = _guide(bounds[row - first], shift, entries)
+        cells = 0.25 * (pair[:-1] + pair[1:])
+        weights[first:last] = cells.sum(axis=1)
+        texels[first:last, :, 3], aliases[first:last] = alias_tables(cells)
     rows = np.zeros(height, ENVIRONMENT_ROW)
     rows["sine"] = sines
-    rows["cumulative"][:-1] = bounds = _bounds(np.cumsum(weights)[None])[0]
-    guide = _guide(bounds, int(record["row_shift"][0]), int(record["row_guide"][0]))
+    threshold, alias = alias_tables(weights[None])
+    rows["threshold"][:-1], rows["alias"][:-1] = threshold[0], alias[0]
     share = sines.copy()  # of the sphere, for a row of texels; the poles reach to one side alone
     share[[0, -1]] *= 0.5
     mean = share @ sums * (np.pi / (2 * width * (height - 1)))
-    return rows, np.concatenate([guide, guides.ravel()]), float(weights.sum()), mean
-
-
-def _bounds(cumulative: np.ndarray) -> np.ndarray:
-    """Probability of what comes before each entry of a row, times 2^32, from cumulative weights; 0 where all are 0."""
-    total = cumulative[:, -1:]
-    share = cumulative[:, :-1] / np.where(total > 0, total, 1.0)
-    bounds = np.zeros(cumulative.shape, np.uint32)
-    bounds[:, 1:] = np.minimum(share * 2.0**32, _BEYOND)
-    return bounds
-
-
-def _guide_size(count: int) -> tuple[int, int]:
-    """(shift, entries) of a guide to some bounds: a power of two of them, and the end of the last."""
-    bits = max((count // _GUIDED).bit_length(), 1)
-    return 32 - bits, (1 << bits) + 1
-
-
-def _search_steps(record: np.ndarray, guides: np.ndarray) -> int:
-    """Halvings that leave one of the most entries that lie between two of a guide, rounded up to a multiple of 4."""
-    entries = int(record["row_guide"][0])
-    most = max(
-        int(np.diff(guides[:entries]).max()),
-        int(np.diff(guides[entries:].reshape(-1, record["column_guide"][0])).max()),
-    )
-    return max(-(-most.bit_length() // 4) * 4, 4)  # of most + 1 entries: ceil(log2(most + 1)) = most.bit_length()
-
-
-def _guide(bounds: np.ndarray, shift: int, entries: int) -> np.ndarray:
-    """The last bound that is not above each multiple of 2^shift; the last of all for 2^32."""
-    starts = np.arange(entries, dtype=np.uint64) << np.uint64(shift)
-    return (np.searchsorted(bounds, starts, side="right") - 1).astype(np.uint32)
+    return rows, aliases, float(weights.sum()), mean

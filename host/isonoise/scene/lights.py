@@ -109,37 +109,3 @@ def spot_solid_angle(spots: np.ndarray) -> np.ndarray:
     cutoff = spots["cutoff"].astype(np.float64)
     beam = cutoff - 1.0 / spots["inverse_transition"]
     return 2.0 * np.pi * (1.0 - 0.5 * (np.cos(beam) + np.cos(cutoff)))
-
-
-def alias_table(probabilities: np.ndarray) -> np.ndarray:
-    """Walker's alias table (n,) of structs.ALIAS, without a loop over the entries.
-
-    Entries below the average are filled from those above it, both in index order (Vose 1991; as prefix sums:
-    Huebschle-Schneider and Sanders 2019, "Parallel Weighted Random Sampling", section 4.2). With the deficits laid end
-    to end and the surpluses too, an entry's alias is the surplus on which its deficit begins; a surplus that the
-    deficit ending beyond it overdraws is filled from the next one.
-    """
-    count = len(probabilities)
-    share = probabilities * (count / probabilities.sum())
-    above = share >= min(1.0, share.max())
-    low, high = np.flatnonzero(~above), np.flatnonzero(above)
-    deficit, surplus = np.cumsum(1.0 - share[low]), np.cumsum(share[high] - 1.0)
-    begins = np.concatenate([[0.0], deficit[:-1]])[: len(low)]
-    threshold, alias = share.copy(), np.arange(count)
-    alias[low] = high[np.minimum(np.searchsorted(surplus, begins, side="right"), len(high) - 1)]
-    overdraws = np.searchsorted(deficit, surplus, side="right")  # the first deficit that ends beyond each surplus
-    kept = np.ones(len(high))
-    drawn = overdraws < len(low)
-    kept[drawn] = 1.0 + surplus[drawn] - deficit[overdraws[drawn]]
-    kept[-1] = 1.0  # what is missing there is rounding
-    threshold[high] = kept
-    alias[high[:-1]] = high[1:]
-    table = np.zeros(count, structs.ALIAS)
-    table["threshold"], table["alias"] = np.clip(threshold, 0.0, 1.0), alias
-    return table
-
-
-def picked(table: np.ndarray) -> np.ndarray:
-    """Probabilities (n,) float64 with which an alias table, its thresholds rounded as they are, picks each entry."""
-    kept = table["threshold"].astype(np.float64)
-    return (kept + np.bincount(table["alias"], 1.0 - kept, len(table))) / len(table)
