@@ -162,26 +162,30 @@ INLINE void pass_unseen(const Paths* of, size_t i, const Path* p, const Surface*
 }
 #endif
 
+// Probability with which a light would have been picked at a path's last vertex.
+INLINE float pick_before(const Scene* scene, const Path* p, uint light)
+{
+    return pick_probability(&scene->geometry, scene->lights, light, p->last_vertex, p->was_lit, p->direction_pdf);
+}
+
 #if HAS_SKY
-// What a path brings that leaves the scene.
-INLINE Vec3 arriving_sky(const Scene* scene, const Path* p)
+// What a path brings that leaves the scene; `pick`: the probability with which the sky would have been picked at its last vertex.
+INLINE Vec3 arriving_sky(const Scene* scene, const Path* p, float pick)
 {
     const Geometry* g = &scene->geometry;
     float pdf = 0.0f;
     const Vec3 radiance = sky_radiance(g, scene->lights + scene->environment_light, p->direction, &pdf);
-    pdf *= pick_probability(g, scene->lights, scene->environment_light, p->last_vertex, p->was_lit, p->direction_pdf);
-    return scale3(mul3(p->weight, radiance), mis_weight(p->direction_pdf, pdf));
+    return scale3(mul3(p->weight, radiance), mis_weight(p->direction_pdf, pick * pdf));
 }
 #endif
 
 #if FEATURE_AREA_LIGHTS
-// What a path brings that meets a light.
-INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* s)
+// What a path brings that meets a light; `pick`: the probability with which it would have been picked.
+INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* s, float pick)
 {
     const Geometry* g = &scene->geometry;
     __global const Light* light = scene->lights + s->light;
-    const float pdf = pick_probability(g, scene->lights, s->light, p->last_vertex, p->was_lit, p->direction_pdf) *
-                      light_pdf(g, light, p->last_vertex, p->direction, p->since_vertex, s->normal);
+    const float pdf = pick * light_pdf(g, light, p->last_vertex, p->direction, p->since_vertex, s->normal);
     return scale3(mul3(p->weight, emitted_radiance(g, light, s)), mis_weight(p->direction_pdf, pdf));
 }
 #endif
@@ -212,7 +216,7 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
 #endif
     if (may_miss && !p->in_volume && p->primitive == NONE) {
 #if HAS_SKY
-        if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) ADD3(arriving_sky(scene, p), p->sample, of->samples);
+        if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) ADD3(arriving_sky(scene, p, pick_before(scene, p, scene->environment_light)), p->sample, of->samples);
 #endif
         return false;
     }

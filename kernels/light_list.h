@@ -25,11 +25,11 @@ INLINE float inverse_root(float x)
     return y * (1.5f - 0.5f * x * y * y);
 }
 
-// `distance` times a cosine: between the one of a sphere's middle and its bound over the sphere, from which the light that
+// Twice `distance` times a cosine: between the one of a sphere's middle and its bound over the sphere, from which the light that
 // arrives is left out only if none does. Both are given times the distance.
 INLINE float likely_part(float middle, float radius, float distance)
 {
-    return 0.5f * (LESSER(GREATER(middle + radius, 0.0f), distance) + GREATER(middle, 0.0f));
+    return LESSER(GREATER(middle + radius, 0.0f), distance) + GREATER(middle, 0.0f);
 }
 
 // How much light a light could send to a point, in a unit of its own. `normal`: there; its w is 1 where light from all sides
@@ -129,28 +129,61 @@ INLINE uint pick_from_list(const LightList* list, Vec3 point, Vec4 normal, float
 }
 
 #if LANES > 1
-INLINE void weigh_light(__global const LightBound* light, bool wide, const float* points, const float* normals, float* weights,
+// Adds a light's weights for the first `count` lanes to their totals.
+INLINE void weigh_light(__global const LightBound* light, const float* points, const float* normals, float* weights,
                         float* totals, uint count)
 {
-    EACH_OF(k, count) {
-        weights[k] = light_weight(light, wide, kept3(points, 0u, k), kept4(normals, 0u, k));
-        totals[k] += weights[k];
+    if (light->sin_spread != 0.0f) {
+        EACH_OF(k, count) {
+            weights[k] = light_weight(light, true, kept3(points, 0u, k), kept4(normals, 0u, k));
+            totals[k] += weights[k];
+        }
+    } else {
+        EACH_OF(k, count) {
+            weights[k] = light_weight(light, false, kept3(points, 0u, k), kept4(normals, 0u, k));
+            totals[k] += weights[k];
+        }
     }
 }
 
-// The same for the first `count` lanes of what a work-item keeps: of points (3 members), normals (4) and random numbers (2) to
-// lights and probabilities (2).
+// Whose probabilities are asked for, LANES numbers a member.
+#define ASKED_POINT 0u
+#define ASKED_NORMAL 3u
+#define ASKED_LIGHT 7u
+#define ASKED_PROBABILITY 8u  // the answer
+#define ASKED 9u
+
+// Probabilities with which lights are picked, for the first `count` lanes.
+INLINE void answer_from_list(const LightList* list, float* asked, uint count)
+{
+    float weights[LANES], totals[LANES];
+    EACH_OF(k, count) {
+        totals[k] = 0.0f;
+        keep1(0.0f, asked, ASKED_PROBABILITY, k);
+    }
+    for (uint light = 0u; light < list->lights; ++light) {
+        weigh_light(list->bounds + light, asked + ASKED_POINT * LANES, asked + ASKED_NORMAL * LANES, weights, totals, count);
+        EACH_OF(k, count) {
+            const float before = kept1(asked, ASKED_PROBABILITY, k);
+            keep1(as_uint(kept1(asked, ASKED_LIGHT, k)) == light ? weights[k] : before, asked, ASKED_PROBABILITY, k);
+        }
+    }
+    EACH_OF(k, count) {
+        if (k >= count) continue;
+        const float share = list->bounds[(int)as_uint(kept1(asked, ASKED_LIGHT, k))].share;
+        keep1(light_probability(mixture(totals[k]), kept1(asked, ASKED_PROBABILITY, k), share), asked, ASKED_PROBABILITY, k);
+    }
+}
+
+// Picks lights for the first `count` lanes of what a work-item keeps: of points (3 members), normals (4) and random numbers (2),
+// to lights and probabilities (2).
 INLINE void pick_all_from_list(const LightList* list, const float* points, const float* normals, const float* u, float* picks,
                                uint count)
 {
     float weights[MOST_LISTED_LIGHTS * LANES], totals[LANES], by_weight[LANES], by_share[LANES], left[LANES], rest[LANES];
     EACH_OF(k, count) totals[k] = 0.0f;
-    for (uint light = 0u; light < list->lights; ++light) {
-        if (list->bounds[light].sin_spread != 0.0f)
-            weigh_light(list->bounds + light, true, points, normals, weights + light * LANES, totals, count);
-        else
-            weigh_light(list->bounds + light, false, points, normals, weights + light * LANES, totals, count);
-    }
+    for (uint light = 0u; light < list->lights; ++light)
+        weigh_light(list->bounds + light, points, normals, weights + light * LANES, totals, count);
     EACH_OF(k, count) {
         const Mixture m = mixture(totals[k]);
         const Draw d = begin_draw(kept1(u, 0u, k), kept1(u, 1u, k));

@@ -11,7 +11,7 @@ INLINE void shade_path(const Scene* scene, const Paths* of, size_t i, uint max_d
     bool shines;
     const bool scatters = arrive(scene, of, i, &p, &s, !SPLITS, &shines);
 #if FEATURE_AREA_LIGHTS
-    if (shines) ADD3(arriving_emission(scene, &p, &s), p.sample, of->samples);
+    if (shines) ADD3(arriving_emission(scene, &p, &s, pick_before(scene, &p, s.light)), p.sample, of->samples);
 #endif
     const bool last = p.depth + 1u >= max_depth;
     if (!scatters || (!FEATURE_VOLPATH && last)) return;
@@ -157,11 +157,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
         count_met += misses ? 0u : 1u;
         count_missed += misses ? 1u : 0u;
     }
-    EACH_OF(k, count_missed) {
-        if (k >= count_missed) continue;
-        const Path p = load_path(&of, (size_t)missed[k]);
-        if (!FEATURE_HIDE_EMITTERS || p.depth > 0u) ADD3(arriving_sky(&scene, &p), p.sample, samples);
-    }
+    add_sky(&scene, &of, missed, count_missed);
 #define COUNT count_met
 #define PATH(k) (size_t)met[k]
 #else

@@ -4,6 +4,47 @@
 #pragma once
 #include "kept.h"
 
+#if FEATURE_LIGHT_LIST && LANES > 1
+// Asks for the probability with which a path's last vertex would have picked a light.
+INLINE void ask(const Path* p, uint light, float* asked, size_t lane)
+{
+    keep3(p->last_vertex, asked, ASKED_POINT, lane);
+    keep4(p->was_lit, asked, ASKED_NORMAL, lane);
+    keep1(as_float(light), asked, ASKED_LIGHT, lane);
+}
+
+INLINE float answer(const Path* p, const float* asked, size_t lane)
+{
+    return p->direction_pdf < 0.0f ? 0.0f : kept1(asked, ASKED_PROBABILITY, lane);
+}
+#endif
+
+#if SPLITS
+// What paths bring that leave the scene.
+INLINE void add_sky(const Scene* scene, const Paths* of, const int* missed, uint count)
+{
+#if FEATURE_LIGHT_LIST
+    float asked[ASKED * LANES];
+    EACH_OF(k, count) {
+        if (k >= count) continue;
+        const Path p = load_path(of, (size_t)missed[k]);
+        ask(&p, scene->environment_light, asked, k);
+    }
+    answer_from_list(&scene->geometry.light_list, asked, count);
+#endif
+    EACH_OF(k, count) {
+        if (k >= count) continue;
+        const Path p = load_path(of, (size_t)missed[k]);
+#if FEATURE_LIGHT_LIST
+        const float pick = answer(&p, asked, k);
+#else
+        const float pick = pick_before(scene, &p, scene->environment_light);
+#endif
+        if (!FEATURE_HIDE_EMITTERS || p.depth > 0u) ADD3(arriving_sky(scene, &p, pick), p.sample, of->samples);
+    }
+}
+#endif
+
 #if IN_STEPS
 // The paths of a work-item.
 typedef struct {
@@ -120,11 +161,25 @@ INLINE void add_emission(const Scene* scene, const Paths* of, const Batch* batch
 {
     int list[LANES + 1];
     LIST_OF(list, found, k, batch->count, is_marked(MARK_SHINES, kept, k))
+#if FEATURE_LIGHT_LIST
+    float asked[ASKED * LANES];
+    EACH_OF(j, found) {
+        if (j >= found) continue;
+        const Path p = load_path(of, listed_path(batch, list[j]));
+        ask(&p, kept_bits(kept, KEPT_SURFACE_LIGHT, list[j]), asked, j);
+    }
+    answer_from_list(&scene->geometry.light_list, asked, found);
+#endif
     EACH_OF(j, found) {
         if (j >= found) continue;
         const Path p = load_path(of, listed_path(batch, list[j]));
         const Surface s = kept_surface(kept, list[j]);
-        ADD3(arriving_emission(scene, &p, &s), p.sample, of->samples);
+#if FEATURE_LIGHT_LIST
+        const float pick = answer(&p, asked, j);
+#else
+        const float pick = pick_before(scene, &p, s.light);
+#endif
+        ADD3(arriving_emission(scene, &p, &s, pick), (int)p.sample, of->samples);
     }
 }
 #endif
