@@ -2,12 +2,10 @@
 #pragma once
 #include "vertex.h"
 
-#define IN_STEPS (LANES > 1 && (FEATURE_TEXTURES || HAS_WRAPPERS || HAS_LIT))
-
 // Paths that left the scene are listed apart from those that met something: in one loop all lanes would do the work of both.
 #define SPLITS (LANES > 1 && HAS_SKY)
 
-#if IN_STEPS
+#if LANES > 1
 // What is to be done about a path.
 #define MARK_SCATTERS 1u  // it goes on from the surface,
 #define MARK_SHINES 2u    // meets a light there,
@@ -129,6 +127,18 @@ INLINE Shading kept_shading(const Scene* scene, uint of_kind, Vec3 direction, co
     at.parameters = kept + KEPT_PARAMETERS * LANES + lane;
 #endif
     return at;
+}
+
+INLINE void keep_pick(LightPick pick, float* kept, size_t lane)
+{
+    keep1(as_float(pick.light), kept, KEPT_PICK, lane);
+    keep1(pick.probability, kept, KEPT_PICK + 1u, lane);
+}
+
+INLINE LightPick kept_pick(const float* kept, size_t lane)
+{
+    const LightPick pick = {kept_bits(kept, KEPT_PICK, lane), kept1(kept, KEPT_PICK + 1u, lane)};
+    return pick;
 }
 
 INLINE void keep_light(const LightSample* light, float* kept, size_t lane)

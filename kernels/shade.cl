@@ -1,15 +1,18 @@
 // Stage: what happens where the rays ended: emission, next-event estimation, the next direction, roulette.
 // Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and whether the path is alive.
 //
-// On devices where a work-item takes several paths, they are shaded all in one loop if that is short, else in steps: steps.h.
+// On devices where a work-item takes several paths, they are shaded together, in steps: steps.h.
+#undef LANES
+#define LANES SHADE_LANES
 #include "steps.h"
 
+#if LANES == 1
 INLINE void shade_path(const Scene* scene, const Paths* of, size_t i, uint max_depth, uint rr_depth)
 {
     Path p = load_path(of, i);
     Surface s = meet_surface(scene, of, i, &p);
     bool shines;
-    const bool scatters = arrive(scene, of, i, &p, &s, !SPLITS, &shines);
+    const bool scatters = arrive(scene, of, i, &p, &s, true, &shines);
 #if FEATURE_AREA_LIGHTS
     if (shines) ADD3(arriving_emission(scene, &p, &s, pick_before(scene, &p, s.light)), p.sample, of->samples);
 #endif
@@ -30,6 +33,7 @@ INLINE void shade_path(const Scene* scene, const Paths* of, size_t i, uint max_d
     const BsdfSample next = passes ? straight_on(p.direction) : bsdf_sample(&at, xyz(u));
     go_on(of, i, &p, &s, &at, next, u.w, last, rr_depth);
 }
+#endif
 
 __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
                     __global const float* triangles, __global const uint* faces, __global const float* vertex_normals,
@@ -140,41 +144,13 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
 #endif
     const size_t begin = get_global_id(0) * LANES;
     if (begin >= paths) return;
-    const uint count = (uint)LESSER(paths - begin, (size_t)LANES);
-    EACH_OF(k, count) {
-        if (k >= count) continue;
-        alive[begin + k] = 0;
+#if LANES > 1
+    shade_in_steps(&scene, &of, begin, (uint)LESSER(paths - begin, (size_t)LANES), max_depth, rr_depth);
+#else
+    alive[begin] = 0;
 #if FEATURE_NEXT_EVENT
-        PLANE(3, shadow_direction, pool)[begin + k] = 0.0f;
+    PLANE(3, shadow_direction, pool)[begin] = 0.0f;
 #endif
-    }
-#if SPLITS
-    int met[LANES + VECTOR], missed[LANES + VECTOR];
-    uint count_met = 0u, count_missed = 0u;
-    for (uint k = 0u; k < count; ++k) {
-        const bool misses = as_uint(PLANE(3, hit, pool)[begin + k]) == NONE;
-        met[count_met] = missed[count_missed] = (int)(begin + k);
-        count_met += misses ? 0u : 1u;
-        count_missed += misses ? 1u : 0u;
-    }
-    add_sky(&scene, &of, missed, count_missed);
-#define COUNT count_met
-#define PATH(k) (size_t)met[k]
-#else
-#define COUNT count
-#define PATH(k) (begin + (k))
-#endif
-#if IN_STEPS
-#if SPLITS
-    const Batch batch = {begin, met, count_met};
-#else
-    const Batch batch = {begin, 0, count};
-#endif
-    shade_in_steps(&scene, &of, &batch, max_depth, rr_depth);
-#else
-    EACH_OF(k, COUNT) {
-        if (k >= COUNT) continue;
-        shade_path(&scene, &of, PATH(k), max_depth, rr_depth);
-    }
+    shade_path(&scene, &of, begin, max_depth, rr_depth);
 #endif
 }

@@ -4,7 +4,34 @@
 #pragma once
 #include "kept.h"
 
-#if FEATURE_LIGHT_LIST && LANES > 1
+#if LANES > 1
+// The paths of a work-item.
+typedef struct {
+    size_t begin;
+    const int* met;  // of them, those that met something, where others are listed apart
+    uint count;
+} Batch;
+
+INLINE size_t path_of(const Batch* batch, size_t k)
+{
+    return SPLITS ? (size_t)((int)batch->begin + batch->met[k]) : batch->begin + k;
+}
+
+// The same of a lane from a list: by a signed place, of which 16 are gathered at once.
+INLINE size_t listed_path(const Batch* batch, int lane)
+{
+    return (size_t)((int)batch->begin + (SPLITS ? batch->met[lane] : lane));
+}
+
+// Lanes for which a condition holds, 0 or 1; `k` is the lane. No jump depends on it, none can be mispredicted.
+#define LIST_OF(list, found, k, count, condition) \
+    uint found = 0u;                              \
+    for (uint k = 0u; k < (count); ++k) {         \
+        list[found] = (int)k;                        \
+        found += (uint)(condition);               \
+    }
+
+#if FEATURE_LIGHT_LIST
 // Asks for the probability with which a path's last vertex would have picked a light.
 INLINE void ask(const Path* p, uint light, float* asked, size_t lane)
 {
@@ -21,20 +48,20 @@ INLINE float answer(const Path* p, const float* asked, size_t lane)
 
 #if SPLITS
 // What paths bring that leave the scene.
-INLINE void add_sky(const Scene* scene, const Paths* of, const int* missed, uint count)
+INLINE void add_sky(const Scene* scene, const Paths* of, size_t begin, const int* missed, uint count)
 {
 #if FEATURE_LIGHT_LIST
     float asked[ASKED * LANES];
     EACH_OF(k, count) {
         if (k >= count) continue;
-        const Path p = load_path(of, (size_t)missed[k]);
+        const Path p = load_path(of, (size_t)((int)begin + missed[k]));
         ask(&p, scene->environment_light, asked, k);
     }
     answer_from_list(&scene->geometry.light_list, asked, count);
 #endif
     EACH_OF(k, count) {
         if (k >= count) continue;
-        const Path p = load_path(of, (size_t)missed[k]);
+        const Path p = load_path(of, (size_t)((int)begin + missed[k]));
 #if FEATURE_LIGHT_LIST
         const float pick = answer(&p, asked, k);
 #else
@@ -44,33 +71,6 @@ INLINE void add_sky(const Scene* scene, const Paths* of, const int* missed, uint
     }
 }
 #endif
-
-#if IN_STEPS
-// The paths of a work-item.
-typedef struct {
-    size_t begin;
-    const int* met;  // those that met something, where others are listed apart
-    uint count;
-} Batch;
-
-INLINE size_t path_of(const Batch* batch, size_t k)
-{
-    return SPLITS ? (size_t)batch->met[k] : batch->begin + k;
-}
-
-// The same of a lane from a list: by a signed place, of which 16 are gathered at once.
-INLINE size_t listed_path(const Batch* batch, int lane)
-{
-    return SPLITS ? (size_t)batch->met[lane] : (size_t)((int)batch->begin + lane);
-}
-
-// Lanes for which a condition holds, 0 or 1; `k` is the lane. No jump depends on it, none can be mispredicted.
-#define LIST_OF(list, found, k, count, condition) \
-    uint found = 0u;                              \
-    for (uint k = 0u; k < (count); ++k) {         \
-        list[found] = (int)k;                        \
-        found += (uint)(condition);               \
-    }
 
 INLINE void mark(uint bits, float* kept, size_t lane)
 {
@@ -124,7 +124,6 @@ INLINE void arrive_all(const Scene* scene, const Paths* of, const Batch* batch, 
         keep1(as_float(0u), kept, KEPT_MARKS, k);
         keep1(as_float(0u), kept, KEPT_KIND, k);
         keep1(as_float(0u), kept, KEPT_BSDF, k);
-        keep1(as_float(0u), kept, KEPT_PICK, k);
     }
 #if FEATURE_TRIANGLES
     EACH_OF(k, count) {
@@ -184,7 +183,8 @@ INLINE void add_emission(const Scene* scene, const Paths* of, const Batch* batch
 }
 #endif
 
-// Four random numbers for every path: of the light, and of the direction in which it goes on.
+// Four random numbers for every path: of the light, which is picked at once if that is soon done, and of the direction in which
+// it goes on.
 INLINE void draw_random(const Scene* scene, const Paths* of, const Batch* batch, float* kept)
 {
     const uint count = batch->count;
@@ -196,33 +196,38 @@ INLINE void draw_random(const Scene* scene, const Paths* of, const Batch* batch,
 #if FEATURE_NEXT_EVENT
         const Vec4 v = path_random(scene, &p, BLOCK_LIGHT(event_of(&p)));
         keep4(vec4(v.x, v.w, v.y, v.z), kept, KEPT_LIGHT_RANDOM, k);
+#if !HAS_LIT
+        keep_pick(pick_light(&scene->geometry, scene->lights, scene->light_alias, scene->light_count, all3(0.0f),
+                             p.was_lit, v.x, v.w), kept, k);
+#endif
 #endif
     }
 }
 
 #if FEATURE_NEXT_EVENT
+#if HAS_LIT
 INLINE void pick_lights(const Scene* scene, uint count, float* kept)
 {
 #if FEATURE_LIGHT_LIST
     pick_all_from_list(&scene->geometry.light_list, kept + KEPT_POSITION * LANES, kept + KEPT_LIT * LANES,
                        kept + KEPT_LIGHT_RANDOM * LANES, kept + KEPT_PICK * LANES, count);
 #else
-    EACH_OF(k, count) {
-        if (k >= count || !is_marked(MARK_LOOKS, kept, k)) continue;
-        const LightPick pick =
-            pick_light(&scene->geometry, scene->lights, scene->light_alias, scene->light_count,
-                       kept3(kept, KEPT_POSITION, k), kept4(kept, KEPT_LIT, k), kept1(kept, KEPT_LIGHT_RANDOM, k),
-                       kept1(kept, KEPT_LIGHT_RANDOM + 1u, k));
-        keep1(as_float(pick.light), kept, KEPT_PICK, k);
-        keep1(pick.probability, kept, KEPT_PICK + 1u, k);
+    for (uint k = 0u; k < count; ++k) {
+        LightPick pick = {0u, 0.0f};
+        if (is_marked(MARK_LOOKS, kept, k))
+            pick = pick_light(&scene->geometry, scene->lights, scene->light_alias, scene->light_count,
+                              kept3(kept, KEPT_POSITION, k), kept4(kept, KEPT_LIT, k), kept1(kept, KEPT_LIGHT_RANDOM, k),
+                              kept1(kept, KEPT_LIGHT_RANDOM + 1u, k));
+        keep_pick(pick, kept, k);
     }
 #endif
 }
+#endif
 
 // Looks at the light that was picked, if it is of one of these kinds; leaves the shadow ray, and keeps the sample.
 INLINE void look(const Scene* scene, const Paths* of, size_t i, uint kinds, float* kept, size_t lane)
 {
-    const LightPick pick = {kept_bits(kept, KEPT_PICK, lane), kept1(kept, KEPT_PICK + 1u, lane)};
+    const LightPick pick = kept_pick(kept, lane);
     const Path p = load_path(of, i);
     const Surface s = kept_surface(kept, lane);
     const Vec2 u = vec2(kept1(kept, KEPT_LIGHT_RANDOM + 2u, lane), kept1(kept, KEPT_LIGHT_RANDOM + 3u, lane));
@@ -346,8 +351,26 @@ INLINE void leave_all(const Scene* scene, const Paths* of, const Batch* batch, u
     }
 }
 
-INLINE void shade_in_steps(const Scene* scene, const Paths* of, const Batch* batch, uint max_depth, uint rr_depth)
+INLINE void shade_in_steps(const Scene* scene, const Paths* of, size_t begin, uint count, uint max_depth, uint rr_depth)
 {
+    EACH_OF(k, count) {
+        if (k >= count) continue;
+        of->alive[begin + k] = 0;
+#if FEATURE_NEXT_EVENT
+        PLANE(3, of->shadow_direction, of->pool)[begin + k] = 0.0f;
+#endif
+    }
+#if SPLITS
+    int met[LANES + 1], missed[LANES + 1];
+    __global const uint* primitives = (__global const uint*)PLANE(3, of->hit, of->pool) + begin;
+    LIST_OF(met, count_met, k, count, primitives[k] != NONE)
+    LIST_OF(missed, count_missed, k, count, primitives[k] == NONE)
+    add_sky(scene, of, begin, missed, count_missed);
+    const Batch paths = {begin, met, count_met};
+#else
+    const Batch paths = {begin, 0, count};
+#endif
+    const Batch* batch = &paths;
     float kept[KEPT * LANES];
     arrive_all(scene, of, batch, max_depth, kept);
 #if FEATURE_AREA_LIGHTS
@@ -355,7 +378,9 @@ INLINE void shade_in_steps(const Scene* scene, const Paths* of, const Batch* bat
 #endif
     draw_random(scene, of, batch, kept);
 #if FEATURE_NEXT_EVENT
+#if HAS_LIT
     pick_lights(scene, batch->count, kept);
+#endif
     look_for_lights(scene, of, batch, kept);
 #endif
 #if FEATURE_TEXTURES
