@@ -40,7 +40,7 @@ typedef struct {
     __global float* shadow_direction;
     __global float* shadow_radiance;
     __global float* samples;
-    __global uchar* alive;
+    __global uint* alive;
 } Paths;
 
 // A path at the end of its ray.
@@ -174,7 +174,8 @@ INLINE Vec3 arriving_sky(const Scene* scene, const Path* p, float pick)
 {
     const Geometry* g = &scene->geometry;
     float pdf = 0.0f;
-    const Vec3 radiance = sky_radiance(g, scene->lights + scene->environment_light, p->direction, &pdf);
+    const Light sky = Light_at(scene->lights, scene->environment_light);
+    const Vec3 radiance = sky_radiance(g, &sky, p->direction, &pdf);
     return scale3(mul3(p->weight, radiance), mis_weight(p->direction_pdf, pick * pdf));
 }
 #endif
@@ -184,7 +185,7 @@ INLINE Vec3 arriving_sky(const Scene* scene, const Path* p, float pick)
 INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* s, float pick)
 {
     const Geometry* g = &scene->geometry;
-    __global const Light* light = scene->lights + s->light;
+    const Light met = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? s->light : 0u), *light = &met;
     const float pdf = pick * light_pdf(g, light, p->last_vertex, p->direction, p->since_vertex, s->normal);
     return scale3(mul3(p->weight, emitted_radiance(g, light, s)), mis_weight(p->direction_pdf, pdf));
 }

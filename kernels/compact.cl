@@ -3,7 +3,7 @@
 // Stable and without atomics: count per block, scan the blocks, move. One work-item a block.
 #include "paths.h"
 
-__kernel void count_alive(__global const uchar* alive, uint paths, __global uint* block_alive)
+__kernel void count_alive(__global const uint* alive, uint paths, __global uint* block_alive)
 {
     const uint block = get_global_id(0);
     const uint begin = block * PATHS_PER_BLOCK;
@@ -41,7 +41,7 @@ INLINE void move_planes(uint number, __global const uint* planes, __global uint*
     for (uint k = 0; k < number; ++k) move_plane(PLANE(k, planes, pool), PLANE(k, to, pool), from, count);
 }
 
-__kernel void move_paths(__global const uchar* alive, uint paths, uint pool, __global const uint* block_alive,
+__kernel void move_paths(__global const uint* alive, uint paths, uint pool, __global const uint* block_alive,
                          __global const uint* ray_origin, __global const uint* ray_direction,
                          __global const uint* throughput, __global const uint* path, __global uint* next_ray_origin,
                          __global uint* next_ray_direction, __global uint* next_throughput, __global uint* next_path

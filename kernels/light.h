@@ -32,9 +32,9 @@ INLINE float sphere_one_minus_cos(float radius, float distance2)
 
 // Whether the sphere is sampled by the cone under which it appears: if it shines outwards and is seen from outside. By the
 // side it shines to, because rounding decides on which side a point of the sphere itself seems to be.
-INLINE bool sampled_by_cone(const Geometry* g, __global const Analytic* sphere, float distance2)
+INLINE bool sampled_by_cone(const Geometry* g, const Analytic* sphere, float distance2)
 {
-    return !(g->shapes[sphere->shape].flags & SHAPE_FLIP_NORMALS) && distance2 > sphere->radius * sphere->radius;
+    return !(Shape_at(g->shapes, sphere->shape).flags & SHAPE_FLIP_NORMALS) && distance2 > sphere->radius * sphere->radius;
 }
 #endif
 
@@ -46,43 +46,46 @@ INLINE float pick_probability(const Geometry* g, __global const Light* lights, u
     return pdf < 0.0f ? 0.0f : light_list_probability(&g->light_list, light, point, lit);
 #elif FEATURE_LIGHT_TREE
     return pdf < 0.0f ? 0.0f : light_tree_probability(&g->light_tree, light, point, lit);
+#elif FEATURE_MANY_LIGHTS
+    return Light_at(lights, light).pick_probability;
 #else
-    return lights[light].pick_probability;
+    return 1.0f;
 #endif
 }
 
 // Density with which `sample_light` would have found the point at `distance` along `direction` on this light, had it picked it.
-INLINE float light_pdf(const Geometry* g, __global const Light* light, Vec3 reference, Vec3 direction, float distance,
+INLINE float light_pdf(const Geometry* g, const Light* light, Vec3 reference, Vec3 direction, float distance,
                        Vec3 normal)
 {
     const float to_solid_angle = distance * distance / abs1(dot3(normal, direction));
     float density = to_solid_angle / light->area;
 #if FEATURE_SPHERE_LIGHTS
     if (light->kind & LIGHT_SPHERE) {
-        __global const Analytic* sphere = g->analytics + light->primitive;
-        const Vec3 arm = sub3(LOAD3(0, sphere->center), reference);
+        const Analytic sphere = Analytic_at(g->analytics, light->primitive);
+        const Vec3 arm = sub3(LOAD3(0, sphere.center), reference);
         const float distance2 = dot3(arm, arm);
-        if (sampled_by_cone(g, sphere, distance2))
-            density = 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere->radius, distance2);
+        if (sampled_by_cone(g, &sphere, distance2))
+            density = 0.5f * M_1_PI_F / sphere_one_minus_cos(sphere.radius, distance2);
     }
 #endif
     return density;
 }
 
-#if !HAS_LIT
+#if FEATURE_MANY_LIGHTS && !HAS_LIT
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
 INLINE uint pick_by_power(__global const Alias* table, uint count, float u_high, float u_low)
 {
     const ulong scaled = (ulong)(u_high * 0x1p24f) * count + (((ulong)(u_low * 0x1p24f) * count) >> 24);
     const uint index = LESSER((uint)(scaled >> 24), count - 1u);
     const float fraction = (float)(scaled & 0xFFFFFFu) * 0x1p-24f;
-    return fraction < table[index].threshold ? index : table[index].alias;
+    const Alias entry = Alias_at(table, index);
+    return fraction < entry.threshold ? index : entry.alias;
 }
 #endif
 
 #if FEATURE_SPHERE_LIGHTS
 // Uniform over the cone under which the sphere appears (Wang 1992; without cancellation for small cones), else over its area.
-INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, Vec3 reference, Vec2 u, Surface* s)
+INLINE float sample_sphere(const Geometry* g, const Analytic* sphere, Vec3 reference, Vec2 u, Surface* s)
 {
     const Vec3 arm = sub3(reference, LOAD3(0, sphere->center));
     const float distance2 = dot3(arm, arm), radius = sphere->radius;
@@ -111,30 +114,34 @@ INLINE float sample_sphere(const Geometry* g, __global const Analytic* sphere, V
 
 #if FEATURE_AREA_LIGHTS
 // A point on the light's surface. Returns its density in solid angle, or 0 where it is uniform over the area instead.
-INLINE float sample_surface(uint kind, const Geometry* g, __global const Light* light, Vec3 reference, Vec2 u, Surface* s)
+INLINE float sample_surface(const Geometry* g, const Light* light, Vec3 reference, Vec2 u, Surface* s)
 {
     float density = 0.0f;
 #if FEATURE_TRIANGLE_LIGHTS
-    if (kind & LIGHT_TRIANGLE) {
+    if (light->kind & LIGHT_TRIANGLE) {
         const float root = SQRT(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
         *s = triangle_surface(g, light->primitive, 1.0f - root, root * u.y);
     }
 #endif
+#if FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS
+    if (light->kind & LIGHT_TRIANGLE) return density;
+    const Analytic shape = Analytic_at(g->analytics, light->primitive);
+#endif
 #if FEATURE_SPHERE_LIGHTS
-    if (kind & LIGHT_SPHERE) density = sample_sphere(g, g->analytics + light->primitive, reference, u, s);
+    if (light->kind & LIGHT_SPHERE) density = sample_sphere(g, &shape, reference, u, s);
 #endif
 #if FEATURE_DISK_LIGHTS
-    if (kind & LIGHT_DISK)
-        transformed_surface(g->analytics + light->primitive, on_plane(square_to_disk(u), 0.0f), vec3(0.0f, 0.0f, 1.0f), s);
+    if (light->kind & LIGHT_DISK)
+        transformed_surface(&shape, on_plane(square_to_disk(u), 0.0f), vec3(0.0f, 0.0f, 1.0f), s);
 #endif
 #if FEATURE_CYLINDER_LIGHTS
-    if (kind & LIGHT_CYLINDER) {
+    if (light->kind & LIGHT_CYLINDER) {
         const Vec2 side = circle(u.x);
-        transformed_surface(g->analytics + light->primitive, on_plane(side, u.y), on_plane(side, 0.0f), s);
+        transformed_surface(&shape, on_plane(side, u.y), on_plane(side, 0.0f), s);
     }
 #endif
 #if FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS
-    if (!(kind & LIGHT_TRIANGLE)) complete_analytic(g, light->primitive, s);
+    complete_analytic(g, light->primitive, &shape, s);
 #endif
     return density;
 }
@@ -142,7 +149,7 @@ INLINE float sample_surface(uint kind, const Geometry* g, __global const Light* 
 
 #if FEATURE_AREA_LIGHTS
 // Radiance that a light's surface emits at a point of it.
-INLINE Vec3 emitted_radiance(const Geometry* g, __global const Light* light, const Surface* s)
+INLINE Vec3 emitted_radiance(const Geometry* g, const Light* light, const Surface* s)
 {
     Vec3 radiance = LOAD3(0, light->radiance);
 #if FEATURE_TEXTURED_LIGHTS
@@ -158,7 +165,7 @@ INLINE Vec3 emitted_radiance(const Geometry* g, __global const Light* light, con
 #if FEATURE_SPOT_LIGHTS
 // Share of the spot's intensity that leaves along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is
 // taken from the chord, which is exact for narrow spots too.
-INLINE float spot_falloff(__global const Light* light, Vec3 direction)
+INLINE float spot_falloff(const Light* light, Vec3 direction)
 {
     const Vec3 off = sub3(direction, LOAD3(0, light->axis));
     const float half_chord2 = LESSER(0.25f * dot3(off, off), 1.0f);
@@ -170,7 +177,7 @@ INLINE float spot_falloff(__global const Light* light, Vec3 direction)
 
 #if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 // Radiance that arrives from beyond the scene, and the density with which `sample_light` would have found it, had it picked it.
-INLINE Vec3 sky_radiance(const Geometry* g, __global const Light* sky, Vec3 direction, float* pdf)
+INLINE Vec3 sky_radiance(const Geometry* g, const Light* sky, Vec3 direction, float* pdf)
 {
     Vec3 radiance = LOAD3(0, sky->radiance);
     *pdf = 0.25f * M_1_PI_F;
@@ -197,9 +204,12 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
     pick.light = pick_from_list(&g->light_list, reference, lit, u, u_low, &pick.probability);
 #elif FEATURE_LIGHT_TREE
     pick.light = pick_from_tree(&g->light_tree, reference, lit, u, u_low, &pick.probability);
-#else
+#elif FEATURE_MANY_LIGHTS
     pick.light = pick_by_power(table, count, u, u_low);
-    pick.probability = lights[pick.light].pick_probability;
+    pick.probability = Light_at(lights, pick.light).pick_probability;
+#else
+    pick.light = 0u;
+    pick.probability = 1.0f;
 #endif
     return pick;
 }
@@ -209,12 +219,13 @@ INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const
                                    Vec2 u)
 {
     LightSample sample = no_light();
-    __global const Light* light = lights + pick.light;
-    const uint kind = kinds == LIGHT_TRIANGLE ? kinds : light->kind & kinds;  // a constant, where it may be one
+    Light picked = Light_at(lights, FEATURE_MANY_LIGHTS ? pick.light : 0u);
+    picked.kind = kinds == LIGHT_TRIANGLE ? kinds : picked.kind & kinds;  // a constant, where it may be one
+    const Light* light = &picked;
     sample.pdf = pick.probability;
     sample.radiance = LOAD3(0, light->radiance);
 #if FEATURE_POINT_LIGHTS
-    if (kind & LIGHT_POINT) {
+    if (light->kind & LIGHT_POINT) {
         sample.position = LOAD3(0, light->position);
         const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
@@ -224,7 +235,7 @@ INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const
     }
 #endif
 #if FEATURE_SPOT_LIGHTS
-    if (kind & LIGHT_SPOT) {
+    if (light->kind & LIGHT_SPOT) {
         sample.position = LOAD3(0, light->position);
         const Vec3 arm = sub3(sample.position, reference);
         sample.direction = unit(arm);
@@ -234,14 +245,14 @@ INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const
     }
 #endif
 #if FEATURE_DIRECTIONAL_LIGHTS
-    if (kind & LIGHT_DIRECTIONAL) {
+    if (light->kind & LIGHT_DIRECTIONAL) {
         sample.direction = neg3(LOAD3(0, light->position));
         sample.is_delta = sample.is_infinite = true;
         return sample;
     }
 #endif
 #if FEATURE_ENVIRONMENT_MAP
-    if (kind & LIGHT_ENVIRONMENT_MAP) {
+    if (light->kind & LIGHT_ENVIRONMENT_MAP) {
         float density;
         sample.radiance = environment_sample(&g->environment, u, &sample.direction, &density);
         sample.pdf *= density;
@@ -250,7 +261,7 @@ INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const
     }
 #endif
 #if FEATURE_CONSTANT_LIGHT
-    if (kind & LIGHT_CONSTANT) {
+    if (light->kind & LIGHT_CONSTANT) {
         const float z = 1.0f - 2.0f * u.x, r = 2.0f * SQRT(GREATER(u.x * (1.0f - u.x), 0.0f));
         sample.direction = on_plane(scale2(circle(u.y), r), z);
         sample.pdf *= 0.25f * M_1_PI_F;
@@ -260,7 +271,7 @@ INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const
 #endif
 #if FEATURE_AREA_LIGHTS
     Surface s = no_surface();
-    const float density = sample_surface(kind, g, light, reference, u, &s);
+    const float density = sample_surface(g, light, reference, u, &s);
     const Vec3 arm = sub3(s.position, reference);
     const float distance2 = dot3(arm, arm);
     sample.direction = unit(arm);
@@ -270,11 +281,11 @@ INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const
     sample.position = s.position;
     sample.error = s.error;
     sample.normal = s.geometric_normal;
-    sample.primitive = kind & LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
+    sample.primitive = light->kind & LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
 #if FEATURE_SPHERE_LIGHTS || FEATURE_CYLINDER_LIGHTS
     // what shines inwards may be seen through itself: then it is not left out of the shadow ray
-    if ((kind & (LIGHT_SPHERE | LIGHT_CYLINDER)) &&
-        (g->shapes[g->analytics[light->primitive].shape].flags & SHAPE_FLIP_NORMALS))
+    if ((light->kind & (LIGHT_SPHERE | LIGHT_CYLINDER)) &&
+        (Shape_at(g->shapes, Analytic_at(g->analytics, light->primitive).shape).flags & SHAPE_FLIP_NORMALS))
         sample.primitive = NONE;
 #endif
 #endif

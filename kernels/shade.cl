@@ -57,7 +57,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
                     uint environment_light, __global float* hit, __global float* ray_origin,
                     __global float* ray_direction, __global float* throughput, __global uint* path,
                     __global float* shadow_origin, __global float* shadow_direction, __global float* shadow_radiance,
-                    __global float* samples, __global uchar* alive
+                    __global float* samples, __global uint* alive
 #if FEATURE_INSTANCES
                     , __global const Instance* instances, __global const uint* instance
 #endif
@@ -113,7 +113,7 @@ __kernel void shade(uint paths, uint pool, __global const uint* sample_pixel, ui
     scene.lights = lights;
     scene.light_alias = light_alias;
     scene.light_count = light_count;
-    scene.environment_light = environment_light;
+    scene.environment_light = FEATURE_MANY_LIGHTS ? environment_light : 0u;
     scene.seed = seed;
     Paths of;
     of.pool = pool;

@@ -246,7 +246,7 @@ INLINE void look(const Scene* scene, const Paths* of, size_t i, uint kinds, floa
 
 INLINE bool looks_at_triangle(const Scene* scene, const float* kept, size_t lane)
 {
-    return scene->lights[kept_bits(kept, KEPT_PICK, lane)].kind & LIGHT_TRIANGLE;
+    return Light_at(scene->lights, kept_bits(kept, KEPT_PICK, lane)).kind & LIGHT_TRIANGLE;
 }
 
 INLINE void look_for_lights(const Scene* scene, const Paths* of, const Batch* batch, float* kept)

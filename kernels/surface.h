@@ -138,12 +138,9 @@ INLINE Surface triangle_surface(const Geometry* g, uint triangle, float u, float
 #if FEATURE_ANALYTICS && FEATURE_UVS
 // Texture coordinates of a point of an analytic shape, as Mitsuba 3 has them: of a sphere the angles around and from z, of a
 // disk the radius and the angle, of a cylinder the angle and the height. At a pole, where they have no direction, dp_du is 0.
-INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
+INLINE void analytic_uv(const Analytic* shape, Surface* s)
 {
-    float m[12], inverse[12];
-    load_matrix(shape->to_world, m);
-    load_matrix(shape->to_object, inverse);
-    const Vec3 p = transform_point(inverse, s->position);
+    const Vec3 p = transform_point(shape->to_object, s->position);
     const float around = SQRT(p.x * p.x + p.y * p.y), turn = angle_of(p.y, p.x) * (0.5f * M_1_PI_F);
     const Vec2 out = around > 0.0f ? vec2(p.x / around, p.y / around) : vec2(1.0f, 0.0f), on = vec2(-p.y, p.x);
     const float angle = turn < 0.0f ? turn + 1.0f : turn;
@@ -165,16 +162,16 @@ INLINE void analytic_uv(__global const Analytic* shape, Surface* s)
         s->dp_dv = vec3(-out.y, out.x, 0.0f);
     }
 #endif
-    s->dp_du = transform_direction(m, s->dp_du);
-    s->dp_dv = transform_direction(m, s->dp_dv);
+    s->dp_du = transform_direction(shape->to_world, s->dp_du);
+    s->dp_dv = transform_direction(shape->to_world, s->dp_dv);
 }
 #endif
 
 #if FEATURE_ANALYTICS
 // What a surface point of an analytic shape has from its shape, once position and outward normal are known.
-INLINE void complete_analytic(const Geometry* g, uint index, Surface* s)
+INLINE void complete_analytic(const Geometry* g, uint index, const Analytic* analytic, Surface* s)
 {
-    __global const Shape* shape = g->shapes + g->analytics[index].shape;
+    const Shape of = Shape_at(g->shapes, analytic->shape), *shape = &of;
     if (shape->flags & SHAPE_FLIP_NORMALS) s->normal = neg3(s->normal);
     s->geometric_normal = s->normal;
     s->bsdf = shape->bsdf;
@@ -183,13 +180,13 @@ INLINE void complete_analytic(const Geometry* g, uint index, Surface* s)
     s->media = shape->media;
 #endif
 #if FEATURE_UVS
-    analytic_uv(g->analytics + index, s);
+    analytic_uv(analytic, s);
 #endif
 }
 #endif
 
 #if FEATURE_SPHERES
-INLINE void sphere_surface(__global const Analytic* sphere, Vec3 outward, Surface* s)
+INLINE void sphere_surface(const Analytic* sphere, Vec3 outward, Surface* s)
 {
     const Vec3 center = LOAD3(0, sphere->center), arm = scale3(outward, sphere->radius);
     s->position = add3(center, arm);
@@ -215,14 +212,11 @@ INLINE Vec3 round_trip_error(const float* to_world, const float* to_object, Vec3
 
 #if FEATURE_DISKS || FEATURE_CYLINDERS
 // A point of object space that lies on the surface exactly, and its normal there, taken to world space.
-INLINE void transformed_surface(__global const Analytic* shape, Vec3 on_shape, Vec3 shape_normal, Surface* s)
+INLINE void transformed_surface(const Analytic* shape, Vec3 on_shape, Vec3 shape_normal, Surface* s)
 {
-    float m[12], inverse[12];
-    load_matrix(shape->to_world, m);
-    load_matrix(shape->to_object, inverse);
-    s->position = transform_point(m, on_shape);
-    s->normal = unit(transform_normal(inverse, shape_normal));
-    s->error = round_trip_error(m, inverse, on_shape, s->position);
+    s->position = transform_point(shape->to_world, on_shape);
+    s->normal = unit(transform_normal(shape->to_object, shape_normal));
+    s->error = round_trip_error(shape->to_world, shape->to_object, on_shape, s->position);
 }
 #endif
 
@@ -230,7 +224,7 @@ INLINE void transformed_surface(__global const Analytic* shape, Vec3 on_shape, V
 INLINE Surface analytic_surface(const Geometry* g, uint index, Vec3 origin, Vec3 direction, float t)
 {
     Surface s = no_surface();
-    __global const Analytic* shape = g->analytics + index;
+    const Analytic met = Analytic_at(g->analytics, index), *shape = &met;
 #if FEATURE_SPHERES
     if (shape->kind & ANALYTIC_SPHERE) {
         // from the centre, not from the world's origin: far from that a point has few digits left, a normal none
@@ -240,9 +234,7 @@ INLINE Surface analytic_surface(const Geometry* g, uint index, Vec3 origin, Vec3
 #endif
 #if FEATURE_DISKS || FEATURE_CYLINDERS
     if (!(shape->kind & ANALYTIC_SPHERE)) {
-        float to_object[12];
-        load_matrix(shape->to_object, to_object);
-        Vec3 on_shape = transform_point(to_object, add3(origin, scale3(direction, t)));
+        Vec3 on_shape = transform_point(shape->to_object, add3(origin, scale3(direction, t)));
         Vec3 shape_normal = vec3(0.0f, 0.0f, 1.0f);
         if (shape->kind & ANALYTIC_DISK) {
             on_shape.z = 0.0f;
@@ -254,7 +246,7 @@ INLINE Surface analytic_surface(const Geometry* g, uint index, Vec3 origin, Vec3
         transformed_surface(shape, on_shape, shape_normal, &s);
     }
 #endif
-    complete_analytic(g, index, &s);
+    complete_analytic(g, index, shape, &s);
     return s;
 }
 #endif

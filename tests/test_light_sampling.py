@@ -69,7 +69,8 @@ __kernel void density({GEOMETRY},
     if (i >= n) return;
     const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
     const Vec3 from = LOAD3(i, reference), arm = sub3(LOAD3(i, position), from);
-    out[i] = light_pdf(&g, lights + index, from, unit(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
+    const Light light = Light_at(lights, index);
+    out[i] = light_pdf(&g, &light, from, unit(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
 }}
 """
 
@@ -161,7 +162,7 @@ def lit():
     device, source = Device(), program.kernel_source
     on = {"AREA_LIGHTS", "TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS", "POINT_LIGHTS"}
     on |= {"SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS"}
-    on |= {"CYLINDERS", "TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS"}
+    on |= {"CYLINDERS", "TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS", "MANY_LIGHTS"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
         constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}

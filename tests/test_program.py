@@ -51,7 +51,7 @@ NEEDS = {  # no scene has the one without the others
     "BUMP": {"TEXTURES", "UVS"},
     "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "TRIANGLES"},
     "MEDIA": {"VOLPATH"},
-    "LIGHT_TREE": {"NEXT_EVENT", "DIFFUSE"},
+    "LIGHT_TREE": {"NEXT_EVENT", "DIFFUSE", "MANY_LIGHTS"},
     "BATCHES": {"MEDIAN"},
 }
 COMPANION = {  # of these a scene with the one has at least one: it stands for them where nothing else does

@@ -76,6 +76,7 @@ FEATURES = {
     "DIRECTIONAL_LIGHTS": Feature("directional lights", "sampling code in shade"),
     "CONSTANT_LIGHT": Feature("constant environment", "sampling code and radiance of missed rays in shade"),
     "ENVIRONMENT_MAP": Feature("environment map", "20 bytes a texel, code in shade"),
+    "MANY_LIGHTS": Feature("more than one light", "8 bytes a light, code in shade"),
     "LIGHT_TREE": Feature(
         "many lights, picked by what they could send to a point", "about 100 bytes a light, 32 a path, code in shade"
     ),
@@ -162,6 +163,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "DIRECTIONAL_LIGHTS": structs.LIGHT_DIRECTIONAL in light,
         "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
         "ENVIRONMENT_MAP": structs.LIGHT_ENVIRONMENT_MAP in light,
+        "MANY_LIGHTS": len(scene.lights) > 1,
         "LIGHT_TREE": weighs_lights and not light_list.serves(scene.lights),
         "LIGHT_LIST": weighs_lights and light_list.serves(scene.lights),
         "NEXT_EVENT": next_event,

@@ -146,7 +146,7 @@ class Wavefront:
             "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
             "pool": np.uint32(plane),
-            "alive": per_path("the flags of the paths", 1),
+            "alive": per_path("the flags of the paths", 4),
             "block_alive": device.buffer(4 * -(-pool // self.block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
             **{

@@ -1,6 +1,6 @@
 """Bounds of the lights of a scene, by which next-event estimation picks one of some (kernels/light_list.h).
 
-They are those that the leaves of a tree of lights have (scene/light_tree.py); a loop over few lights is faster than a walk.
+They are those of the leaves of a tree of lights (scene/light_tree.py); a loop over few is faster than a walk.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from isonoise.scene.light_tree import LEAST_SHARE
 MOST = 32
 """Lights up to which the list is used."""
 _NEAREST = 1e-30
-"""Square of the distance up to which a light counts as more when it is nearer, in sizes of the scene: keeps weights finite."""
+"""Square of the least distance that counts, in sizes of the scene: keeps weights finite."""
 
 
 def serves(lights: np.ndarray) -> bool:
