@@ -29,8 +29,14 @@ FOLDER = resources.files("isonoise.kernels")
 FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
 STAGES = [name for name in FILES if name.endswith(".cl")]
 CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
-CONSTANTS |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS}
-MANY = CONSTANTS | {"LANES": 64}
+CONSTANTS |= {
+    "LANES": 1,
+    "SHADE_LANES": 1,
+    "PATHS_PER_BLOCK": 64,
+    "MOST_CORNERS": MOST_CORNERS,
+    "MOST_LISTED_LIGHTS": 8,
+}
+MANY = CONSTANTS | {"LANES": 64, "SHADE_LANES": 256}
 """For work-items that take many paths: kernels/paths.h. There are none in scenes of the feature VOLPATH."""
 TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in FEW_KERNELS.values()})
 
@@ -51,6 +57,7 @@ NEEDS = {  # no scene has the one without the others
     "BUMP": {"TEXTURES", "UVS"},
     "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "TRIANGLES"},
     "MEDIA": {"VOLPATH"},
+    "LIGHT_LIST": {"NEXT_EVENT", "DIFFUSE", "MANY_LIGHTS"},
     "LIGHT_TREE": {"NEXT_EVENT", "DIFFUSE", "MANY_LIGHTS"},
     "BATCHES": {"MEDIAN"},
 }
@@ -200,6 +207,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "MEDIA": "fly",
         "NEXT_EVENT": "next_event",
         "LIGHT_TREE": "pick_from_tree",
+        "LIGHT_LIST": "pick_from_list",
         "RUSSIAN_ROULETTE": "survival",
     },
     "intersect.cl": {
@@ -224,7 +232,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "THIN_DIELECTRIC": "thin_dielectric_reflectance",
     },
     "generate.cl": {"THIN_LENS": "lens", "INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "sensor_medium"},
-    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium", "LIGHT_TREE": "lit"},
+    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium"},
     "reduce.cl": {"MEDIAN": "medians", "BATCHES": "batch_sum", "POWER": "powers", "HALF": "halves"},
     "summarise.cl": {"MEDIAN": "medians", "POWER": "powers", "HALF": "halves"},
 }

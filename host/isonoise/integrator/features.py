@@ -111,6 +111,7 @@ _SMOOTH = {
 _ROUGH = (structs.BSDF_ROUGH_CONDUCTOR, structs.BSDF_ROUGH_DIELECTRIC, structs.BSDF_ROUGH_PLASTIC)
 """Materials of which the distribution of normals can be chosen."""
 
+
 def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, bool]:
     """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
     analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
