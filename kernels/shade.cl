@@ -17,7 +17,8 @@ INLINE void shade_path(const Scene* scene, const Paths* of, size_t i, uint max_d
     if (shines) ADD3(arriving_emission(scene, &p, &s, pick_before(scene, &p, s.light)), p.sample, of->samples);
 #endif
     const bool last = p.depth + 1u >= max_depth;
-    if (!scatters || (!FEATURE_VOLPATH && last)) return;
+    if (!scatters) return;
+    if (!FEATURE_VOLPATH && last) return;
     Shading at;
     const bool passes = meet_material(scene, &p, &s, &at);
 #if HAS_SEE_THROUGH && !FEATURE_VOLPATH

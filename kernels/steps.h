@@ -83,7 +83,7 @@ INLINE bool is_marked(uint bit, const float* kept, size_t lane)
 }
 
 // The material that a path meets, and whether it looks for a light.
-INLINE void meet(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s, float* kept, size_t lane)
+INLINE void meet(const Scene* scene, const Paths* of, size_t i, const Path* p, const Surface* s, float* kept, size_t lane)
 {
     Shading at;
     if (meet_material(scene, p, s, &at)) {
