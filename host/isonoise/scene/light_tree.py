@@ -17,7 +17,7 @@ from isonoise.scene.emission import Emission, emission_of, joined
 from isonoise.scene.ploc import BinaryTree, build_binary_tree
 
 FEWEST = 4
-"""Lights from which on the tree is used. Four lamps that stand apart: half the variance at equal time. One panel of
+"""Lights from which on they are picked by what they could send. Four lamps that stand apart: half the variance at equal time. One panel of
 four triangles, and a room with 21 lights near each other: as good as the alias table."""
 ROWS = 12
 """float8 of a node: center x, y, z and radius of the spheres around its children; their shares of the intensity, which
