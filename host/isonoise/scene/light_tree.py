@@ -17,8 +17,8 @@ from isonoise.scene.emission import Emission, emission_of, joined
 from isonoise.scene.ploc import BinaryTree, build_binary_tree
 
 FEWEST = 4
-"""Lights from which on they are picked by what they could send. Four lamps that stand apart: half the variance at equal time. One panel of
-four triangles, and a room with 21 lights near each other: as good as the alias table."""
+"""Lights from which on they are picked by what they could send. Four lamps that stand apart: half the variance at equal
+time. One panel of four triangles, and a room with 21 lights near each other: as good as the alias table."""
 ROWS = 12
 """float8 of a node: center x, y, z and radius of the spheres around its children; their shares of the intensity, which
 sum to 1; axes x, y, z of the cones; cosine and sine of their half angles; cosine of the angle up to which light leaves;
