@@ -120,6 +120,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
     endless = scene.max_depth < 0
     next_event = bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1)
     weighs_lights = next_event and pays(scene.lights)
+    volpath = len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_SEE_THROUGH).any())
+    lists_lights = light_list.serves(scene.lights) and not volpath  # such paths go one by one: a walk is shorter
     return {
         "TRIANGLES": len(scene.faces) > 0,
         "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
@@ -151,7 +153,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "BUMP": structs.BSDF_BUMP in bsdf,
         "NORMAL_MAP": structs.BSDF_NORMAL_MAP in bsdf,
         "TWOSIDED": bool((scene.bsdfs["flags"] & structs.BSDF_TWOSIDED).any()),
-        "VOLPATH": len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_SEE_THROUGH).any()),
+        "VOLPATH": volpath,
         "MEDIA": len(scene.media) > 0,
         "AREA_LIGHTS": bool(light & surface_lights),
         "TEXTURED_LIGHTS": bool((scene.lights["texture"] != structs.NONE).any()),
@@ -165,8 +167,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
         "ENVIRONMENT_MAP": structs.LIGHT_ENVIRONMENT_MAP in light,
         "MANY_LIGHTS": len(scene.lights) > 1,
-        "LIGHT_TREE": weighs_lights and not light_list.serves(scene.lights),
-        "LIGHT_LIST": weighs_lights and light_list.serves(scene.lights),
+        "LIGHT_TREE": weighs_lights and not lists_lights,
+        "LIGHT_LIST": weighs_lights and lists_lights,
         "NEXT_EVENT": next_event,
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,
