@@ -17,6 +17,7 @@ typedef struct {
     __global const Light* lights;
     __global const Alias* light_alias;
     uint light_count, environment_light;
+    uint textured_slots;  // bits of the slots in which some material has a texture
     __global const Medium* media;
     __global const Instance* instances;
     uint world_triangles;  // those before are in no group
@@ -89,7 +90,7 @@ INLINE Path load_path(const Paths* of, size_t i)
     p.crossed = PLANE(1, of->crossing, pool)[i];
 #endif
     p.was_lit = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-#if FEATURE_LIGHT_TREE
+#if HAS_LIT
     p.was_lit = load_planes4(of->lit, i, pool);
 #endif
     p.within = 0u;
@@ -161,27 +162,41 @@ INLINE void go_behind(const Paths* of, size_t i, const Path* p, const Surface* s
 }
 #endif
 
+#if HAS_SEE_THROUGH && !FEATURE_VOLPATH
+// The same where a material lets a path through: next-event estimation did not see what is behind, it takes part in no weight.
+INLINE void pass_unseen(const Paths* of, size_t i, const Path* p, const Surface* s)
+{
+    go_behind(of, i, p, s);
+    PLANE(3, of->ray_direction, of->pool)[i] = -1.0f;
+    PLANE(PATH_DEPTH, of->path, of->pool)[i] = p->depth + 1u;
+}
+#endif
+
+// Probability with which a light would have been picked at a path's last vertex.
+INLINE float pick_before(const Scene* scene, const Path* p, uint light)
+{
+    return pick_probability(&scene->geometry, scene->lights, light, p->last_vertex, p->was_lit, p->direction_pdf);
+}
+
 #if HAS_SKY
-// What a path brings that leaves the scene.
-INLINE Vec3 arriving_sky(const Scene* scene, const Path* p)
+// What a path brings that leaves the scene; `pick`: the probability with which the sky would have been picked at its last vertex.
+INLINE Vec3 arriving_sky(const Scene* scene, const Path* p, float pick)
 {
     const Geometry* g = &scene->geometry;
     float pdf = 0.0f;
     const Light sky = Light_at(scene->lights, scene->environment_light);
     const Vec3 radiance = sky_radiance(g, &sky, p->direction, &pdf);
-    pdf *= pick_probability(g, scene->lights, scene->environment_light, p->last_vertex, p->was_lit, p->direction_pdf);
-    return scale3(mul3(p->weight, radiance), mis_weight(p->direction_pdf, pdf));
+    return scale3(mul3(p->weight, radiance), mis_weight(p->direction_pdf, pick * pdf));
 }
 #endif
 
 #if FEATURE_AREA_LIGHTS
-// What a path brings that meets a light.
-INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* s)
+// What a path brings that meets a light; `pick`: the probability with which it would have been picked.
+INLINE Vec3 arriving_emission(const Scene* scene, const Path* p, const Surface* s, float pick)
 {
     const Geometry* g = &scene->geometry;
     const Light met = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? s->light : 0u), *light = &met;
-    const float pdf = pick_probability(g, scene->lights, s->light, p->last_vertex, p->was_lit, p->direction_pdf) *
-                      light_pdf(g, light, p->last_vertex, p->direction, p->since_vertex, s->normal);
+    const float pdf = pick * light_pdf(g, light, p->last_vertex, p->direction, p->since_vertex, s->normal);
     return scale3(mul3(p->weight, emitted_radiance(g, light, s)), mis_weight(p->direction_pdf, pdf));
 }
 #endif
@@ -198,11 +213,12 @@ INLINE Surface meet_surface(const Scene* scene, const Paths* of, size_t i, const
 #endif
 }
 
-// Adds what the path brings to its sample. Returns whether the surface, or a volume before it that takes its place, may scatter it.
-// `may_miss`: whether there may be none.
-INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s, bool may_miss)
+// Brings the path to the surface, or to a volume before it that takes its place. Returns whether it may be scattered there.
+// `may_miss`: whether there may be none. `shines`: whether it met a light, whose emission is still to be added.
+INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surface* s, bool may_miss, bool* shines)
 {
     bool from_volume = false;
+    *shines = false;
 #if FEATURE_MEDIA
     float flown = p->distance;
     if (p->within != MEDIUM_NONE)
@@ -211,7 +227,7 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
 #endif
     if (may_miss && !p->in_volume && p->primitive == NONE) {
 #if HAS_SKY
-        if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) ADD3(arriving_sky(scene, p), p->sample, of->samples);
+        if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) ADD3(arriving_sky(scene, p, pick_before(scene, p, scene->environment_light)), p->sample, of->samples);
 #endif
         return false;
     }
@@ -237,7 +253,7 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
             return false;
         }
 #endif
-        if (dot3(s->normal, p->direction) < 0.0f) ADD3(arriving_emission(scene, p, s), p->sample, of->samples);
+        *shines = dot3(s->normal, p->direction) < 0.0f;
     }
 #endif
     return true;

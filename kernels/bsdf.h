@@ -22,7 +22,7 @@ INLINE bool bsdf_is_smooth(const Shading* at)
 #endif
     if (!(at->cos_i > 0.0f || HAS_ROUGH_TRANSMISSION)) return false;
 #if HAS_DELTA_BSDFS
-    return !(at->bsdf->kind & (BSDF_DIELECTRIC | BSDF_THIN_DIELECTRIC | BSDF_CONDUCTOR));
+    return !(at->bsdf->kind & DELTA_BSDFS);
 #else
     return HAS_SMOOTH_BSDFS;
 #endif
@@ -40,12 +40,11 @@ INLINE Vec4 lit_side(const Shading* at)
 #endif
 
 #if FEATURE_NEXT_EVENT
-// bsdf * |cos| for light from `wo`, and the pdf with which `bsdf_sample` finds it.
-INLINE Vec3 bsdf_eval(const Shading* at, Vec3 wo, float* pdf)
+// Of a material of this kind: bsdf * |cos| for light from `wo`, and the pdf with which `sample_kind` finds it.
+INLINE Vec3 eval_kind(uint kind, const Shading* at, Vec3 wo, float* pdf)
 {
     *pdf = 0.0f;
     Vec3 value = all3(0.0f);
-    const uint kind = at->bsdf->kind;
 #if FEATURE_DIFFUSE
     if (kind & BSDF_DIFFUSE) value = diffuse_eval(at, wo, pdf);
 #endif
@@ -69,13 +68,17 @@ INLINE Vec3 bsdf_eval(const Shading* at, Vec3 wo, float* pdf)
 #endif
     return value;
 }
+
+INLINE Vec3 bsdf_eval(const Shading* at, Vec3 wo, float* pdf)
+{
+    return eval_kind(at->bsdf->kind, at, wo, pdf);
+}
 #endif
 
 // `u`: lobe, direction x, direction y.
-INLINE BsdfSample bsdf_sample(const Shading* at, Vec3 u)
+INLINE BsdfSample sample_kind(uint kind, const Shading* at, Vec3 u)
 {
     BsdfSample sample = nothing_sampled();
-    const uint kind = at->bsdf->kind;
 #if FEATURE_DIFFUSE
     if (kind & BSDF_DIFFUSE) sample = diffuse_sample(at, vec2(u.y, u.z));
 #endif
@@ -107,4 +110,9 @@ INLINE BsdfSample bsdf_sample(const Shading* at, Vec3 u)
     if (kind & BSDF_HG) sample = hg_sample(at, vec2(u.y, u.z));
 #endif
     return sample;
+}
+
+INLINE BsdfSample bsdf_sample(const Shading* at, Vec3 u)
+{
+    return sample_kind(at->bsdf->kind, at, u);
 }

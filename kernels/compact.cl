@@ -54,7 +54,7 @@ __kernel void move_paths(__global const uint* alive, uint paths, uint pool, __gl
 #if FEATURE_MEDIA
                          , __global const uint* medium, __global uint* next_medium
 #endif
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
                          , __global const uint* lit, __global uint* next_lit
 #endif
                          )
@@ -81,7 +81,7 @@ __kernel void move_paths(__global const uint* alive, uint paths, uint pool, __gl
 #if FEATURE_MEDIA
     move_planes(1u, medium, next_medium + to, pool, from, count);
 #endif
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
     move_planes(4u, lit, next_lit + to, pool, from, count);
 #endif
 }

@@ -32,7 +32,7 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
 #if FEATURE_MEDIA
                        , __global uint* medium, uint sensor_medium
 #endif
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
                        , __global float* lit
 #endif
                        )
@@ -94,7 +94,7 @@ __kernel void generate(uint count_new, uint pool, uint first_slot, uint first_sa
 #if FEATURE_MEDIA
         medium[slot] = sensor_medium;
 #endif
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
         store_planes4(vec4(0.0f, 0.0f, 0.0f, 0.0f), lit, slot, pool);
 #endif
         STORE3(all3(0.0f), sample, samples);

@@ -1,6 +1,5 @@
 // Lights: picking one, sampling a point on it, and the density of that for a direction that was found otherwise.
 #pragma once
-#include "light_tree.h"
 #include "surface.h"
 
 #if FEATURE_NEXT_EVENT
@@ -42,10 +41,12 @@ INLINE bool sampled_by_cone(const Geometry* g, const Analytic* sphere, float dis
 #endif
 
 // Probability with which `sample_light` would have picked a light for a point and the side that is lit there (see `lit_side`).
-// `pdf`: of the direction that found it; after a delta function, when it is negative, the tree is not asked.
+// `pdf`: of the direction that found it; after a delta function, when it is negative, it is not asked for.
 INLINE float pick_probability(const Geometry* g, __global const Light* lights, uint light, Vec3 point, Vec4 lit, float pdf)
 {
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_LIST
+    return pdf < 0.0f ? 0.0f : light_list_probability(&g->light_list, light, point, lit);
+#elif FEATURE_LIGHT_TREE
     return pdf < 0.0f ? 0.0f : light_tree_probability(&g->light_tree, light, point, lit);
 #elif FEATURE_MANY_LIGHTS
     return Light_at(lights, light).pick_probability;
@@ -74,7 +75,7 @@ INLINE float light_pdf(const Geometry* g, const Light* light, Vec3 reference, Ve
 }
 #endif
 
-#if FEATURE_NEXT_EVENT && FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_TREE
+#if FEATURE_NEXT_EVENT && FEATURE_MANY_LIGHTS && !HAS_LIT
 // Walker's alias method with 48 random bits, so that a million lights are still picked with their exact probabilities.
 INLINE uint pick_by_power(__global const Alias* table, uint count, float u_high, float u_low)
 {
@@ -204,7 +205,9 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
                             Vec3 reference, Vec4 lit, float u, float u_low)
 {
     LightPick pick;
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_LIST
+    pick.light = pick_from_list(&g->light_list, reference, lit, u, u_low, &pick.probability);
+#elif FEATURE_LIGHT_TREE
     pick.light = pick_from_tree(&g->light_tree, reference, lit, u, u_low, &pick.probability);
 #elif FEATURE_MANY_LIGHTS
     pick.light = pick_by_power(table, count, u, u_low);
@@ -216,11 +219,14 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
     return pick;
 }
 
-// A point on the light that was picked, for the point `reference`.
-INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference, Vec2 u)
+// A point on the light that was picked, which is of one of these kinds, for the point `reference`.
+INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference,
+                                   Vec2 u)
 {
     LightSample sample = no_light();
-    const Light picked = Light_at(lights, FEATURE_MANY_LIGHTS ? pick.light : 0u), *light = &picked;
+    Light picked = Light_at(lights, FEATURE_MANY_LIGHTS ? pick.light : 0u);
+    picked.kind = kinds == LIGHT_TRIANGLE ? kinds : picked.kind & kinds;  // a constant, where it may be one
+    const Light* light = &picked;
     sample.pdf = pick.probability;
     sample.radiance = LOAD3(0, light->radiance);
 #if FEATURE_POINT_LIGHTS
@@ -289,5 +295,10 @@ INLINE LightSample sample_light(const Geometry* g, __global const Light* lights,
 #endif
 #endif
     return sample;
+}
+
+INLINE LightSample sample_light(const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference, Vec2 u)
+{
+    return sample_light_of(~0u, g, lights, pick, reference, u);
 }
 #endif

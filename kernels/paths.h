@@ -55,12 +55,12 @@ INLINE void store_planes4(Vec4 v, __global float* planes, size_t i, uint pool)
 // Members of records that a work-item keeps from one loop over its paths to the next.
 INLINE void keep1(float x, float* kept, uint member, size_t lane)
 {
-    kept[member * LANES + lane] = x;
+    (kept + member * LANES)[lane] = x;
 }
 
 INLINE float kept1(const float* kept, uint member, size_t lane)
 {
-    return kept[member * LANES + lane];
+    return (kept + member * LANES)[lane];
 }
 
 INLINE void keep3(Vec3 v, float* kept, uint member, size_t lane)
@@ -73,5 +73,16 @@ INLINE void keep3(Vec3 v, float* kept, uint member, size_t lane)
 INLINE Vec3 kept3(const float* kept, uint member, size_t lane)
 {
     return vec3(kept1(kept, member, lane), kept1(kept, member + 1u, lane), kept1(kept, member + 2u, lane));
+}
+
+INLINE void keep4(Vec4 v, float* kept, uint member, size_t lane)
+{
+    keep3(xyz(v), kept, member, lane);
+    keep1(v.w, kept, member + 3u, lane);
+}
+
+INLINE Vec4 kept4(const float* kept, uint member, size_t lane)
+{
+    return with_w(kept3(kept, member, lane), kept1(kept, member + 3u, lane));
 }
 #endif

@@ -2,6 +2,7 @@
 #pragma once
 #include "instance.h"
 #include "environment.h"
+#include "light_list.h"
 #include "light_tree.h"
 #include "texture.h"
 #include "vectors.h"
@@ -61,7 +62,9 @@ typedef struct {
 #if FEATURE_ENVIRONMENT_MAP
     EnvironmentMap environment;
 #endif
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_LIST
+    LightList light_list;
+#elif FEATURE_LIGHT_TREE
     LightTree light_tree;
 #endif
 #if FEATURE_TEXTURES

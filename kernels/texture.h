@@ -46,13 +46,11 @@ INLINE float floor1(float x)
 INLINE Vec3 texel(const Textures* textures, __global const Texture* t, int x, int y)
 {
     const uint index = t->first + (uint)y * t->size[0] + (uint)x;
-    if (t->flags & TEXTURE_FLOATS) {
-        __global const float* linear = textures->floats + 4u * (size_t)index;
-        return vec3(linear[0], linear[1], linear[2]);
-    }
-    __global const uchar* encoded = textures->bytes + 4u * (size_t)index;
-    if (t->flags & TEXTURE_RAW) return scale3(vec3(encoded[0], encoded[1], encoded[2]), 1.0f / 255.0f);
-    return vec3(textures->srgb[encoded[0]], textures->srgb[encoded[1]], textures->srgb[encoded[2]]);
+    if (t->flags & TEXTURE_FLOATS) return LOAD3(0, textures->floats + 4u * (size_t)index);
+    const uint encoded = ((__global const uint*)textures->bytes)[index];  // at once: devices are little-endian
+    const uint r = encoded & 0xFFu, g = encoded >> 8 & 0xFFu, b = encoded >> 16 & 0xFFu;
+    if (t->flags & TEXTURE_RAW) return scale3(vec3((float)r, (float)g, (float)b), 1.0f / 255.0f);
+    return vec3(textures->srgb[r], textures->srgb[g], textures->srgb[b]);
 }
 
 // A coordinate brought near the image by its wrap mode, in texels: what is left of it lies in [0, size], for mirrored ones in
@@ -78,13 +76,16 @@ INLINE int wrap_texel(uint flags, int i, int size)
     return i < 0 ? 0 : LESSER(i, size - 1);
 }
 
-// The four texels around a point of the image, by row, and the weights of the later column and row.
+// The four texels around a point of the image, by row, and the weights of the later column and row. Where texels are not
+// interpolated the first is the one that the point lies in, and the weights are 0.
 INLINE Vec2 texels_around(const Textures* textures, __global const Texture* t, Vec2 uv, Vec3* v00, Vec3* v10,
                             Vec3* v01, Vec3* v11)
 {
     const int width = (int)t->size[0], height = (int)t->size[1];
-    const float x = wrap_coordinate(t->flags, uv.x, (float)width) - 0.5f;
-    const float y = wrap_coordinate(t->flags, uv.y, (float)height) - 0.5f;
+    const bool nearest = t->flags & TEXTURE_NEAREST;
+    const float to_center = nearest ? 0.0f : 0.5f;
+    const float x = wrap_coordinate(t->flags, uv.x, (float)width) - to_center;
+    const float y = wrap_coordinate(t->flags, uv.y, (float)height) - to_center;
     const float left = floor1(x), top = floor1(y);
     const int x0 = wrap_texel(t->flags, (int)left, width), x1 = wrap_texel(t->flags, (int)left + 1, width);
     const int y0 = wrap_texel(t->flags, (int)top, height), y1 = wrap_texel(t->flags, (int)top + 1, height);
@@ -92,20 +93,13 @@ INLINE Vec2 texels_around(const Textures* textures, __global const Texture* t, V
     *v10 = texel(textures, t, x1, y0);
     *v01 = texel(textures, t, x0, y1);
     *v11 = texel(textures, t, x1, y1);
-    return vec2(x - left, y - top);
+    return nearest ? all2(0.0f) : vec2(x - left, y - top);
 }
 
 INLINE Vec3 bitmap_rgb(const Textures* textures, __global const Texture* t, Vec2 uv)
 {
-    uv = texture_uv(t, uv);
-    if (t->flags & TEXTURE_NEAREST) {
-        const float x = wrap_coordinate(t->flags, uv.x, (float)t->size[0]);
-        const float y = wrap_coordinate(t->flags, uv.y, (float)t->size[1]);
-        return texel(textures, t, wrap_texel(t->flags, (int)x, (int)t->size[0]),
-                     wrap_texel(t->flags, (int)y, (int)t->size[1]));
-    }
     Vec3 v00, v10, v01, v11;
-    const Vec2 w = texels_around(textures, t, uv, &v00, &v10, &v01, &v11);
+    const Vec2 w = texels_around(textures, t, texture_uv(t, uv), &v00, &v10, &v01, &v11);
     const Vec3 upper = add3(scale3(v00, 1.0f - w.x), scale3(v10, w.x)), lower = add3(scale3(v01, 1.0f - w.x), scale3(v11, w.x));
     return add3(scale3(upper, 1.0f - w.y), scale3(lower, w.y));
 }
@@ -159,8 +153,15 @@ INLINE __global const Texture* texture_shown(const Textures* textures, uint text
     return t;
 }
 
+// Where many paths are looked at together a call would part them; else the code is long, and its callers many.
+#if LANES > 1 && !FEATURE_CHECKERBOARDS
+#define TEXTURE_CALL INLINE
+#else
+#define TEXTURE_CALL OUTLINE
+#endif
+
 // Linear RGB, and nothing.
-OUTLINE Vec4 texture_rgb0(const Textures* textures, uint texture, const TexturePoint* at)
+TEXTURE_CALL Vec4 texture_rgb0(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, false);
 #if FEATURE_BITMAPS
@@ -179,7 +180,7 @@ INLINE Vec3 texture_rgb(const Textures* textures, uint texture, const TexturePoi
 }
 
 // A number: the luminance, of plain colours the mean.
-OUTLINE float texture_number(const Textures* textures, uint texture, const TexturePoint* at)
+TEXTURE_CALL float texture_number(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, true);
 #if FEATURE_BITMAPS
@@ -193,7 +194,7 @@ OUTLINE float texture_number(const Textures* textures, uint texture, const Textu
 
 #if FEATURE_BUMP
 // Slope of the number along u and v. Only bitmaps have one: what else there is is constant in pieces, or not along u and v.
-OUTLINE Vec2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
+TEXTURE_CALL Vec2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = texture_shown(textures, texture, at->uv, true);
 #if FEATURE_BITMAPS

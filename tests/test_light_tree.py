@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import scalar_mitsuba
 import trimesh
+from many_lights import compiled, deviate, mixed_lights, some_points, unit
 from small_scene import lamp_over_floor
 
 import isonoise
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
 from isonoise.integrator.kernels import STRUCTS
-from isonoise.scene import compile_scene, emission, light_tree, load, structs, textures
+from isonoise.scene import emission, light_tree, structs, textures
 from isonoise.scene.light_tree import ROWS, WIDTH, build_light_tree
 
 Z = 5.0
@@ -97,69 +98,9 @@ class OnDevice:
         return out[:, 0].copy().view(np.uint32), out[:, 1].astype(np.float64)
 
 
-def _four(v: np.ndarray, w: float) -> np.ndarray:
-    return np.concatenate([v, np.full((len(v), 1), w)], axis=1).astype(np.float32)
-
-
 @pytest.fixture(scope="module")
 def device():
     return OnDevice()
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
-
-
-def _placed(rng, scale: float) -> np.ndarray:
-    """A random rotation, size and place."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * scale * rng.uniform(0.3, 1.0)
-    matrix[:3, 3] = rng.uniform(-4, 4, 3)
-    return matrix
-
-
-def mixed_lights(count: int = 60, seed: int = 5, beyond: bool = True) -> dict:
-    """Lights of every kind among a room's worth of places, some of them dark, some of smooth meshes."""
-    rng = np.random.default_rng(seed)
-    scene, kinds = {}, ("rectangle", "smooth", "sphere", "disk", "cylinder", "point", "spot", "flipped")
-    for index in range(count):
-        kind = kinds[index % len(kinds)]
-        colour = {"type": "rgb", "value": (rng.lognormal(0, 1) * rng.uniform(0.2, 1.0, 3)).tolist()}
-        matrix = _placed(rng, 0.5)
-        shape = {"to_world": matrix, "emitter": {"type": "area", "radiance": colour}}
-        if kind == "point":
-            light = {"type": "point", "position": matrix[:3, 3], "intensity": colour}
-        elif kind == "spot":
-            rigid = matrix.copy()
-            rigid[:3, :3] = np.linalg.qr(matrix[:3, :3])[0]
-            light = {"type": "spot", "to_world": rigid, "intensity": colour, "cutoff_angle": float(rng.uniform(5, 60))}
-        elif kind == "smooth":
-            corners = rng.normal(size=(4, 3)) * 0.3 + matrix[:3, 3]
-            light = {"type": "mesh", "vertices": corners, "faces": np.array([[0, 1, 2], [2, 1, 3]]), **shape}
-            light.pop("to_world")
-        elif kind in ("sphere", "flipped"):
-            light = {"type": "sphere", "center": matrix[:3, 3], "radius": float(rng.uniform(0.05, 0.3)), **shape}
-            light.pop("to_world")
-            light["flip_normals"] = kind == "flipped"
-        else:
-            light = {"type": kind, **shape}
-        scene[f"light{index}"] = light
-    scene["dark"] = {"type": "disk", "emitter": {"type": "area", "radiance": 0.0}}
-    if beyond:
-        scene["sun"] = {"type": "directional", "direction": [0.3, -0.2, -1.0], "irradiance": 0.05}
-        scene["sky"] = {"type": "constant", "radiance": 0.02}
-    return scene
-
-
-def compiled(**objects):
-    return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, **objects}))
-
-
-def some_points(rng, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points among the lights, and normals: every fourth is none."""
-    points, normals = rng.uniform(-5, 5, (count, 3)), _four(_unit(rng.normal(size=(count, 3))), 0)
-    normals[::4] = (0, 0, 0, 1)
-    return points.astype(np.float32), normals
 
 
 def reference_weights(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -236,11 +177,11 @@ def _shines_from(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray,
         shape = scene.shapes[scene.triangle_shape[light["primitive"]]]
         if shape["flags"] & structs.SHAPE_VERTEX_NORMALS:
             normals = weights @ scene.vertex_normals[face]
-        return weights @ corners, _unit(normals), half
+        return weights @ corners, unit(normals), half
     record = scene.analytics[light["primitive"]]
     flip = -1.0 if scene.shapes["flags"][record["shape"]] & structs.SHAPE_FLIP_NORMALS else 1.0
     if light["kind"] == structs.LIGHT_SPHERE:
-        out = _unit(rng.normal(size=(count, 3)))
+        out = unit(rng.normal(size=(count, 3)))
         return record["center"] + record["radius"] * out, flip * out, half
     matrix, inverse = (record[name].reshape(3, 4).astype(np.float64) for name in ("to_world", "to_object"))
     angle = rng.uniform(0, 2 * np.pi, count)
@@ -249,7 +190,7 @@ def _shines_from(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray,
         on, normal = around * rng.uniform(0, 1, (count, 1)), np.tile([0.0, 0.0, 1.0], (count, 1))
     else:
         on, normal = around + np.outer(rng.uniform(0, 1, count), [0, 0, 1]), around
-    return on @ matrix[:, :3].T + matrix[:, 3], flip * _unit(normal @ inverse[:, :3]), half
+    return on @ matrix[:, :3].T + matrix[:, 3], flip * unit(normal @ inverse[:, :3]), half
 
 
 def test_bounds_miss_no_light_that_arrives():
@@ -320,16 +261,6 @@ def test_probabilities_of_all_lights_sum_to_one(device):
     assert ((found > 0) == (power > 0)).all()
 
 
-def _deviate(counts: np.ndarray, expected: np.ndarray) -> float:
-    """Chi-square of counts, rare ones put together, as a standard normal deviate (Wilson and Hilferty)."""
-    order = np.argsort(expected)
-    cells = np.minimum(np.cumsum(expected[order]) // 10, np.cumsum(expected[order] >= 10) + 1e9).astype(int)
-    cells = np.unique(cells, return_inverse=True)[1]
-    observed, wanted = np.bincount(cells, counts[order]), np.bincount(cells, expected[order])
-    chi2, freedom = ((observed - wanted) ** 2 / wanted).sum(), len(wanted) - 1
-    return ((chi2 / freedom) ** (1 / 3) - (1 - 2 / (9 * freedom))) / np.sqrt(2 / (9 * freedom))
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_picks_have_the_stated_probabilities(device, seed):
     rng = np.random.default_rng(seed)
@@ -342,7 +273,7 @@ def test_picks_have_the_stated_probabilities(device, seed):
         tree, lights, np.tile(point, (lights, 1)), np.tile(normal, (lights, 1)), range(lights)
     )
     np.testing.assert_allclose(stated, expected[picked], rtol=1e-6)
-    assert abs(_deviate(np.bincount(picked, minlength=lights), count * expected)) < Z
+    assert abs(deviate(np.bincount(picked, minlength=lights), count * expected)) < Z
 
 
 def grid_of_triangles(side: int) -> dict:
@@ -369,7 +300,7 @@ def test_a_hundred_thousand_lights_are_picked_evenly(device):
     picked, stated = device.pick(tree, lights, point, normal, count, seed=1)
     assert lights == 131072
     np.testing.assert_allclose(stated * lights, 1.0, rtol=0.01)
-    assert abs(_deviate(np.bincount(picked, minlength=lights), np.full(lights, count / lights))) < Z
+    assert abs(deviate(np.bincount(picked, minlength=lights), np.full(lights, count / lights))) < Z
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 1e6, 1e15])

@@ -28,8 +28,14 @@ FOLDER = resources.files("isonoise.kernels")
 FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
 STAGES = [name for name in FILES if name.endswith(".cl")]
 CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
-CONSTANTS |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS}
-MANY = CONSTANTS | {"LANES": 64}
+CONSTANTS |= {
+    "LANES": 1,
+    "SHADE_LANES": 1,
+    "PATHS_PER_BLOCK": 64,
+    "MOST_CORNERS": MOST_CORNERS,
+    "MOST_LISTED_LIGHTS": 8,
+}
+MANY = CONSTANTS | {"LANES": 64, "SHADE_LANES": 256}
 """For work-items that take many paths: kernels/paths.h. There are none in scenes of the feature VOLPATH."""
 TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in FEW_KERNELS.values()})
 
@@ -190,7 +196,8 @@ def test_every_argument_of_a_kernel_has_a_name():
         ):
             found[joined.get(file, file), kernel] = len(parameters.split(","))
     tables = (*KERNELS.items(), *FEW_KERNELS.items())
-    assert found == {(file, kernel): len(names.split()) for kernel, (file, names) in tables}
+    named = {(file, kernel): {name.rpartition(":")[2] for name in names.split()} for kernel, (file, names) in tables}
+    assert found == {kernel: len(names) for kernel, names in named.items()}
 
 
 # Stages.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isonoise.integrator.pixel_filter import CELLS
-from isonoise.scene import structs, textures
+from isonoise.scene import light_list, structs, textures
 from isonoise.scene.boundaries import NODES
 from isonoise.scene.bsdfs import reads_uvs
 from isonoise.scene.bvh import BLOCK_ROWS, WIDTH
@@ -115,6 +115,10 @@ FEATURES = {
             "light_places": "4 bytes a light and node",
         },
     ),
+    "LIGHT_LIST": Feature(
+        "some lights, each weighed by what it could send to a point",
+        {"light_bounds": _records(structs.LIGHT_BOUND, "a light")},
+    ),
     "NEXT_EVENT": Feature("next-event estimation"),
     "RUSSIAN_ROULETTE": Feature("russian roulette"),
     "HIDE_EMITTERS": Feature("lights hidden from the camera"),
@@ -152,6 +156,9 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
     rough = np.isin(scene.bsdfs["kind"], _ROUGH)
     endless = scene.max_depth < 0
     next_event = bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1)
+    weighs_lights = next_event and pays(scene.lights)
+    volpath = len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_SEE_THROUGH).any())
+    lists_lights = light_list.serves(scene.lights) and not volpath  # one by one they take 2 to 5 times as long
     return {
         "TRIANGLES": len(scene.faces) > 0,
         "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
@@ -183,7 +190,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "BUMP": structs.BSDF_BUMP in bsdf,
         "NORMAL_MAP": structs.BSDF_NORMAL_MAP in bsdf,
         "TWOSIDED": bool((scene.bsdfs["flags"] & structs.BSDF_TWOSIDED).any()),
-        "VOLPATH": len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_SEE_THROUGH).any()),
+        "VOLPATH": volpath,
         "MEDIA": len(scene.media) > 0,
         "AREA_LIGHTS": bool(light & surface_lights),
         "TEXTURED_LIGHTS": bool((scene.lights["texture"] != structs.NONE).any()),
@@ -197,7 +204,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
         "ENVIRONMENT_MAP": structs.LIGHT_ENVIRONMENT_MAP in light,
         "MANY_LIGHTS": len(scene.lights) > 1,
-        "LIGHT_TREE": next_event and pays(scene.lights),
+        "LIGHT_TREE": weighs_lights and not lists_lights,
+        "LIGHT_LIST": weighs_lights and lists_lights,
         "NEXT_EVENT": next_event,
         "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
         "HIDE_EMITTERS": scene.hide_emitters,

@@ -14,6 +14,7 @@ STRUCTS = {
     "Environment": environment.ENVIRONMENT,
     "Light": structs.LIGHT,
     "Alias": structs.ALIAS,
+    "LightBound": structs.LIGHT_BOUND,
     "Medium": structs.MEDIUM,
 }
 
@@ -24,7 +25,7 @@ KERNELS = {
         "generate.cl",
         "count_new pool first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset "
         "count rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
-        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium LIGHT_TREE:lit",
+        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium LIGHT_TREE:lit LIGHT_LIST:lit",
     ),
     "intersect": (
         "intersect.cl",
@@ -34,15 +35,15 @@ KERNELS = {
     "shade": (
         "shade.cl",
         "paths pool sample_pixel seed max_depth rr_depth triangles faces corner_normals UVS:uvs TEXTURES:textures "
-        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
-        "ROUGH_PLASTIC:boundaries "
+        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes "
+        "TEXTURES:textured_slots analytics shapes bsdfs ROUGH_PLASTIC:boundaries "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
         "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_aliases environment_light "
         "hit ray_origin ray_direction throughput path shadow_origin "
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:world_triangles "
         "INSTANCES:instance "
         "VOLPATH:crossing MEDIA:media MEDIA:medium "
-        "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_TREE:lit",
+        "LIGHT_TREE:light_nodes LIGHT_TREE:light_places LIGHT_LIST:light_bounds LIGHT_TREE:lit LIGHT_LIST:lit",
     ),
     "shadow": (
         "shadow.cl",
@@ -63,7 +64,7 @@ KERNELS = {
         "alive paths pool block_alive ray_origin ray_direction throughput path "
         "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
         "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium "
-        "LIGHT_TREE:lit LIGHT_TREE:next_lit",
+        "LIGHT_TREE:lit LIGHT_LIST:lit LIGHT_TREE:next_lit LIGHT_LIST:next_lit",
     ),
     "reduce": (
         "pixels.cl",
@@ -104,7 +105,8 @@ TAKE_MANY = {"intersect", "shadow", "count_alive", "move_paths"}
 
 PATH_STATE = {
     **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
-    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4, "LIGHT_TREE:lit": 16},
+    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4},
+    **{"LIGHT_TREE:lit": 16, "LIGHT_LIST:lit": 16},
 }
 """Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
 

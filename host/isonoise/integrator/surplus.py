@@ -14,7 +14,7 @@ from isonoise.scene.environment import ENVIRONMENT
 STAND_IN = 4096
 """Bytes of a buffer in place of one that a feature asks for and the scene has nothing for: room for any record."""
 
-CHOICES = ("LIGHT_TREE", "HIDE_EMITTERS", "FILTER_TABLE", "COUNT_TESTS")
+CHOICES = ("LIGHT_TREE", "LIGHT_LIST", "HIDE_EMITTERS", "FILTER_TABLE", "COUNT_TESTS")
 """Features that stand for another way to compute, not for something that a scene may hold beside others."""
 
 

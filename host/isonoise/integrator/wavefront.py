@@ -28,7 +28,7 @@ from isonoise.integrator.kernels import (
 )
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages
-from isonoise.scene import structs, textures
+from isonoise.scene import bsdfs, light_list, structs, textures
 from isonoise.scene.bvh import Bvh
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.light_tree import build_light_tree
@@ -41,6 +41,10 @@ would all compete for the same few places of a cache."""
 
 RAYS_PER_ITEM = 32
 """Rays that a work-item of a CPU follows at most: PoCL gives every item of a group a stack, too many for the cache."""
+
+SHADE_LANES = 256
+"""Paths that a work-item shades, if it takes several: enough that the lists by what they meet are long (with 64, shade
+takes 1.2 times as long on a scene of four kinds of material), and what is kept of them fits the second cache."""
 
 _HELD = {
     "hit": "the hits",
@@ -74,7 +78,8 @@ class Wavefront:
         self.pool_size = pool_size or pool.pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
-        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/kept.h knows no more
+        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/steps.h knows no more
+        self.shade_lanes = SHADE_LANES if self.lanes > 1 else 1
         hierarchy = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
         self.few = self.lanes > 1 and not hierarchy and are_few(scene)
         table = kernel_table(self.features, self.few)
@@ -88,8 +93,10 @@ class Wavefront:
             | build_constants(needs)
             | {
                 "LANES": self.lanes,
+                "SHADE_LANES": self.shade_lanes,
                 "PATHS_PER_BLOCK": self.block_size,
                 "MOST_CORNERS": MOST_CORNERS,
+                "MOST_LISTED_LIGHTS": light_list.MOST,
             },
             STRUCTS,
             in_small_groups=(TAKE_MANY | TAKE_LANES if self.lanes > 1 else TAKE_MANY) if device.lanes > 1 else (),
@@ -141,6 +148,7 @@ class Wavefront:
             "texel_floats": table(scene.texel_floats, "the texels"),
             "srgb": table(textures.SRGB if on["BITMAPS"] else nothing, "the table of sRGB"),
             "attributes": table(scene.attributes, "the mesh attributes"),
+            "textured_slots": np.uint32(bsdfs.textured_slots(scene.bsdfs)),
             "corner_normals": table(corner_normals(scene) if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
@@ -156,7 +164,7 @@ class Wavefront:
             "light_alias": table(scene.light_alias, "the light table"),
             "light_count": np.uint32(len(scene.lights)),
             **self._environment(),
-            **self._light_tree(),
+            **self._weighed_lights(),
             "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
@@ -196,8 +204,10 @@ class Wavefront:
             "environment_aliases": device.buffer(sky.aliases, "the environment map"),
         }
 
-    def _light_tree(self) -> dict[str, object]:
-        """The buffers of the tree over the lights, if there is one."""
+    def _weighed_lights(self) -> dict[str, object]:
+        """The buffers by which one of many lights is picked, if there are as many."""
+        if self.features["LIGHT_LIST"]:
+            return {"light_bounds": self.device.buffer(light_list.build_light_list(self.scene), "the light list")}
         if not self.features["LIGHT_TREE"]:
             return {}
         tree = build_light_tree(self.scene)
@@ -269,6 +279,7 @@ class Wavefront:
     def _launch(self, kernel: str, items: int, **given) -> None:
         """Runs a kernel over at least `items`, of which a work-item of some kernels takes several."""
         lanes = self.lanes if kernel in TAKE_LANES or (self.few and kernel in FEW_KERNELS) else 1
+        lanes = self.shade_lanes if kernel == "shade" else lanes
         self._stages.launch(kernel, items, lanes, **given)
 
     def _bounce(self, paths: int) -> int:

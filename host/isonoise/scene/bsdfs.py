@@ -195,6 +195,11 @@ def mark_see_through(records: np.ndarray) -> np.ndarray:
     return marked
 
 
+def textured_slots(records: np.ndarray) -> int:
+    """Bits of the slots in which some material has a texture."""
+    return int((np.any(records["textures"] != structs.NONE, axis=0) << np.arange(structs.BSDF_SLOTS)).sum())
+
+
 def reads_uvs(records: np.ndarray) -> bool:
     """Whether some material depends on texture coordinates or on the direction in which they grow."""
     if (records["textures"] != structs.NONE).any():

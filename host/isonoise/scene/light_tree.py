@@ -17,15 +17,15 @@ from isonoise.scene.emission import Emission, emission_of, joined
 from isonoise.scene.ploc import BinaryTree, build_binary_tree
 
 FEWEST = 4
-"""Lights from which on the tree is used. Four lamps that stand apart: half the variance at equal time. One panel of
-four triangles, and a room with 21 lights near each other: as good as the alias table."""
+"""Lights from which on they are picked by what they could send. Four lamps that stand apart: half the variance at equal
+time. One panel of four triangles, and a room with 21 lights near each other: as good as the alias table."""
 ROWS = 12
 """float8 of a node: center x, y, z and radius of the spheres around its children; their shares of the intensity, which
 sum to 1; axes x, y, z of the cones; cosine and sine of their half angles; cosine of the angle up to which light leaves;
 the children (int32 bits): above 0 a node, else ~light. Where there is no child, the share is 0."""
 _NOWHERE = 1e18
 """Radius where there is no child: that is never the nearest."""
-_LEAST_SHARE = 1e-30
+LEAST_SHARE = 1e-30
 """So that whatever has power is picked with a probability that 32-bit floats can tell from none."""
 
 
@@ -108,7 +108,7 @@ def _records(slots: np.ndarray, bounds: Emission, lights: np.ndarray) -> np.ndar
     intensity = np.zeros(slots.shape)
     intensity[used] = of.intensity
     shares = intensity / intensity.sum(axis=1, keepdims=True)
-    nodes[:, 4] = np.where(used, np.maximum(shares, _LEAST_SHARE), 0.0)
+    nodes[:, 4] = np.where(used, np.maximum(shares, LEAST_SHARE), 0.0)
     return nodes
 
 

@@ -155,6 +155,21 @@ LIGHT = np.dtype(
 ALIAS = np.dtype([("threshold", "f4"), ("alias", "u4")])
 """Walker's alias table over the lights: entry i keeps i if u < threshold, else takes alias."""
 
+LIGHT_BOUND = np.dtype(
+    [
+        ("center", "f4", 3),  # of the sphere that it stands in
+        ("radius", "f4"),
+        ("axis", "f4", 3),  # of the cone of its normals
+        ("cos_spread", "f4"),  # of half the cone's angle
+        ("sin_spread", "f4"),
+        ("cos_edge", "f4"),  # of the angle to a normal up to which light leaves
+        ("share", "f4"),  # of the intensity of all lights; 0 of one without power
+        ("intensity", "f4"),  # the share times the square of a length, the same for all
+        ("most", "f4"),  # the intensity over the square of the least distance that counts
+    ]
+)
+"""What is known of where a light is, where it shines and how much."""
+
 CONSTANTS = {
     name: value
     for name, value in list(globals().items())

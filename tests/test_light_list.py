@@ -1,0 +1,259 @@
+"""The list by which one of some lights is picked: weights, probabilities and picks, one by one and in loops over lanes.
+
+Chi-square statistics are compared as standard normal deviates at Z = 5: 6e-7 for each of about 10.
+"""
+
+import numpy as np
+import pytest
+from many_lights import compiled, deviate, mixed_lights, some_points
+
+from isonoise.device.opencl import Device
+from isonoise.device.program import declare_struct, flatten
+from isonoise.integrator.features import features
+from isonoise.integrator.kernels import STRUCTS
+from isonoise.scene import light_list, structs, textures
+from isonoise.scene.light_list import build_light_list
+from isonoise.scene.light_tree import build_light_tree
+
+Z = 5.0
+LANES = 64
+BY_INTENSITY = 2.0**-10  # in kernels/light_list.h
+KERNELS = """
+__kernel void probability(__global const LightBound* bounds, uint lights, __global const float* points,
+                          __global const float* normals, __global const uint* which, __global float* out, uint n)
+{
+    const uint i = get_global_id(0);
+    const LightList list = {bounds, lights};
+    const Vec4 normal = vec4(normals[4 * i], normals[4 * i + 1], normals[4 * i + 2], normals[4 * i + 3]);
+    if (i < n) out[i] = light_list_probability(&list, which[i], LOAD3(i, points), normal);
+}
+
+__kernel void pick(__global const LightBound* bounds, uint lights, __global const float* points,
+                   __global const float* normals, __global const uint2* u, __global float* out, uint n)
+{
+    const uint i = get_global_id(0);
+    const LightList list = {bounds, lights};
+    const Vec4 normal = vec4(normals[4 * i], normals[4 * i + 1], normals[4 * i + 2], normals[4 * i + 3]);
+    float p;
+    if (i >= n) return;
+    out[2 * i] = as_float(pick_from_list(&list, LOAD3(i, points), normal, u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p));
+    out[2 * i + 1] = p;
+}
+
+#if LANES > 1
+__kernel void answer_all(__global const LightBound* bounds, uint lights, __global const float* points,
+                         __global const float* normals, __global const uint* which, __global float* out, uint n)
+{
+    const uint begin = get_global_id(0) * LANES;
+    const LightList list = {bounds, lights};
+    if (begin >= n) return;
+    const uint count = LESSER(n - begin, LANES);
+    float asked[ASKED * LANES];
+    for (uint k = 0u; k < count; ++k) {
+        for (uint c = 0u; c < 3u; ++c) keep1(points[3 * (begin + k) + c], asked, ASKED_POINT + c, k);
+        for (uint c = 0u; c < 4u; ++c) keep1(normals[4 * (begin + k) + c], asked, ASKED_NORMAL + c, k);
+        keep1(as_float(which[begin + k]), asked, ASKED_LIGHT, k);
+    }
+    answer_from_list(&list, asked, count);
+    for (uint k = 0u; k < count; ++k) out[begin + k] = kept1(asked, ASKED_PROBABILITY, k);
+}
+
+__kernel void pick_all(__global const LightBound* bounds, uint lights, __global const float* points,
+                       __global const float* normals, __global const uint2* u, __global float* out, uint n)
+{
+    const uint begin = get_global_id(0) * LANES;
+    const LightList list = {bounds, lights};
+    if (begin >= n) return;
+    const uint count = LESSER(n - begin, LANES);
+    float at[7 * LANES], random[2 * LANES], picks[2 * LANES];
+    for (uint k = 0u; k < count; ++k) {
+        for (uint c = 0u; c < 3u; ++c) keep1(points[3 * (begin + k) + c], at, c, k);
+        for (uint c = 0u; c < 4u; ++c) keep1(normals[4 * (begin + k) + c], at, 3u + c, k);
+        keep1(u[begin + k].x * 0x1p-24f, random, 0u, k);
+        keep1(u[begin + k].y * 0x1p-24f, random, 1u, k);
+    }
+    pick_all_from_list(&list, at, at + 3u * LANES, random, picks, count);
+    for (uint k = 0u; k < count; ++k) {
+        out[2 * (begin + k)] = kept1(picks, 0u, k);
+        out[2 * (begin + k) + 1] = kept1(picks, 1u, k);
+    }
+}
+#endif
+"""
+
+
+class OnDevice:
+    """The kernels above, run on a list; those in loops over lanes are of a build of their own."""
+
+    def __init__(self):
+        self.device = Device()
+        self.kernels = {}
+        for lanes in (LANES, 1):
+            constants = structs.CONSTANTS | textures.CONSTANTS
+            constants |= {"LANES": lanes, "MOST_LISTED_LIGHTS": light_list.MOST}
+            text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, of) for name, of in STRUCTS.items())]
+            text += [f"#define {name} {value}u" for name, value in constants.items()]
+            text += [flatten("light_list.h"), KERNELS]
+            options = ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=0", "-DFEATURE_LIGHT_LIST=1")
+            self.kernels |= self.device.build("\n".join(text), options)
+
+    def run(self, kernel, bounds, points, normals, what, row):
+        n = len(points)
+        given = (bounds, np.uint32(len(bounds)), points.astype(np.float32), normals.astype(np.float32), what)
+        out = self.device.buffer(4 * row * n, "results")
+        buffers = [self.device.buffer(a, "arguments") if a.ndim else a for a in given]
+        self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
+        return self.device.read(out, np.float32, row * n).reshape(n, row)
+
+    def probability(self, bounds, points, normals, which, kernel="probability") -> np.ndarray:
+        return self.run(kernel, bounds, points, normals, np.asarray(which, np.uint32), 1)[:, 0].astype(np.float64)
+
+    def pick(self, bounds, point, normal, u, kernel="pick"):
+        """Lights picked and their stated probabilities, for one point and random numbers (n, 2) of 24 bits."""
+        points, normals = (np.tile(v, (len(u), 1)) for v in (point, normal))
+        out = self.run(kernel, bounds, points, normals, u.astype(np.uint32), 2)
+        return out[:, 0].copy().view(np.uint32), out[:, 1].astype(np.float64)
+
+
+@pytest.fixture(scope="module")
+def device():
+    return OnDevice()
+
+
+def all_probabilities(device, bounds, points, normals, kernel="probability") -> np.ndarray:
+    """(points, lights)."""
+    lights, count = len(bounds), len(points)
+    repeated = (np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), count))
+    return device.probability(bounds, *repeated, kernel).reshape(count, lights)
+
+
+def reference_probabilities(bounds: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """float64, from the angles."""
+    b = {name: bounds[name].astype(np.float64) for name in bounds.dtype.names}
+    arm = b["center"] - point.astype(np.float64)
+    distance2 = (arm**2).sum(axis=1)
+    distance = np.sqrt(distance2)
+    theta = np.arccos(np.clip(-(b["axis"] * arm).sum(axis=1) / distance, -1, 1))
+    emission = np.cos(np.maximum(theta - np.arctan2(b["sin_spread"], b["cos_spread"]), 0))
+    incidence = (normal[:3] * arm).sum(axis=1) / distance + normal[3]
+    apparent = b["radius"] / distance
+
+    def likely(cosine):
+        return np.clip(cosine + apparent, 0, 1) + np.clip(cosine, 0, 1)
+
+    weights = likely(emission) * likely(incidence) * np.minimum(b["intensity"] / distance2, b["most"])
+    weights[emission + apparent <= b["cos_edge"]] = 0
+    total = weights.sum()
+    return b["share"] if total == 0 else (1 - BY_INTENSITY) * weights / total + BY_INTENSITY * b["share"]
+
+
+@pytest.mark.parametrize("kernel", ["probability", "answer_all"])
+def test_probabilities_are_those_of_float64(device, kernel):
+    """They sum to 1, and none is 0 but of lights without power."""
+    scene = compiled(**mixed_lights(18))
+    bounds = build_light_list(scene)
+    points, normals = some_points(np.random.default_rng(3), 500)
+    found = all_probabilities(device, bounds, points, normals, kernel)
+    expected = np.stack([reference_probabilities(bounds, p, n) for p, n in zip(points, normals, strict=True)])
+    # 5e-6 of the roots, and the cosine of a sum of angles loses what its terms cancel
+    np.testing.assert_allclose(found, expected, rtol=5e-5, atol=5e-6)
+    np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=2e-6)
+    assert ((found > 0) == (scene.lights["pick_probability"] > 0)).all()
+    assert (scene.lights["pick_probability"] == 0).any()
+
+
+def test_lanes_and_single_paths_agree(device):
+    """To the bit; the last work-item has lanes to spare."""
+    rng = np.random.default_rng(7)
+    bounds = build_light_list(compiled(**mixed_lights(20)))
+    points, normals = some_points(rng, 3 * LANES + 5)
+    which, u = rng.integers(0, len(bounds), len(points)).astype(np.uint32), rng.integers(0, 2**24, (len(points), 2))
+    alone = device.probability(bounds, points, normals, which)
+    assert (alone == device.probability(bounds, points, normals, which, "answer_all")).all()
+    u = u.astype(np.uint32)
+    assert (
+        device.run("pick", bounds, points, normals, u, 2).view(np.uint32)
+        == device.run("pick_all", bounds, points, normals, u, 2).view(np.uint32)
+    ).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kernel", ["pick", "pick_all"])
+def test_picks_have_the_stated_probabilities(device, kernel, seed):
+    rng = np.random.default_rng(seed)
+    bounds = build_light_list(compiled(**mixed_lights(20)))
+    points, normals = some_points(rng, 2)
+    point, normal = points[seed % 2], normals[seed % 2]
+    u = rng.integers(0, 2**24, (1 << 17, 2))
+    picked, stated = device.pick(bounds, point, normal, u, kernel)
+    expected = all_probabilities(device, bounds, point[None], normal[None])[0]
+    np.testing.assert_allclose(stated, expected[picked], rtol=1e-6)
+    assert abs(deviate(np.bincount(picked, minlength=len(bounds)), len(u) * expected)) < Z
+
+
+@pytest.mark.parametrize("kernel", ["pick", "pick_all"])
+def test_all_48_bits_count(device, kernel):
+    """A light of probability 2^-30 first, in the middle and last; nothing else can be seen, so shares decide."""
+    bounds = np.zeros(4, structs.LIGHT_BOUND)
+    low = np.random.default_rng(1).integers(0, 2**24, 1 << 14)
+    for tiny in range(4):
+        bounds["share"] = 1 / 3
+        bounds["share"][tiny] = 2.0**-30
+        before = bounds["share"][:tiny].astype(np.float64).sum()
+        high = int(before * 2**24)  # within the 2^-24 that hold the light
+        u = np.stack([np.full(len(low), high), low], axis=1)
+        picked, stated = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), u, kernel)
+        values = (high + low * 2.0**-24) * 2.0**-24
+        inside = (values >= before) & (values < before + 2.0**-30)
+        if tiny < 3:  # what rounding leaves at the end goes to a light that is likely
+            assert inside.any()
+            np.testing.assert_array_equal(picked == tiny, inside)
+        assert (stated[picked == tiny] == np.float32(2.0**-30)).all()
+    bounds["share"] = (0.5, 0, 0.5, 0)
+    picked, _ = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), np.array([[0, 0], [2**24 - 1] * 2]), kernel)
+    assert picked.tolist() == [0, 2]
+
+
+def test_as_the_node_of_a_tree():
+    """Of 7 lights, which fit in one: the same bounds and shares."""
+    scene = compiled(**mixed_lights(5, beyond=False))
+    bounds, tree = build_light_list(scene), build_light_tree(scene)
+    assert len(tree.nodes) == 1
+    lights = ~tree.nodes[0, 11].view(np.int32)[tree.nodes[0, 4] > 0]
+    rows = {"radius": 3, "share": 4, "cos_spread": 8, "sin_spread": 9, "cos_edge": 10}
+    for name, row in rows.items():
+        np.testing.assert_allclose(bounds[name][lights], tree.nodes[0, row][tree.nodes[0, 4] > 0], atol=1e-7)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 1e6, 1e15])
+def test_scale_changes_no_probability(device, scale):
+    bounds = build_light_list(compiled(**mixed_lights(20, beyond=False)))
+    points, normals = some_points(np.random.default_rng(8), 32)
+    expected = all_probabilities(device, bounds, points, normals)
+    bounds["center"] *= np.float32(scale)
+    bounds["radius"] *= np.float32(scale)
+    bounds["intensity"] *= np.float32(scale) ** 2  # a share times the scene's size squared; `most` has no unit
+    found = all_probabilities(device, bounds, points * np.float32(scale), normals)
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)
+
+
+def test_points_on_and_in_lights_and_behind_all(device):
+    """Where no weight is left the shares decide; nothing is ever not a number."""
+    shining = {"type": "area", "radiance": 2.0}
+    quads = {f"quad{i}": {"type": "rectangle", "emitter": shining} for i in range(5)}  # in one place
+    lamps = {f"lamp{i}": {"type": "point", "position": [1.0, 0, 0], "intensity": 2.0} for i in range(5)}
+    bounds = build_light_list(compiled(**quads, **lamps))
+    points = np.array([[0, 0, 0], [1.0, 0, 0], [0.3, 0.3, 0.0], [0, 0, -5.0], [0, 0, 5.0], [1e17, 0, 0]])
+    normals = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, -1, 0], [0, 0, -1, 0], [0, 0, 1, 0], [-1, 0, 0, 0]])
+    found = all_probabilities(device, bounds, points, normals)
+    assert np.isfinite(found).all()
+    assert (found > 0).all()
+    np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=2e-6)
+
+
+def test_some_lights_are_listed_and_more_make_a_tree():
+    floor = {"floor": {"type": "rectangle"}}
+    some, more = compiled(**floor, **mixed_lights(12)), compiled(**floor, **mixed_lights(60))
+    assert len(more.lights) > light_list.MOST
+    for scene, kind in ((some, "LIGHT_LIST"), (more, "LIGHT_TREE")):
+        assert [name for name in ("LIGHT_LIST", "LIGHT_TREE") if features(scene)[name]] == [kind]
