@@ -172,11 +172,13 @@ INLINE void pass_unseen(const Paths* of, size_t i, const Path* p, const Surface*
 }
 #endif
 
+#if HAS_SKY || FEATURE_AREA_LIGHTS
 // Probability with which a light would have been picked at a path's last vertex.
 INLINE float pick_before(const Scene* scene, const Path* p, uint light)
 {
     return pick_probability(&scene->geometry, scene->lights, light, p->last_vertex, p->was_lit, p->direction_pdf);
 }
+#endif
 
 #if HAS_SKY
 // What a path brings that leaves the scene; `pick`: the probability with which the sky would have been picked at its last vertex.

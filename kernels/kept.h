@@ -91,7 +91,9 @@ INLINE void keep_shading(const Scene* scene, const Shading* at, float* kept, siz
     keep1(as_float(at->bsdf->kind), kept, KEPT_KIND, lane);
     keep3(at->normal, kept, KEPT_NORMAL, lane);
     keep1(at->cos_i, kept, KEPT_COSINE, lane);
+#if HAS_LIT
     keep4(lit_side(at), kept, KEPT_LIT, lane);
+#endif
 #if HAS_BUMPS
     keep3(at->s, kept, KEPT_BUMP, lane);
     keep3(at->t, kept, KEPT_BUMP + 3u, lane);
@@ -129,11 +131,14 @@ INLINE Shading kept_shading(const Scene* scene, uint of_kind, Vec3 direction, co
     return at;
 }
 
+#if FEATURE_NEXT_EVENT
+#if !FEATURE_LIGHT_LIST
 INLINE void keep_pick(LightPick pick, float* kept, size_t lane)
 {
     keep1(as_float(pick.light), kept, KEPT_PICK, lane);
     keep1(pick.probability, kept, KEPT_PICK + 1u, lane);
 }
+#endif
 
 INLINE LightPick kept_pick(const float* kept, size_t lane)
 {
@@ -159,6 +164,7 @@ INLINE LightSample kept_light(const float* kept, size_t lane)
     light.is_delta = kept1(kept, KEPT_LIGHT + 7u, lane) != 0.0f;
     return light;
 }
+#endif
 
 INLINE void keep_next(const BsdfSample* next, float* kept, size_t lane)
 {

@@ -193,13 +193,14 @@ INLINE Vec3 sky_radiance(const Geometry* g, const Light* sky, Vec3 direction, fl
 }
 #endif
 
+#if FEATURE_NEXT_EVENT
 // A light that was picked, and the probability of that; 0 if none was.
 typedef struct {
     uint light;
     float probability;
 } LightPick;
 
-#if FEATURE_NEXT_EVENT
+#if !FEATURE_LIGHT_LIST || LANES == 1  // from a list several paths pick together
 // One light for the point `reference` and the side that is lit there, by a random number and what lies below its last bit.
 INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __global const Alias* table, uint count,
                             Vec3 reference, Vec4 lit, float u, float u_low)
@@ -218,6 +219,7 @@ INLINE LightPick pick_light(const Geometry* g, __global const Light* lights, __g
 #endif
     return pick;
 }
+#endif
 
 // A point on the light that was picked, which is of one of these kinds, for the point `reference`.
 INLINE LightSample sample_light_of(uint kinds, const Geometry* g, __global const Light* lights, LightPick pick, Vec3 reference,

@@ -4,7 +4,7 @@
 #pragma once
 #include "vectors.h"
 
-#if FEATURE_LIGHT_TREE
+#if FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST
 #define LIGHT_NODE_ROWS 12
 #define BY_SHARE 0x1p-10f  // of the picks: so that nothing that a bound misses by rounding is never picked
 #define LEAST_WEIGHT 1e-30f  // of all children of a node: its inverse is a number; below it the shares decide

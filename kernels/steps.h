@@ -205,13 +205,15 @@ INLINE void draw_random(const Scene* scene, const Paths* of, const Batch* batch,
 }
 
 #if FEATURE_NEXT_EVENT
-#if HAS_LIT
+#if FEATURE_LIGHT_LIST
 INLINE void pick_lights(const Scene* scene, uint count, float* kept)
 {
-#if FEATURE_LIGHT_LIST
     pick_all_from_list(&scene->geometry.light_list, kept + KEPT_POSITION * LANES, kept + KEPT_LIT * LANES,
                        kept + KEPT_LIGHT_RANDOM * LANES, kept + KEPT_PICK * LANES, count);
-#else
+}
+#elif FEATURE_LIGHT_TREE
+INLINE void pick_lights(const Scene* scene, uint count, float* kept)
+{
     for (uint k = 0u; k < count; ++k) {
         LightPick pick = {0u, 0.0f};
         if (is_marked(MARK_LOOKS, kept, k))
@@ -220,7 +222,6 @@ INLINE void pick_lights(const Scene* scene, uint count, float* kept)
                               kept1(kept, KEPT_LIGHT_RANDOM + 1u, k));
         keep_pick(pick, kept, k);
     }
-#endif
 }
 #endif
 
@@ -244,10 +245,12 @@ INLINE void look(const Scene* scene, const Paths* of, size_t i, uint kinds, floa
     (FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS || FEATURE_POINT_LIGHTS || FEATURE_SPOT_LIGHTS || \
      FEATURE_DIRECTIONAL_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP)
 
+#if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
 INLINE bool looks_at_triangle(const Scene* scene, const float* kept, size_t lane)
 {
     return Light_at(scene->lights, kept_bits(kept, KEPT_PICK, lane)).kind & LIGHT_TRIANGLE;
 }
+#endif
 
 INLINE void look_for_lights(const Scene* scene, const Paths* of, const Batch* batch, float* kept)
 {

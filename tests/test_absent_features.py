@@ -23,7 +23,7 @@ from isonoise.integrator.few import MOST_CORNERS
 from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES, path_bytes
 from isonoise.integrator.surplus import STAND_IN
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, load, structs, textures
+from isonoise.scene import builtin_scenes, compile_scene, light_list, load, structs, textures
 from isonoise.scene.environment import ENVIRONMENT
 from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.statistics import NOTHING_MORE, Needs
@@ -53,7 +53,8 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     if cpp is None:
         pytest.skip("no C preprocessor 'cpp' on PATH")
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
-    constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS}
+    constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
+    constants |= {"MOST_CORNERS": MOST_CORNERS, "MOST_LISTED_LIGHTS": light_list.MOST}
     parts = []
     for features_ in sets:
         text, options = stage_source(file, STRUCTS, constants, features_)
@@ -85,7 +86,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "VOLPATH": "(of->|restrict )crossing",
         "MEDIA": "fly",
         "NEXT_EVENT": "next_event",
-        "LIGHT_TREE": "pick_from_tree",
+        "LIGHT_LIST": "pick_from_list",
         "RUSSIAN_ROULETTE": "survival",
     },
     "intersect.cl": {
@@ -110,7 +111,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "THIN_DIELECTRIC": "thin_dielectric_reflectance",
     },
     "generate.cl": {"THIN_LENS": "lens", "INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "sensor_medium"},
-    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium", "LIGHT_TREE": "lit"},
+    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium"},
     "reduce.cl": {"MEDIAN": "medians", "BATCHES": "batch_sum", "POWER": "powers", "HALF": "halves"},
     "summarise.cl": {"MEDIAN": "medians", "POWER": "powers", "HALF": "halves"},
 }
@@ -189,6 +190,10 @@ def reached(found: dict[tuple[str, str], frozenset[str]]) -> set[tuple[str, str]
     return seen
 
 
+looked_at: dict[tuple, tuple[set, set]] = {}
+"""What texts define, and what of that is in use: by stage, where it matters LANES, and the features that are on."""
+
+
 @pytest.mark.parametrize("lanes", [1, 64])
 def test_what_is_off_leaves_no_code(lanes):
     """Functions, types and tables that are there without a feature are used without it, in one of the programs: those
@@ -209,19 +214,21 @@ def test_what_is_off_leaves_no_code(lanes):
         labels = defaultdict(list)
         for label, set_ in sets.items():
             labels[frozenset(name for name in mentioned if set_[name])].append(label)
-        different = [sets[of[0]] for of in labels.values()]
-        for of, text in zip(labels.values(), preprocessed(file, different, lanes), strict=True):
+        kind = (file, lanes if re.search(r"\bLANES\b", flatten(file)) else None)
+        new = {key: sets[of[0]] for key, of in labels.items() if (kind, key) not in looked_at}
+        for key, text in zip(new, preprocessed(file, list(new.values()), lanes), strict=True):
             found = definitions(text)
-            in_use = reached(found)
+            looked_at[kind, key] = set(found), reached(found)
+        for key, of in labels.items():
             for label in of:
-                there[label] |= set(found)
-                used[label] |= in_use
+                there[label] |= looked_at[kind, key][0]
+                used[label] |= looked_at[kind, key][1]
     ever = set().union(*used.values())
     of_features = {key for key in ever if key[0] not in GENERAL and key[1] not in READERS | RECORDS}
     for label in sets:
         left = (there[label] - used[label]) & of_features
         assert not left, f"{label}: left over are {sorted(left)}"
-    dead = {key for key in there["all"] - ever if key[0] not in GENERAL}
+    dead = {key for key in there["all"] - ever if key[0] not in GENERAL and key[1] not in RECORDS}
     assert not dead, f"no program uses {sorted(dead)}"
 
 
@@ -262,7 +269,7 @@ def test_the_state_of_a_path_is_the_sum_of_what_its_features_state(monkeypatch, 
         each: size * planes for each, size in path_bytes(wavefront.features).items()
     }
     bare = sum(path_bytes(only()).values())
-    assert bare == 2 * sum(size for each, size in PATH_STATE.items() if ":" not in each) + 16 + 1
+    assert bare == 2 * sum(size for each, size in PATH_STATE.items() if ":" not in each) + 16 + 4
     stated = sum(cost(each, wavefront.features).path_bytes for each, on in wavefront.features.items() if on)
     assert sum(path_bytes(wavefront.features).values()) == bare + stated
 
@@ -278,6 +285,7 @@ def test_a_feature_more_takes_the_bytes_that_it_states(monkeypatch, name):
         "faces": 12 * len(scene.faces),
         "shapes": scene.shapes.nbytes,
         "srgb": stated("srgb"),
+        "light_bounds": stated("light_bounds") * len(scene.lights),
     }
     if scene.environment_light < 0:
         records["environment"] = ENVIRONMENT.itemsize  # of a map that is black
@@ -334,7 +342,13 @@ def test_records_have_the_bytes_that_are_stated(monkeypatch, tmp_path):
     row = all_but()
     scene = compile_scene(load(scene_with(row, tmp_path)))
     used = features(scene, needs_of(row))
-    assert {each for each in row if not used[each]} <= {"COUNT_TESTS", "CONSTANT_LIGHT", "ORTHOGRAPHIC"}
+    assert {each for each in row if not used[each]} <= {
+        "COUNT_TESTS",
+        "CONSTANT_LIGHT",
+        "ORTHOGRAPHIC",
+        "LIGHT_LIST",
+        "LIGHT_TREE",
+    }
     sizes, _ = allocated(monkeypatch, scene, needs_of(row))
     triangles, lights, sky = len(scene.faces), len(scene.lights), scene.environment
     number = {
@@ -366,7 +380,7 @@ def test_records_have_the_bytes_that_are_stated(monkeypatch, tmp_path):
     pixels = {"medians": 4 * 5 + 4 + 8, "powers": 8, "halves": 24}
     assert {each: sizes[each] for each in pixels} == {each: size * 9 * 7 for each, size in pixels.items()}
     unchecked = {each for feature in FEATURES.values() for each in feature.buffers} - set(number) - set(pixels)
-    assert unchecked == {"texel_floats", "corners", "corner_numbers"}
+    assert unchecked == {"texel_floats", "corners", "corner_numbers", "light_bounds"}
 
 
 def test_bytes_of_a_path_are_those_of_the_kernels_readme():

@@ -14,7 +14,7 @@ from isonoise.integrator.few import MOST_CORNERS
 from isonoise.integrator.kernels import STRUCTS, kernel_table
 from isonoise.integrator.surplus import everything
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, load, structs, textures
+from isonoise.scene import builtin_scenes, compile_scene, light_list, load, structs, textures
 from isonoise.scene.compiled import CompiledScene
 from isonoise.scene.hierarchy import build_hierarchy
 from isonoise.statistics import NOTHING_MORE, Needs, Statistics
@@ -76,6 +76,7 @@ def test_none_run(device, monkeypatch, tmp_path):
     runs_as_specialised(device, monkeypatch, only(), tmp_path)
 
 
+@pytest.mark.long
 def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
     """All that change nothing, in the programs that take many paths a work-item."""
     few = only("SPHERES", "TRIANGLES", "DIFFUSE", "CONDUCTOR", "NEXT_EVENT", "POINT_LIGHTS", "RUSSIAN_ROULETTE")
@@ -83,13 +84,16 @@ def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
     runs_as_specialised(device, monkeypatch, row, tmp_path, few)
 
 
-def test_all_build(device):
-    """Where a work-item takes one path, which only scenes of VOLPATH have on this device."""
+@pytest.mark.parametrize(("lanes", "off"), [(1, ()), (64, ("VOLPATH",))])
+def test_all_build(device, lanes, off):
+    """What launches them takes twice as long, and is among the long tests."""
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
-    constants |= {"LANES": 1, "PATHS_PER_BLOCK": 64, "MOST_CORNERS": MOST_CORNERS}
-    for file in dict.fromkeys(file for file, _ in kernel_table(all_but(), few=False).values()):
-        text, options = stage_source(file, STRUCTS, constants, all_but())
-        device.build(text, (*options, "-Werror"))
+    constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
+    constants |= {"MOST_CORNERS": MOST_CORNERS, "MOST_LISTED_LIGHTS": light_list.MOST}
+    for few in (False, True):
+        for file in dict.fromkeys(file for file, _ in kernel_table(all_but(*off), few).values()):
+            text, options = stage_source(file, STRUCTS, constants, all_but(*off))
+            device.build(text, (*options, "-Werror"))
 
 
 @pytest.mark.long

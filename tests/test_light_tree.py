@@ -75,7 +75,9 @@ class OnDevice:
         text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, dtype) for name, dtype in STRUCTS.items())]
         text += [f"#define {name} {value}u" for name, value in constants.items()]
         text += [flatten("light_tree.h"), KERNELS]
-        self.kernels = self.device.build("\n".join(text), ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=1"))
+        self.kernels = self.device.build(
+            "\n".join(text), ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=1", "-DFEATURE_LIGHT_LIST=0")
+        )
 
     def run(self, kernel, tree, lights, points, normals, what, row):
         n = len(points)
