@@ -79,7 +79,7 @@ def test_none_run(device, monkeypatch, tmp_path):
 @pytest.mark.long
 def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
     """All that change nothing, in the programs that take many paths a work-item."""
-    few = only("SPHERES", "TRIANGLES", "DIFFUSE", "CONDUCTOR", "NEXT_EVENT", "POINT_LIGHTS", "RUSSIAN_ROULETTE")
+    few = only("SPHERES", "TRIANGLES", "DIFFUSE", "CONDUCTOR", "NEXT_EVENT", "CONSTANT_LIGHT", "RUSSIAN_ROULETTE")
     row = all_but("LIGHT_TREE", "HIDE_EMITTERS", "FILTER_TABLE", "VOLPATH")
     runs_as_specialised(device, monkeypatch, row, tmp_path, few)
 
