@@ -28,6 +28,7 @@ INLINE bool bsdf_is_smooth(const Shading* at)
 #endif
 }
 
+#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST || LANES == 1
 // From where light counts: the normal, its w 0; or (0, 0, 0, 1) if from all sides.
 INLINE Vec4 lit_side(const Shading* at)
 {
@@ -37,6 +38,7 @@ INLINE Vec4 lit_side(const Shading* at)
 #endif
     return at->bsdf->kind & from_all_sides ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
 }
+#endif
 #endif
 
 #if FEATURE_NEXT_EVENT

@@ -146,6 +146,7 @@ INLINE void weigh_light(__global const LightBound* light, const float* points, c
     }
 }
 
+#if FEATURE_AREA_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 // Whose probabilities are asked for, LANES numbers a member.
 #define ASKED_POINT 0u
 #define ASKED_NORMAL 3u
@@ -174,6 +175,7 @@ INLINE void answer_from_list(const LightList* list, float* asked, uint count)
         keep1(light_probability(mixture(totals[k]), kept1(asked, ASKED_PROBABILITY, k), share), asked, ASKED_PROBABILITY, k);
     }
 }
+#endif
 
 // Picks lights for the first `count` lanes of what a work-item keeps: of points (3 members), normals (4) and random numbers (2),
 // to lights and probabilities (2).

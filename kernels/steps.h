@@ -31,7 +31,7 @@ INLINE size_t listed_path(const Batch* batch, int lane)
         found += (uint)(condition);               \
     }
 
-#if FEATURE_LIGHT_LIST
+#if FEATURE_LIGHT_LIST && (HAS_SKY || FEATURE_AREA_LIGHTS)
 // Asks for the probability with which a path's last vertex would have picked a light.
 INLINE void ask(const Path* p, uint light, float* asked, size_t lane)
 {

@@ -40,6 +40,7 @@ INLINE void leave_shadow_ray(const Paths* of, size_t i, const Path* p, const Sur
 #endif
 }
 
+#if LANES == 1
 // Looks at the light that was picked; leaves a shadow ray, unless nothing could arrive.
 INLINE void next_event(const Scene* scene, const Paths* of, size_t i, const Path* p, const Surface* s, const Shading* at, bool looks)
 {
@@ -57,6 +58,7 @@ INLINE void next_event(const Scene* scene, const Paths* of, size_t i, const Path
     leave_shadow_ray(of, i, p, s, &light);
     store_planes3(radiance, of->shadow_radiance, i, of->pool);
 }
+#endif
 #endif
 
 // Goes on in the direction that was drawn, if the path does not end here.

@@ -94,7 +94,9 @@ class OnDevice:
             text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, of) for name, of in STRUCTS.items())]
             text += [f"#define {name} {value}u" for name, value in constants.items()]
             text += [flatten("light_list.h"), KERNELS]
-            options = ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=0", "-DFEATURE_LIGHT_LIST=1")
+            on = ("-DFEATURE_LIGHT_LIST=1", "-DFEATURE_AREA_LIGHTS=1")
+            off = (f"-DFEATURE_{name}=0" for name in ("LIGHT_TREE", "CONSTANT_LIGHT", "ENVIRONMENT_MAP"))
+            options = ("-cl-std=CL1.2", "-Werror", *on, *off)
             self.kernels |= self.device.build("\n".join(text), options)
 
     def run(self, kernel, bounds, points, normals, what, row):
