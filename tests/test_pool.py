@@ -141,5 +141,5 @@ def test_bench_tune_says_when_it_cannot_keep(device, monkeypatch, capsys):
     monkeypatch.setenv(program_cache.VARIABLE, "off")
     assert main(["bench", "--tune", "cornell"]) == 2
     assert "cannot be kept" in capsys.readouterr().err
-    assert main(["bench", "--tune", "--peers"]) == 2
+    assert main(["bench", "--tune", "--json", "x.json"]) == 2
     assert "--tune" in capsys.readouterr().err
