@@ -11,6 +11,7 @@ import numpy as np
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 _PRAGMA_ONCE = re.compile(r"^\s*#pragma\s+once")
+_READERS = "that host/isonoise/device/program.py puts here."  # in plain.h
 _C_TYPES = {"f4": "float", "u4": "uint", "i4": "int"}
 
 
@@ -60,7 +61,7 @@ def record_reader(name: str, dtype: np.dtype) -> str:
             word += 1
     return "\n".join(
         [
-            f"inline __attribute__((always_inline)) {name} {name}_at(__global const {name}* table, uint index)",
+            f"INLINE {name} {name}_at(__global const {name}* table, uint index)",
             "{",
             *(f"    __global const {kind}* {kind}s = (__global const {kind}*)table;" for kind in kinds),
             f"    const int at = {word} * (int)index;",
@@ -86,7 +87,11 @@ def stage_source(
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
     prelude += [f"#define {key} {value}u" for key, value in constants.items() if key in words]
     prelude += [declare_struct(key, dtype) for key, dtype in structs.items() if key in words]
-    prelude += [record_reader(key, dtype) for key, dtype in structs.items() if f"{key}_at" in words]
+    readers = [record_reader(key, dtype) for key, dtype in structs.items() if f"{key}_at" in words]
+    if readers:
+        before, place, after = body.partition(_READERS)
+        line = kernel_source("plain.h").partition(_READERS)[0].count("\n") + 2
+        body = "\n".join([before + place, *readers, f'#line {line} "plain.h"' + after])
     mentioned = sorted(word.removeprefix("FEATURE_") for word in words if word.startswith("FEATURE_"))
     options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]
     return "\n".join([*prelude, body]) + "\n", tuple(options)
