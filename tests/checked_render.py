@@ -100,6 +100,10 @@ class CheckedDevice(Device):
     def is_cpu(self) -> bool:
         return self.many
 
+    @property
+    def shares_memory(self) -> bool:
+        return False  # Oclgrind takes what stands in the host's memory for not initialised
+
     def buffer(self, size: int | np.ndarray, what: str):
         if isinstance(size, np.ndarray):
             return super().buffer(size, what)

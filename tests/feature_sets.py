@@ -50,6 +50,8 @@ def closed(names: set[str]) -> set[str]:
         before = set(on)
         on |= {needed for name in before for needed in NEEDS.get(name, ())}
         on |= {group[0] for name in before for group in ANY_OF.get(name, ()) if on.isdisjoint(group)}
+        if len(on & set(LIGHTS)) > 1 or "TRIANGLE_LIGHTS" in on:  # a rectangle is two triangles
+            on.add("MANY_LIGHTS")
     return on
 
 
@@ -66,6 +68,8 @@ def only(*names: str) -> dict[str, bool]:
 def all_but(*names: str) -> dict[str, bool]:
     """Features with these off, and those that need them."""
     on = set(FEATURES) - set(names)
+    if "MANY_LIGHTS" in names:
+        on -= set(LIGHTS[1:])
     while not is_closed(on):
         on -= {name for name in on if not closed({name}) - _alternatives(name) <= on or _lacks_a_group(name, on)}
     return {name: name in on for name in FEATURES}

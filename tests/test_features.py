@@ -49,7 +49,7 @@ def runs_as_specialised(device: Device, monkeypatch, row: dict[str, bool], folde
     build = Device.build
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
     scene, needs = compile_scene(load(scene_with(of_scene or row, folder))), needs_of(row)
-    used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "UVS")}
+    used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "LIGHT_LIST", "UVS")}
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}
     more, specialised = (rendered(device, scene, 16, needs, built_in) for built_in in (row, used))
     assert_same_bits(more, specialised)
@@ -80,7 +80,7 @@ def test_none_run(device, monkeypatch, tmp_path):
 def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
     """All that change nothing, in the programs that take many paths a work-item."""
     few = only("SPHERES", "TRIANGLES", "DIFFUSE", "CONDUCTOR", "NEXT_EVENT", "CONSTANT_LIGHT", "RUSSIAN_ROULETTE")
-    row = all_but("LIGHT_TREE", "HIDE_EMITTERS", "FILTER_TABLE", "VOLPATH")
+    row = all_but("LIGHT_TREE", "LIGHT_LIST", "HIDE_EMITTERS", "FILTER_TABLE", "VOLPATH")
     runs_as_specialised(device, monkeypatch, row, tmp_path, few)
 
 

@@ -194,6 +194,11 @@ class Device:
         return is_cpu(self.device)
 
     @property
+    def shares_memory(self) -> bool:
+        """Whether the host's memory may be a buffer's own."""
+        return self.is_cpu
+
+    @property
     def compute_units(self) -> int:
         return self.device.max_compute_units
 
@@ -248,7 +253,7 @@ class Device:
             )
         self.allocated += nbytes
         whole_words = max(-(-nbytes // 4), 1) * 4
-        if self.is_cpu:
+        if self.shares_memory:
             content = _host_memory(whole_words)
             content[nbytes:] = 0
             content[:nbytes] = (
