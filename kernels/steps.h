@@ -303,7 +303,7 @@ INLINE void scatter(const Scene* scene, const Paths* of, size_t i, uint kind, fl
 {
     const Shading at = kept_shading(scene, kind, load_planes3(of->ray_direction, i, of->pool), kept, lane);
 #if FEATURE_NEXT_EVENT
-    if (kind & ~DELTA_BSDFS) {
+    if ((kind & ~DELTA_BSDFS) && is_marked(MARK_LOOKS, kept, lane)) {
         float pdf = 0.0f;
         const Vec3 scattered = eval_kind(kind, &at, kept3(kept, KEPT_LIGHT, lane), &pdf);
         keep4(with_w(scattered, pdf), kept, KEPT_SCATTERED, lane);
