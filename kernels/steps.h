@@ -124,6 +124,9 @@ INLINE void arrive_all(const Scene* scene, const Paths* of, const Batch* batch, 
         keep1(as_float(0u), kept, KEPT_MARKS, k);
         keep1(as_float(0u), kept, KEPT_KIND, k);
         keep1(as_float(0u), kept, KEPT_BSDF, k);
+#if FEATURE_NEXT_EVENT
+        keep3(all3(0.0f), kept, KEPT_LIGHT, k);
+#endif
     }
 #if FEATURE_TRIANGLES
     EACH_OF(k, count) {
@@ -303,7 +306,7 @@ INLINE void scatter(const Scene* scene, const Paths* of, size_t i, uint kind, fl
 {
     const Shading at = kept_shading(scene, kind, load_planes3(of->ray_direction, i, of->pool), kept, lane);
 #if FEATURE_NEXT_EVENT
-    if ((kind & ~DELTA_BSDFS) && is_marked(MARK_LOOKS, kept, lane)) {
+    if (kind & ~DELTA_BSDFS) {  // of all: those that looked at no light have none to be asked about, and do no harm
         float pdf = 0.0f;
         const Vec3 scattered = eval_kind(kind, &at, kept3(kept, KEPT_LIGHT, lane), &pdf);
         keep4(with_w(scattered, pdf), kept, KEPT_SCATTERED, lane);
