@@ -40,6 +40,16 @@ INLINE void ask(const Path* p, uint light, float* asked, size_t lane)
     keep1(as_float(light), asked, ASKED_LIGHT, lane);
 }
 
+// Lights are weighed for all lanes of a vector, also for those beyond the last.
+INLINE void ask_nothing(float* asked, uint count)
+{
+    EACH_OF(k, count) {
+        keep3(all3(0.0f), asked, ASKED_POINT, k);
+        keep4(vec4(0.0f, 0.0f, 0.0f, 0.0f), asked, ASKED_NORMAL, k);
+        keep1(as_float(0u), asked, ASKED_LIGHT, k);
+    }
+}
+
 INLINE float answer(const Path* p, const float* asked, size_t lane)
 {
     return p->direction_pdf < 0.0f ? 0.0f : kept1(asked, ASKED_PROBABILITY, lane);
@@ -52,6 +62,7 @@ INLINE void add_sky(const Scene* scene, const Paths* of, size_t begin, const int
 {
 #if FEATURE_LIGHT_LIST
     float asked[ASKED * LANES];
+    ask_nothing(asked, count);
     EACH_OF(k, count) {
         if (k >= count) continue;
         const Path p = load_path(of, (size_t)((int)begin + missed[k]));
@@ -127,6 +138,11 @@ INLINE void arrive_all(const Scene* scene, const Paths* of, const Batch* batch, 
 #if FEATURE_NEXT_EVENT
         keep3(all3(0.0f), kept, KEPT_LIGHT, k);
 #endif
+#if FEATURE_LIGHT_LIST  // lights are weighed for all lanes
+        keep3(all3(0.0f), kept, KEPT_POSITION, k);
+        keep4(vec4(0.0f, 0.0f, 0.0f, 0.0f), kept, KEPT_LIT, k);
+        keep4(vec4(0.0f, 0.0f, 0.0f, 0.0f), kept, KEPT_LIGHT_RANDOM, k);
+#endif
     }
 #if FEATURE_TRIANGLES
     EACH_OF(k, count) {
@@ -165,6 +181,7 @@ INLINE void add_emission(const Scene* scene, const Paths* of, const Batch* batch
     LIST_OF(list, found, k, batch->count, is_marked(MARK_SHINES, kept, k))
 #if FEATURE_LIGHT_LIST
     float asked[ASKED * LANES];
+    ask_nothing(asked, found);
     EACH_OF(j, found) {
         if (j >= found) continue;
         const Path p = load_path(of, listed_path(batch, list[j]));
