@@ -50,7 +50,8 @@ def runs_as_specialised(device: Device, monkeypatch, row: dict[str, bool], folde
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
     scene, needs = compile_scene(load(scene_with(of_scene or row, folder))), needs_of(row)
     used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "LIGHT_LIST", "UVS")}
-    used["MANY_LIGHTS"] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]  # neither is for one light alone
+    for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # without which there is neither tree nor list
+        used[name] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}
     more, specialised = (rendered(device, scene, 16, needs, built_in) for built_in in (row, used))
     assert_same_bits(more, specialised)
