@@ -7,6 +7,7 @@ import os
 import platform
 import tempfile
 import warnings
+import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -159,6 +160,7 @@ class Device:
         self.allocated = 0
         self.on_launch: Callable[[str, int, float], None] | None = None
         self._running: list[tuple] = []  # kernel, items and event of the launches since the last wait
+        self._given_up: list[np.ndarray] = []  # memory of the buffers that nobody holds since the last wait
         self._open_queue(profile)
         self.forget_profile()
 
@@ -166,6 +168,7 @@ class Device:
         self.profile = profile
         properties = self._cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self.queue = self._cl.CommandQueue(self.context, properties=properties)
+        weakref.finalize(self, self.queue.finish)  # nothing is at work on memory that goes with the device
 
     def set_profiling(self, on: bool) -> None:
         """Goes on with a queue that keeps times, or with one that doesn't; waits for the device."""
@@ -259,6 +262,8 @@ class Device:
             content[:nbytes] = (
                 np.ascontiguousarray(size).reshape(-1).view(np.uint8) if isinstance(size, np.ndarray) else 0
             )
+            # pyopencl lets go of the array with the buffer, on whose memory launches may still be at work
+            weakref.finalize(content, self._given_up.append, content.base).atexit = False
             return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=content)
         if isinstance(size, np.ndarray) and nbytes:
             return self._cl.Buffer(
@@ -286,7 +291,7 @@ class Device:
         array = np.empty(count, dtype)
         if count:
             self._cl.enqueue_copy(self.queue, array, buffer, src_offset=offset * dtype.itemsize)
-            self._sum_profile()
+            self._after_wait()
         return array
 
     @contextlib.contextmanager
@@ -296,7 +301,7 @@ class Device:
         Where host and device share their memory nothing is copied.
         """
         array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, self._cl.map_flags.READ, 0, (count,), dtype)
-        self._sum_profile()
+        self._after_wait()
         try:
             yield array
         finally:
@@ -304,7 +309,7 @@ class Device:
 
     def finish(self) -> None:
         self.queue.finish()
-        self._sum_profile()
+        self._after_wait()
 
     def forget_profile(self) -> None:
         """Begins to count launches and seconds anew."""
@@ -312,8 +317,9 @@ class Device:
         self.launches: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
 
-    def _sum_profile(self) -> None:
-        """After a wait: the queue is in order, so all that was launched is done."""
+    def _after_wait(self) -> None:
+        """The queue is in order, so all that was launched is done."""
+        self._given_up.clear()
         for kernel, items, event in self._running:
             name, seconds = kernel.function_name, 1e-9 * (event.profile.end - event.profile.start)
             self.launches[name] += 1
