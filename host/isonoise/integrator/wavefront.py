@@ -78,7 +78,7 @@ class Wavefront:
         self.pool_size = pool_size or pool.pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
-        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/steps.h knows no more
+        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/steps.h knows no media
         self.shade_lanes = SHADE_LANES if self.lanes > 1 else 1
         hierarchy = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
         self.few = self.lanes > 1 and not hierarchy and are_few(scene)
