@@ -23,24 +23,31 @@ __kernel void probability(__global const LightBound* bounds, uint lights, __glob
                           __global const float* normals, __global const uint* which, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
+    if (i >= n) return;
     const LightList list = {bounds, lights};
     const Vec4 normal = vec4(normals[4 * i], normals[4 * i + 1], normals[4 * i + 2], normals[4 * i + 3]);
-    if (i < n) out[i] = light_list_probability(&list, which[i], LOAD3(i, points), normal);
+    out[i] = light_list_probability(&list, which[i], LOAD3(i, points), normal);
 }
 
 __kernel void pick(__global const LightBound* bounds, uint lights, __global const float* points,
                    __global const float* normals, __global const uint2* u, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
+    if (i >= n) return;
     const LightList list = {bounds, lights};
     const Vec4 normal = vec4(normals[4 * i], normals[4 * i + 1], normals[4 * i + 2], normals[4 * i + 3]);
     float p;
-    if (i >= n) return;
     out[2 * i] = as_float(pick_from_list(&list, LOAD3(i, points), normal, u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p));
     out[2 * i + 1] = p;
 }
 
 #if LANES > 1
+void keep_all(__global const float* records, uint members, uint begin, uint count, float* kept)
+{
+    for (uint k = 0u; k < count; ++k)
+        for (uint c = 0u; c < members; ++c) keep1(records[members * (begin + k) + c], kept, c, k);
+}
+
 __kernel void answer_all(__global const LightBound* bounds, uint lights, __global const float* points,
                          __global const float* normals, __global const uint* which, __global float* out, uint n)
 {
@@ -49,11 +56,9 @@ __kernel void answer_all(__global const LightBound* bounds, uint lights, __globa
     if (begin >= n) return;
     const uint count = LESSER(n - begin, LANES);
     float asked[ASKED * LANES];
-    for (uint k = 0u; k < count; ++k) {
-        for (uint c = 0u; c < 3u; ++c) keep1(points[3 * (begin + k) + c], asked, ASKED_POINT + c, k);
-        for (uint c = 0u; c < 4u; ++c) keep1(normals[4 * (begin + k) + c], asked, ASKED_NORMAL + c, k);
-        keep1(as_float(which[begin + k]), asked, ASKED_LIGHT, k);
-    }
+    keep_all(points, 3u, begin, count, asked + ASKED_POINT * LANES);
+    keep_all(normals, 4u, begin, count, asked + ASKED_NORMAL * LANES);
+    for (uint k = 0u; k < count; ++k) keep1(as_float(which[begin + k]), asked, ASKED_LIGHT, k);
     answer_from_list(&list, asked, count);
     for (uint k = 0u; k < count; ++k) out[begin + k] = kept1(asked, ASKED_PROBABILITY, k);
 }
@@ -66,9 +71,9 @@ __kernel void pick_all(__global const LightBound* bounds, uint lights, __global 
     if (begin >= n) return;
     const uint count = LESSER(n - begin, LANES);
     float at[7 * LANES], random[2 * LANES], picks[2 * LANES];
+    keep_all(points, 3u, begin, count, at);
+    keep_all(normals, 4u, begin, count, at + 3u * LANES);
     for (uint k = 0u; k < count; ++k) {
-        for (uint c = 0u; c < 3u; ++c) keep1(points[3 * (begin + k) + c], at, c, k);
-        for (uint c = 0u; c < 4u; ++c) keep1(normals[4 * (begin + k) + c], at, 3u + c, k);
         keep1(u[begin + k].x * 0x1p-24f, random, 0u, k);
         keep1(u[begin + k].y * 0x1p-24f, random, 1u, k);
     }
