@@ -264,7 +264,8 @@ INLINE bool arrive(const Scene* scene, const Paths* of, size_t i, Path* p, Surfa
 // The material there. Returns whether it lets the path through as if there was none.
 INLINE bool meet_material(const Scene* scene, const Path* p, const Surface* s, Shading* at)
 {
-    at->bsdf = scene->bsdfs + s->bsdf;
+    at->bsdfs = scene->bsdfs;
+    at->bsdf = s->bsdf;
     at->normal = s->normal;
     at->wi = neg3(p->direction);
     at->cos_i = dot3(at->normal, at->wi);
@@ -283,12 +284,12 @@ INLINE bool meet_material(const Scene* scene, const Path* p, const Surface* s, S
     at->point = texture_point(s);
 #endif
 #if HAS_WRAPPERS
-    const bool passes = unwrap(at, scene->bsdfs, s, path_random(scene, p, BLOCK_MATERIAL(event_of(p))).x);
+    const bool passes = unwrap(at, s, path_random(scene, p, BLOCK_MATERIAL(event_of(p))).x);
 #else
-    const bool passes = FEATURE_NULL && (at->bsdf->kind & BSDF_NULL);
+    const bool passes = FEATURE_NULL && (material(at).kind & BSDF_NULL);
 #endif
 #if FEATURE_TWOSIDED
-    if ((at->bsdf->flags & BSDF_TWOSIDED) && at->cos_i < 0.0f) turn_to_viewer(at);
+    if ((material(at).flags & BSDF_TWOSIDED) && at->cos_i < 0.0f) turn_to_viewer(at);
 #endif
     return passes;
 }

@@ -18,11 +18,11 @@
 INLINE bool bsdf_is_smooth(const Shading* at)
 {
 #if FEATURE_MEDIA
-    if (at->bsdf->kind & BSDF_HG) return !(at->bsdf->flags & BSDF_UNLIT);
+    if (material(at).kind & BSDF_HG) return !(material(at).flags & BSDF_UNLIT);
 #endif
     if (!(at->cos_i > 0.0f || HAS_ROUGH_TRANSMISSION)) return false;
 #if HAS_DELTA_BSDFS
-    return !(at->bsdf->kind & DELTA_BSDFS);
+    return !(material(at).kind & DELTA_BSDFS);
 #else
     return HAS_SMOOTH_BSDFS;
 #endif
@@ -34,9 +34,9 @@ INLINE Vec4 lit_side(const Shading* at)
 {
     uint from_all_sides = BSDF_HG | BSDF_ROUGH_DIELECTRIC;
 #if FEATURE_PRINCIPLED
-    if (at->bsdf->values[12] > 0.0f || at->bsdf->textures[4] != NONE) from_all_sides |= BSDF_PRINCIPLED;  // spec_trans
+    if (material(at).values[12] > 0.0f || material(at).textures[4] != NONE) from_all_sides |= BSDF_PRINCIPLED;  // spec_trans
 #endif
-    return at->bsdf->kind & from_all_sides ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
+    return material(at).kind & from_all_sides ? vec4(0.0f, 0.0f, 0.0f, 1.0f) : with_w(at->normal, 0.0f);
 }
 #endif
 #endif
@@ -73,7 +73,7 @@ INLINE Vec3 eval_kind(uint kind, const Shading* at, Vec3 wo, float* pdf)
 
 INLINE Vec3 bsdf_eval(const Shading* at, Vec3 wo, float* pdf)
 {
-    return eval_kind(at->bsdf->kind, at, wo, pdf);
+    return eval_kind(material(at).kind, at, wo, pdf);
 }
 #endif
 
@@ -116,5 +116,5 @@ INLINE BsdfSample sample_kind(uint kind, const Shading* at, Vec3 u)
 
 INLINE BsdfSample bsdf_sample(const Shading* at, Vec3 u)
 {
-    return sample_kind(at->bsdf->kind, at, u);
+    return sample_kind(material(at).kind, at, u);
 }

@@ -85,10 +85,10 @@ INLINE Surface kept_surface(const float* kept, size_t lane)
     return s;
 }
 
-INLINE void keep_shading(const Scene* scene, const Shading* at, float* kept, size_t lane)
+INLINE void keep_shading(const Shading* at, float* kept, size_t lane)
 {
-    keep1(as_float((uint)(at->bsdf - scene->bsdfs)), kept, KEPT_BSDF, lane);
-    keep1(as_float(at->bsdf->kind), kept, KEPT_KIND, lane);
+    keep1(as_float(at->bsdf), kept, KEPT_BSDF, lane);
+    keep1(as_float(material(at).kind), kept, KEPT_KIND, lane);
     keep3(at->normal, kept, KEPT_NORMAL, lane);
     keep1(at->cos_i, kept, KEPT_COSINE, lane);
 #if HAS_LIT
@@ -106,7 +106,8 @@ INLINE void keep_shading(const Scene* scene, const Shading* at, float* kept, siz
 INLINE Shading kept_shading(const Scene* scene, uint of_kind, Vec3 direction, const float* kept, size_t lane)
 {
     Shading at;
-    at.bsdf = scene->bsdfs + kept_bits(kept, KEPT_BSDF, lane);
+    at.bsdfs = scene->bsdfs;
+    at.bsdf = kept_bits(kept, KEPT_BSDF, lane);
     at.normal = kept3(kept, KEPT_NORMAL, lane);
     at.cos_i = kept1(kept, KEPT_COSINE, lane);
     at.wi = neg3(direction);

@@ -40,11 +40,11 @@ INLINE Vec3 bumped_normal(const Shading* at, const Surface* s)
 {
     Vec3 bumped = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (at->bsdf->kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(shown_rgb(at, 0), 2.0f), all3(1.0f));
+    if (material(at).kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(shown_rgb(at, 0), 2.0f), all3(1.0f));
 #endif
 #if FEATURE_BUMP
-    if (at->bsdf->kind & BSDF_BUMP) {
-        const Vec2 slope = scale2(texture_gradient(at->textures, at->bsdf->textures[0], &at->point), at->bsdf->values[3]);
+    if (material(at).kind & BSDF_BUMP) {
+        const Vec2 slope = scale2(texture_gradient(at->textures, material(at).textures[0], &at->point), material(at).values[3]);
         const Vec3 along_u = add3(s->dp_du, scale3(s->normal, slope.x - dot3(s->normal, s->dp_du)));
         const Vec3 along_v = add3(s->dp_dv, scale3(s->normal, slope.y - dot3(s->normal, s->dp_dv)));
         const Vec3 normal = cross3(along_u, along_v);
@@ -54,7 +54,7 @@ INLINE Vec3 bumped_normal(const Shading* at, const Surface* s)
 #endif
     // seen from behind it is turned to the viewer: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
     const Vec3 wi = to_local(at, at->wi);
-    if (!(at->bsdf->flags & BSDF_ANY_NORMAL) && wi.z * dot3(wi, bumped) <= 0.0f) bumped = vec3(-bumped.x, -bumped.y, bumped.z);
+    if (!(material(at).flags & BSDF_ANY_NORMAL) && wi.z * dot3(wi, bumped) <= 0.0f) bumped = vec3(-bumped.x, -bumped.y, bumped.z);
     bumped = unit(bumped);
     return dot3(bumped, bumped) > 0.0f ? bumped : vec3(0.0f, 0.0f, 1.0f);
 }
@@ -71,7 +71,7 @@ INLINE void bump(Shading* at, const Surface* s)
     at->t = second;
     at->cos_i = dot3(normal, at->wi);
     const float tan2 = dot2(vec2(bumped.x, bumped.y), vec2(bumped.x, bumped.y)) / (bumped.z * bumped.z);
-    at->shadow = at->bsdf->flags & BSDF_NO_SHADOW ? 0.0f : LESSER(0.125f * tan2, 1.0f);
+    at->shadow = material(at).flags & BSDF_NO_SHADOW ? 0.0f : LESSER(0.125f * tan2, 1.0f);
 }
 
 // What of the light from `direction` a bumped surface scatters: nothing where it lies on one side of the surface and on the
@@ -108,16 +108,16 @@ INLINE float share_parameter(const Shading* at)
 // Goes through what wraps the material until it comes to one that wraps no other. Blends and masks choose one of two by
 // `u`, with the probability of its weight: whatever is estimated from the one chosen is so on average for both.
 // Returns whether the path goes through the surface as if there was none.
-INLINE bool unwrap(Shading* at, __global const Bsdf* bsdfs, const Surface* s, float u)
+INLINE bool unwrap(Shading* at, const Surface* s, float u)
 {
     for (;;) {
-        __global const Bsdf* wrapper = at->bsdf;
-        uint next = wrapper->nested[0];
-        switch (wrapper->kind) {
+        const Bsdf wrapper = material(at);
+        uint next = wrapper.nested[0];
+        switch (wrapper.kind) {
 #if FEATURE_SIDES
         case BSDF_SIDES:
             if (at->cos_i < 0.0f) {
-                next = wrapper->nested[1];
+                next = wrapper.nested[1];
                 turn_to_viewer(at);
             }
             break;
@@ -129,7 +129,7 @@ INLINE bool unwrap(Shading* at, __global const Bsdf* bsdfs, const Surface* s, fl
 #endif
 #if FEATURE_BLEND
         case BSDF_BLEND:
-            if (choose(share_parameter(at), &u)) next = wrapper->nested[1];
+            if (choose(share_parameter(at), &u)) next = wrapper.nested[1];
             break;
 #endif
 #if FEATURE_BUMP
@@ -143,7 +143,7 @@ INLINE bool unwrap(Shading* at, __global const Bsdf* bsdfs, const Surface* s, fl
 #endif
         default: return false;
         }
-        at->bsdf = bsdfs + next;
+        at->bsdf = next;
     }
 }
 #endif

@@ -8,7 +8,7 @@
 // 1 - |g|: neither cancels where |g| is nearly 1, and nothing is divided by a g of 0.
 INLINE Vec3 hg_axis(const Shading* at)
 {
-    return at->bsdf->values[0] < 0.0f ? at->wi : neg3(at->wi);
+    return material(at).values[0] < 0.0f ? at->wi : neg3(at->wi);
 }
 
 INLINE float hg_density(float narrow, float one_minus_cos)
@@ -21,7 +21,7 @@ INLINE float hg_density(float narrow, float one_minus_cos)
 INLINE Vec3 hg_eval(const Shading* at, Vec3 wo, float* pdf)
 {
     const Vec3 off = sub3(wo, hg_axis(at));
-    *pdf = hg_density(abs1(at->bsdf->values[0]), 0.5f * dot3(off, off));
+    *pdf = hg_density(abs1(material(at).values[0]), 0.5f * dot3(off, off));
     return all3(*pdf);
 }
 #endif
@@ -29,7 +29,7 @@ INLINE Vec3 hg_eval(const Shading* at, Vec3 wo, float* pdf)
 // The cosine's distribution inverted: 1 - cos = 2 (1 - u) (1 + |g| u) ((1 - |g|) / (1 - |g| + 2 |g| u))^2.
 INLINE BsdfSample hg_sample(const Shading* at, Vec2 u)
 {
-    const float narrow = abs1(at->bsdf->values[0]), wide = 1.0f - narrow;
+    const float narrow = abs1(material(at).values[0]), wide = 1.0f - narrow;
     const float ratio = wide / (wide + 2.0f * narrow * u.x);
     const float one_minus_cos = 2.0f * (1.0f - u.x) * (1.0f + narrow * u.x) * ratio * ratio;
     const Vec3 axis = hg_axis(at);
@@ -39,7 +39,7 @@ INLINE BsdfSample hg_sample(const Shading* at, Vec2 u)
     BsdfSample sample = nothing_sampled();
     sample.direction = unit(combine3(around.x, x, around.y, y, 1.0f - one_minus_cos, axis));
     sample.weight = all3(1.0f);
-    sample.pdf = at->bsdf->flags & BSDF_UNLIT ? -1.0f : hg_density(narrow, one_minus_cos);
+    sample.pdf = material(at).flags & BSDF_UNLIT ? -1.0f : hg_density(narrow, one_minus_cos);
     sample.eta = 1.0f;
     return sample;
 }

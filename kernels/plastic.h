@@ -9,8 +9,8 @@
 INLINE Vec3 base_reflectance(const Shading* at)
 {
     const Vec3 base = rgb_parameter(at, 1);
-    const float inner = at->bsdf->values[9], eta = number_parameter(at, 2);
-    const Vec3 again = at->bsdf->flags & BSDF_NONLINEAR ? scale3(base, inner) : all3(inner);
+    const float inner = material(at).values[9], eta = number_parameter(at, 2);
+    const Vec3 again = material(at).flags & BSDF_NONLINEAR ? scale3(base, inner) : all3(inner);
     return div3(base, scale3(sub3(all3(1.0f), again), eta * eta));
 }
 
@@ -65,7 +65,7 @@ INLINE BsdfSample plastic_sample(const Shading* at, Vec3 u)
 // The share of the light from a direction that gets through the rough boundary.
 INLINE float boundary_transmittance(const Shading* at, float cos_w)
 {
-    __global const float* table = at->tables + BOUNDARY_NODES * (uint)at->bsdf->values[10];
+    __global const float* table = at->tables + BOUNDARY_NODES * (uint)material(at).values[10];
     const float place = cos_w * (BOUNDARY_NODES - 1);
     const int node = LESSER((int)place, BOUNDARY_NODES - 2);
     return table[node] + (place - (float)node) * (table[node + 1] - table[node]);
@@ -93,7 +93,7 @@ INLINE Vec3 rough_plastic_local(const Shading* at, const Microfacets* d, Vec3 w,
 
 INLINE Microfacets rough_plastic_microfacets(const Shading* at)
 {
-    return microfacets(number_parameter(at, 4), number_parameter(at, 4), at->bsdf->flags);
+    return microfacets(number_parameter(at, 4), number_parameter(at, 4), material(at).flags);
 }
 
 #if FEATURE_NEXT_EVENT

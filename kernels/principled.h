@@ -29,8 +29,9 @@ INLINE Principled principled_parameters(const Shading* at)
     const float aspect = SQRT(1.0f - 0.9f * anisotropic), square = p.roughness * p.roughness;
     p.facets = microfacets(GREATER(square / aspect, 1e-3f), GREATER(square * aspect, 1e-3f), BSDF_GGX);
     // rates of the three lobes, in places of their numbers that are free: slot 1, and 5 twice
-    __global const float* values = at->bsdf->values;
-    const float diffuse = p.diffuse * values[4], specular = values[16], clearcoat = 0.25f * number_parameter(at, 10) * values[17];
+    const Bsdf m = material(at);
+    const float diffuse = p.diffuse * m.values[4], specular = m.values[16];
+    const float clearcoat = 0.25f * number_parameter(at, 10) * m.values[17];
     const float total = diffuse + clearcoat + specular, scale = total > 0.0f ? 1.0f / total : 0.0f;
     p.diffuse_rate = p.front ? diffuse * scale : 0.0f;
     p.clearcoat_rate = p.front ? clearcoat * scale : 0.0f;

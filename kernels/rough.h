@@ -7,7 +7,7 @@
 #if FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC
 INLINE Microfacets rough_microfacets(const Shading* at)
 {
-    return microfacets(number_parameter(at, 4), number_parameter(at, 5), at->bsdf->flags);
+    return microfacets(number_parameter(at, 4), number_parameter(at, 5), material(at).flags);
 }
 #endif
 

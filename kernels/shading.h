@@ -13,7 +13,8 @@
 #define NO_BUMP (-1.0f)
 
 typedef struct {
-    __global const Bsdf* bsdf;  // one that wraps no other
+    __global const Bsdf* bsdfs;
+    uint bsdf;  // of them, one that wraps no other
     Vec3 normal;              // shading normal
     Vec3 wi;                  // where the path came from, in world space
     float cos_i;                // of wi to the normal; not negative for materials of two sides
@@ -36,35 +37,43 @@ typedef struct {
 #endif
 } Shading;
 
+INLINE Bsdf material(const Shading* at)
+{
+    return Bsdf_at(at->bsdfs, at->bsdf);
+}
+
 // A parameter of the material that is a colour, and one that is a number.
 INLINE Vec3 shown_rgb(const Shading* at, uint slot)
 {
 #if FEATURE_TEXTURES
-    const uint texture = at->bsdf->textures[slot];
+    const uint texture = material(at).textures[slot];
     if (texture != NONE) return texture_rgb(at->textures, texture, &at->point);
 #endif
-    return LOAD3(slot, at->bsdf->values);
+    const Bsdf m = material(at);
+    return LOAD3(slot, m.values);
 }
 
 INLINE float shown_number(const Shading* at, uint slot)
 {
 #if FEATURE_TEXTURES
-    const uint texture = at->bsdf->textures[slot];
+    const uint texture = material(at).textures[slot];
     if (texture != NONE) return texture_number(at->textures, texture, &at->point);
 #endif
-    return at->bsdf->values[3u * slot];
+    return material(at).values[3u * slot];
 }
 
 // The same where light is scattered: there what textures show may have been kept (kept.h).
 #if FEATURE_TEXTURES && LANES > 1
 INLINE Vec3 rgb_parameter(const Shading* at, uint slot)
 {
-    return at->bsdf->textures[slot] == NONE ? LOAD3(slot, at->bsdf->values) : kept3(at->parameters, 3u * slot, 0);
+    const Bsdf m = material(at);
+    return m.textures[slot] == NONE ? LOAD3(slot, m.values) : kept3(at->parameters, 3u * slot, 0);
 }
 
 INLINE float number_parameter(const Shading* at, uint slot)
 {
-    return at->bsdf->textures[slot] == NONE ? at->bsdf->values[3u * slot] : kept1(at->parameters, 3u * slot, 0);
+    const Bsdf m = material(at);
+    return m.textures[slot] == NONE ? m.values[3u * slot] : kept1(at->parameters, 3u * slot, 0);
 }
 #else
 #define rgb_parameter shown_rgb

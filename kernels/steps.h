@@ -104,7 +104,7 @@ INLINE void meet(const Scene* scene, const Paths* of, size_t i, const Path* p, c
         keep1(as_float(0u), kept, KEPT_KIND, lane);
         return;
     }
-    keep_shading(scene, &at, kept, lane);
+    keep_shading(&at, kept, lane);
     uint marks = MARK_SCATTERS;
 #if FEATURE_NEXT_EVENT
     marks |= looks_for_light(&at, true) ? MARK_LOOKS : 0u;

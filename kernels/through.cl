@@ -45,7 +45,8 @@ INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s
     if (p->again) return true;
 #endif
     Shading at;
-    at.bsdf = bsdfs + s->bsdf;
+    at.bsdfs = bsdfs;
+    at.bsdf = s->bsdf;
     at.normal = s->normal;
     at.wi = neg3(unit(direction));
     at.cos_i = dot3(at.normal, at.wi);
@@ -53,7 +54,7 @@ INLINE bool pass(const Geometry* g, __global const Bsdf* bsdfs, const Surface* s
     at.textures = &g->textures;
     at.point = texture_point(s);
 #endif
-    p->share = mul3(p->share, straight_share(&at, bsdfs));
+    p->share = mul3(p->share, straight_share(&at));
     return largest(p->share) > 0.0f;
 }
 

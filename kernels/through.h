@@ -6,7 +6,7 @@
 #define PENDING_BLENDS 8u  // host/isonoise/scene/bsdfs.py admits no more
 
 // The share of the light that a material lets through unturned: of what is wrapped, in proportion to its part.
-INLINE Vec3 straight_share(Shading* at, __global const Bsdf* bsdfs)
+INLINE Vec3 straight_share(Shading* at)
 {
     Vec3 passed = all3(0.0f);
     float share = 1.0f;
@@ -16,7 +16,7 @@ INLINE Vec3 straight_share(Shading* at, __global const Bsdf* bsdfs)
 #endif
     for (;;) {
         uint next = NONE;
-        switch (at->bsdf->flags & BSDF_SEE_THROUGH ? at->bsdf->kind : NONE) {
+        switch (material(at).flags & BSDF_SEE_THROUGH ? material(at).kind : NONE) {
 #if FEATURE_NULL
         case BSDF_NULL: passed = add3(passed, all3(share)); break;
 #endif
@@ -30,25 +30,25 @@ INLINE Vec3 straight_share(Shading* at, __global const Bsdf* bsdfs)
             const float opacity = share_parameter(at);
             passed = add3(passed, all3(share * (1.0f - opacity)));
             share *= opacity;
-            next = at->bsdf->nested[0];
+            next = material(at).nested[0];
             break;
         }
 #endif
 #if FEATURE_BLEND
         case BSDF_BLEND: {
             const float second = share_parameter(at);
-            pending[count] = at->bsdf->nested[1];
+            pending[count] = material(at).nested[1];
             shares[count++] = share * second;
             share *= 1.0f - second;
-            next = at->bsdf->nested[0];
+            next = material(at).nested[0];
             break;
         }
 #endif
 #if FEATURE_BUMP
-        case BSDF_BUMP: next = at->bsdf->nested[0]; break;
+        case BSDF_BUMP: next = material(at).nested[0]; break;
 #endif
 #if FEATURE_NORMAL_MAP
-        case BSDF_NORMAL_MAP: next = at->bsdf->nested[0]; break;
+        case BSDF_NORMAL_MAP: next = material(at).nested[0]; break;
 #endif
         default: break;
         }
@@ -59,6 +59,6 @@ INLINE Vec3 straight_share(Shading* at, __global const Bsdf* bsdfs)
         }
 #endif
         if (next == NONE) return passed;
-        at->bsdf = bsdfs + next;
+        at->bsdf = next;
     }
 }

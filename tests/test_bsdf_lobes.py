@@ -26,7 +26,8 @@ KERNEL = """
 Shading shading(__global const Bsdf* bsdf, __global const float* tables, __global const float* frame, Vec3 wi)
 {
     Shading at;
-    at.bsdf = bsdf;
+    at.bsdfs = bsdf;
+    at.bsdf = 0u;
     at.normal = LOAD3(2, frame);
     at.wi = wi;
     at.cos_i = dot3(at.normal, wi);

@@ -44,7 +44,8 @@ __kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const flo
     s.triangle = NONE;
     s.barycentric = all2(0.0f);
     Shading at;
-    at.bsdf = bsdfs + first;
+    at.bsdfs = bsdfs;
+    at.bsdf = first;
     at.normal = s.normal;
     at.wi = LOAD3(i, wi);
     at.cos_i = dot3(at.normal, at.wi);
@@ -54,9 +55,9 @@ __kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const flo
     at.tables = tables;
     at.textures = &all;
     at.point = texture_point(&s);
-    out[12] = unwrap(&at, bsdfs, &s, u[4 * i + 3]);
+    out[12] = unwrap(&at, &s, u[4 * i + 3]);
     if (out[12] != 0.0f) return;
-    if ((at.bsdf->flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) turn_to_viewer(&at);
+    if ((material(&at).flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) turn_to_viewer(&at);
     float pdf = 0.0f;
     Vec3 value = all3(0.0f);
     if (bsdf_is_smooth(&at))

@@ -138,9 +138,10 @@ def _keep_programs() -> None:
 
 
 def _host_memory(nbytes: int) -> np.ndarray:
-    """Memory that a CPU's driver takes as a buffer's own. numpy asks the system for large pages where it is large: with
-    small ones every step of a ray through a million triangles looks up where a page lies."""
-    memory = np.empty(nbytes + _ALIGNMENT, np.uint8)
+    """Memory of zeros that a CPU's driver takes as a buffer's own. numpy asks the system for large pages where it is
+    large: with small ones every step of a ray through a million triangles looks up where a page lies. Pages that nobody
+    writes to are not there at all."""
+    memory = np.zeros(nbytes + _ALIGNMENT, np.uint8)
     begin = -memory.ctypes.data % _ALIGNMENT
     return memory[begin : begin + nbytes]
 
@@ -258,10 +259,8 @@ class Device:
         whole_words = max(-(-nbytes // 4), 1) * 4
         if self.shares_memory:
             content = _host_memory(whole_words)
-            content[nbytes:] = 0
-            content[:nbytes] = (
-                np.ascontiguousarray(size).reshape(-1).view(np.uint8) if isinstance(size, np.ndarray) else 0
-            )
+            if isinstance(size, np.ndarray):
+                content[:nbytes] = np.ascontiguousarray(size).reshape(-1).view(np.uint8)
             # pyopencl lets go of the array with the buffer, on whose memory launches may still be at work
             weakref.finalize(content, self._given_up.append, content.base).atexit = False
             return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=content)
