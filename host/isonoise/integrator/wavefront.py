@@ -219,11 +219,12 @@ class Wavefront:
     def warm_up(self) -> None:
         """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid.
 
-        Large grids first: what PoCL compiles for them serves small ones too, not the other way round.
+        Large grids first: what PoCL compiles for them, of 2^16 work-items or more, serves small ones too, not the other
+        way round.
         """
         bounds = ("pixels", "slice_samples", "count_new", "paths", "rays_per_item", "blocks_in_use")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
-        for items in (self.pool_size, 1):
+        for items in (min(self.pool_size, 2**17), 1):
             for name in self._stages:
                 self._launch(name, items, **nothing)
         self.device.finish()
