@@ -169,11 +169,13 @@ class Device:
         self.profile = profile
         properties = self._cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self.queue = self._cl.CommandQueue(self.context, properties=properties)
-        weakref.finalize(self, self.queue.finish)  # nothing is at work on memory that goes with the device
+        # nothing is at work on memory that goes with the device
+        self._last_wait = weakref.finalize(self, self.queue.finish)
 
     def set_profiling(self, on: bool) -> None:
         """Goes on with a queue that keeps times, or with one that doesn't; waits for the device."""
         self.finish()
+        self._last_wait.detach()
         self._open_queue(on)
 
     @property
