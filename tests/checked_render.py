@@ -65,10 +65,15 @@ CASES = {
 
 # What the checks have to find: what a file's text is spoiled by, and what Oclgrind then says.
 FAULTS = {
-    "uninitialised": ("intersect.cl", "hit_u = 0.0f, hit_v = 0.0f;", "hit_u, hit_v;", "Uninitialized value"),
-    "not written": ("generate.cl", "PLANE(PATH_DEPTH, path, pool)[slot] = 0u;", "", "Uninitialized value"),
-    "race": ("compact.cl", "block_alive[block] = sum;", "block_alive[0] = sum;", "Write-write data race"),
-    "outside": ("generate.cl", "STORE3(all3(0.0f), sample,", "STORE3(all3(0.0f), sample + 4000u,", "Invalid write"),
+    "uninitialised": ("stages/intersect.cl", "hit_u = 0.0f, hit_v = 0.0f;", "hit_u, hit_v;", "Uninitialized value"),
+    "not written": ("stages/generate.cl", "PLANE(PATH_DEPTH, path, pool)[slot] = 0u;", "", "Uninitialized value"),
+    "race": ("stages/compact.cl", "block_alive[block] = sum;", "block_alive[0] = sum;", "Write-write data race"),
+    "outside": (
+        "stages/generate.cl",
+        "STORE3(all3(0.0f), sample,",
+        "STORE3(all3(0.0f), sample + 4000u,",
+        "Invalid write",
+    ),
 }
 
 _POISON = "__kernel void poison(__global uint16* buffer) { uint16 nothing; buffer[get_global_id(0)] = nothing; }"

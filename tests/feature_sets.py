@@ -27,7 +27,7 @@ NEEDS = {  # no scene has the one without the others
     "MEDIA": {"VOLPATH"},
     "LIGHT_TREE": {"NEXT_EVENT", "MANY_LIGHTS"},
     "LIGHT_LIST": {"NEXT_EVENT", "MANY_LIGHTS"},
-    "BATCHES": {"MEDIAN"},
+    "BATCH_MEANS": {"CHUNK_MEDIANS"},
 }
 SURFACE_LIGHTS = ("TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS")
 LIGHTS = ("POINT_LIGHTS", "SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "ENVIRONMENT_MAP", *SURFACE_LIGHTS)
@@ -39,7 +39,7 @@ ANY_OF = {  # a scene with the one has at least one of each of these; the first 
     "NEXT_EVENT": [LIGHTS, SMOOTH],
     "TEXTURES": [("BITMAPS", "CHECKERBOARDS", "MESH_ATTRIBUTES")],
     "BECKMANN": [ROUGH],
-    "ALL_NORMALS": [ROUGH],
+    "SAMPLE_ALL_NORMALS": [ROUGH],
 }
 
 
@@ -156,10 +156,10 @@ def _random_row(fixed: dict[str, bool], names: list[str], rng: random.Random) ->
 def needs_of(features: dict[str, bool]) -> Needs:
     """The statistics that a set asks for."""
     return Needs(
-        median=features["MEDIAN"],
-        batch=4 if features["BATCHES"] else 1,
-        power=2.0 if features["POWER"] else None,
-        half=features["HALF"],
+        median=features["CHUNK_MEDIANS"],
+        batch=4 if features["BATCH_MEANS"] else 1,
+        power=2.0 if features["POWER_MEAN"] else None,
+        half=features["HALF_BUFFER"],
     )
 
 
@@ -168,7 +168,7 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
     rough = {
         "distribution": "beckmann" if on["BECKMANN"] else "ggx",
         "alpha": 0.2,
-        "sample_visible": not on["ALL_NORMALS"],
+        "sample_visible": not on["SAMPLE_ALL_NORMALS"],
     }
     (folder / "image.png").write_bytes(small_files.encoded("PNG"))
     (folder / "sky.hdr").write_bytes(small_files.hdr())
@@ -201,7 +201,7 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
             "BLEND": {"type": "blendbsdf", "weight": 0.4, "bsdf": plain, "bsdf_1": materials[-1]},
             "BUMP": {"type": "bumpmap", "height": image, "bsdf": plain},
             "NORMAL_MAP": {"type": "normalmap", "normalmap": {**image, "raw": True}, "bsdf": plain},
-            "SIDES": {"type": "twosided", "bsdf": plain, "bsdf_1": paint},
+            "FRONT_BACK": {"type": "twosided", "bsdf": plain, "bsdf_1": paint},
             "TWOSIDED": {"type": "twosided", "bsdf": plain},
             "CHECKERBOARDS": {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
             "BITMAPS": {"type": "diffuse", "reflectance": image},
@@ -209,7 +209,7 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
         asked = {name: on[name] for name in more}
         for name in ("BUMP", "NORMAL_MAP"):
             asked[name] &= on["BITMAPS"] and plain["type"] == "diffuse"
-        for name in ("SIDES", "TWOSIDED", "CHECKERBOARDS", "BITMAPS"):
+        for name in ("FRONT_BACK", "TWOSIDED", "CHECKERBOARDS", "BITMAPS"):
             asked[name] &= on["DIFFUSE"]
         materials += [material for name, material in more.items() if asked[name]]
 

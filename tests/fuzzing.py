@@ -24,9 +24,10 @@ import small_files
 
 from isonoise.errors import UserError
 from isonoise.film.exr import read_header, read_reference
-from isonoise.scene import compile_scene, load, support
-from isonoise.scene.hierarchy import build_hierarchy
-from isonoise.scene.images import read_image
+from isonoise.scene import compile_scene, load
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.image.image import read_image
+from isonoise.scene.parse import plugin_tables
 from isonoise.scene.vocabulary import ELSEWHERE, PLUGINS
 
 SECONDS = 5  # of the processor, for one input
@@ -124,7 +125,7 @@ NASTY += [
 NASTY += [":", "400:1", "400:1,400:2", "1e30", "-0.0", "0x10", "1_0", "65536", "1" * 400, "0 0 0 0 0 0 0 0 0"]
 EXTREMES = ["0", "1", "-1", "0.5", "1e-30", "1e30", "1e17", "-1e18", "3e38", "1e-38", "89.9999", "2", "1e-6", "1e6"]
 TAGS = ["float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform", "ref", "include"]
-TAGS += ["alias", "default", "path", "lookat", "matrix", "translate", "rotate", "scale", "scene", *support.KINDS]
+TAGS += ["alias", "default", "path", "lookat", "matrix", "translate", "rotate", "scale", "scene", *plugin_tables.KINDS]
 NAMES = sorted({parameter.name for plugin in PLUGINS for parameter in plugin.parameters} | {"interior", "exterior", ""})
 TYPES = sorted({plugin.name for plugin in PLUGINS} | {name for names in ELSEWHERE.values() for name in names})
 NUMBERS = [
@@ -325,7 +326,7 @@ def compiled(path: Path) -> None:
             for field in fields:
                 assert field.dtype.kind != "f" or np.isfinite(field).all(), f"{name} is not finite"
     if len(scene.faces) < 10_000:
-        build_hierarchy(scene)
+        build_scene_bvh(scene)
 
 
 def textured(path: Path) -> None:
@@ -533,7 +534,7 @@ def main(targets: str, first: int, count: int, result: Path) -> None:
         for target in map(TARGETS.get, targets.split(",")):
             seed = target.seeds()[0]
             (folder / target.name).write_bytes(seed.encode() if isinstance(seed, str) else seed)
-            target.read(folder / target.name)  # sound; and everything is imported
+            target.read(folder / target.name)  # sound; and feature_superset is imported
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
         for target in targets.split(","):

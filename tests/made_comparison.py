@@ -8,7 +8,7 @@ import numpy as np
 
 from isonoise.film.exr import write_exr
 from isonoise.film.log import columns
-from isonoise.film.luminance import luminance
+from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
 SNAPSHOTS = 6

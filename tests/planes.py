@@ -1,4 +1,4 @@
-"""What the stages read and write for each path, as kernels/paths.h keeps it: planes."""
+"""What the stages read and write for each path, as kernels/path/path_state.h keeps it: planes."""
 
 import numpy as np
 

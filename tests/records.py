@@ -1,4 +1,4 @@
-"""What stands in the records of materials, by the slots of `isonoise.scene.bsdfs`."""
+"""What stands in the records of materials, by the slots of `isonoise.scene.material.bsdfs`."""
 
 import numpy as np
 

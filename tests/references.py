@@ -26,7 +26,7 @@ import numpy as np
 
 import isonoise
 from isonoise.film.exr import read_exr, write_exr
-from isonoise.film.luminance import luminance
+from isonoise.luminance import luminance
 from isonoise.statistics import Statistics
 
 ROUNDING = 1e-4

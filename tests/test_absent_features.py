@@ -17,20 +17,22 @@ from feature_sets import all_but, needs_of, only, scene_with
 from isonoise.device.opencl import Device
 from isonoise.device.program import flatten, stage_source
 from isonoise.integrator.accumulator import build_constants
-from isonoise.integrator.costs import cost, stages_with
+from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.feature_costs import cost, stages_with
+from isonoise.integrator.feature_superset import DUMMY_BYTES
 from isonoise.integrator.features import FEATURES, features
-from isonoise.integrator.few import MOST_CORNERS
-from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES, path_bytes
-from isonoise.integrator.surplus import STAND_IN
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES, path_bytes
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, light_list, load, structs, textures
-from isonoise.scene.environment import ENVIRONMENT
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene import builtin_scenes, compile_scene, load, structs
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.light import light_list
+from isonoise.scene.light.envmap import ENVIRONMENT
+from isonoise.scene.material import textures
 from isonoise.statistics import NOTHING_MORE, Needs
 
 STAGES = sorted(file.name for file in resources.files("isonoise.kernels").iterdir() if file.name.endswith(".cl"))
-TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in FEW_KERNELS.values()})
-"""Stages of which a work-item may take many paths: kernels/paths.h."""
+TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in BRUTE_FORCE_KERNELS.values()})
+"""Stages of which a work-item may take many paths: kernels/path/path_state.h."""
 CHECKOUT = Path(__file__).resolve().parent.parent
 EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
 
@@ -39,7 +41,7 @@ EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
 
 ORDINARY = ("TRIANGLES", "DIFFUSE")
 """What a feature that is looked at alone stands beside: a scene that there is something to see in."""
-GENERAL = {"plain.h", "vectors.h", "paths.h", "random.h"}
+GENERAL = {"util/vec.h", "util/math.h", "path/path_state.h", "util/random.h"}
 """Arithmetic, and access to what all programs have: headers that belong to no feature."""
 RECORDS = set(STRUCTS) | {f"{name}_at" for name in STRUCTS}  # declared with their readers where a text names them
 ONE_BY_ONE = {"bsdf_eval", "bsdf_sample", "sample_light", "pick_from_list", "straight_on"}
@@ -56,7 +58,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
         pytest.skip("no C preprocessor 'cpp' on PATH")
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
-    constants |= {"MOST_CORNERS": MOST_CORNERS, "MOST_LISTED_LIGHTS": light_list.MOST}
+    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MOST}
     parts = []
     for features_ in sets:
         text, options = stage_source(file, STRUCTS, constants, features_)
@@ -73,7 +75,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
 
 
 MARKERS = {  # functions and variables that belong to one feature
-    "shade.cl": {
+    "stages/shade.cl": {
         "TRIANGLES": "triangle_surface",
         "VERTEX_NORMALS": "interpolated",
         "ANALYTICS": "analytic_surface",
@@ -91,31 +93,41 @@ MARKERS = {  # functions and variables that belong to one feature
         "LIGHT_LIST": "pick_from_list",
         "RUSSIAN_ROULETTE": "survival",
     },
-    "intersect.cl": {
+    "stages/intersect.cl": {
         "TRIANGLES": "triangles_met",
         "SPHERES": "sphere_distance",
         "DISKS": "disk_distance",
         "CYLINDERS": "cylinder_distance",
         "INSTANCES": "ray_to_object",
     },
-    "shadow.cl": {
+    "stages/shadow.cl": {
         "TRIANGLES": "triangles_met",
         "SPHERES": "sphere_distance",
         "DISKS": "disk_distance",
         "CYLINDERS": "cylinder_distance",
         "INSTANCES": "ray_to_object",
     },
-    "through.cl": {
+    "stages/shadow_transmittance.cl": {
         "TRIANGLES": "triangles_met",
         "SPHERES": "sphere_distance",
         "INSTANCES": "ray_to_object",
         "MEDIA": "transmittance",
         "THIN_DIELECTRIC": "thin_dielectric_reflectance",
     },
-    "generate.cl": {"THIN_LENS": "lens", "INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "sensor_medium"},
-    "compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium"},
-    "reduce.cl": {"MEDIAN": "medians", "BATCHES": "batch_sum", "POWER": "powers", "HALF": "halves"},
-    "summarise.cl": {"MEDIAN": "medians", "POWER": "powers", "HALF": "halves"},
+    "stages/generate.cl": {
+        "THIN_LENS": "lens",
+        "INSTANCES": "instance",
+        "VOLPATH": "crossing",
+        "MEDIA": "sensor_medium",
+    },
+    "stages/compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium"},
+    "stages/reduce.cl": {
+        "CHUNK_MEDIANS": "medians",
+        "BATCH_MEANS": "batch_sum",
+        "POWER_MEAN": "powers",
+        "HALF_BUFFER": "halves",
+    },
+    "stages/summarise.cl": {"CHUNK_MEDIANS": "medians", "POWER_MEAN": "powers", "HALF_BUFFER": "halves"},
 }
 
 
@@ -208,9 +220,9 @@ def test_what_is_off_leaves_no_code(lanes):
     sets |= {f"{name} alone": only(*ORDINARY, name) for name in names}
     there: dict[str, set] = {label: set() for label in sets}
     used: dict[str, set] = {label: set() for label in sets}
-    files = dict.fromkeys(file for table in (KERNELS, FEW_KERNELS) for file, _ in table.values())
+    files = dict.fromkeys(file for table in (KERNELS, BRUTE_FORCE_KERNELS) for file, _ in table.values())
     for file in files:
-        if file == "through.cl" and lanes > 1:
+        if file == "stages/shadow_transmittance.cl" and lanes > 1:
             continue  # with VOLPATH alone
         mentioned = set(re.findall(r"FEATURE_(\w+)", flatten(file)))
         labels = defaultdict(list)
@@ -238,11 +250,15 @@ def test_what_is_off_leaves_no_code(lanes):
 # What is off takes no memory.
 
 
-def allocated(monkeypatch, scene, needs: Needs = NOTHING_MORE, built_in=None) -> tuple[dict[str, int], Wavefront]:
+def allocated(
+    monkeypatch, scene, needs: Needs = NOTHING_MORE, feature_override=None
+) -> tuple[dict[str, int], Wavefront]:
     """Bytes of every buffer that a scene's kernels get, by the names of the arguments; nothing is compiled for it."""
     with monkeypatch.context() as patch:
         patch.setattr(Device, "build", lambda self, text, options: {})
-        wavefront = Wavefront(Device(), scene, build_hierarchy(scene), needs, pool_size=256, built_in=built_in)
+        wavefront = Wavefront(
+            Device(), scene, build_scene_bvh(scene), needs, pool_size=256, feature_override=feature_override
+        )
     arguments = wavefront.stages.arguments
     return {name: value.size for name, value in arguments.items() if hasattr(value, "get_info")}, wavefront
 
@@ -267,7 +283,7 @@ def test_no_buffer_without_a_feature_that_reads_it(monkeypatch, name):
 def test_the_state_of_a_path_is_the_sum_of_what_its_features_state(monkeypatch, name):
     scene = compile_scene(load(name))
     sizes, wavefront = allocated(monkeypatch, scene)
-    planes = int(wavefront.stages.arguments["pool"])
+    planes = int(wavefront.stages.arguments["plane_stride"])
     assert {each: sizes[each] for each in path_bytes(wavefront.features)} == {
         each: size * planes for each, size in path_bytes(wavefront.features).items()
     }
@@ -283,7 +299,7 @@ def test_a_feature_more_takes_the_bytes_that_it_states(monkeypatch, name):
     scene = compile_scene(load(name))
     without, wavefront = allocated(monkeypatch, scene)
     used = wavefront.features
-    planes = int(wavefront.stages.arguments["pool"])
+    planes = int(wavefront.stages.arguments["plane_stride"])
     records = {
         "faces": 12 * len(scene.faces),
         "shapes": scene.shapes.nbytes,
@@ -292,10 +308,10 @@ def test_a_feature_more_takes_the_bytes_that_it_states(monkeypatch, name):
     }
     if scene.environment_light < 0:
         records["environment"] = ENVIRONMENT.itemsize  # of a map that is black
-    of_statistics = {"MEDIAN", "BATCHES", "POWER", "HALF"}
+    of_statistics = {"CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER"}
     for feature in (each for each, on in used.items() if not on and each not in of_statistics | {"FILTER_TABLE"}):
-        more, of_more = allocated(monkeypatch, scene, built_in=used | {feature: True})
-        gone = () if of_more.few else ("corners", "corner_numbers")  # it does not do without a hierarchy
+        more, of_more = allocated(monkeypatch, scene, feature_override=used | {feature: True})
+        gone = () if of_more.few else ("corners", "corner_indices")  # it does not do without a hierarchy
         bare = {each: size for each, size in without.items() if each not in gone}
         new = {each: size for each, size in more.items() if each not in bare}
         grown = {each: more[each] - size for each, size in bare.items() if more[each] != size}
@@ -305,18 +321,18 @@ def test_a_feature_more_takes_the_bytes_that_it_states(monkeypatch, name):
         assert {each: size for each, size in grown.items() if each not in paths} == lights, feature
         assert sum(paths.values()) == cost(feature, used).path_bytes * planes, feature
         assert set(new) - set(paths) == set(FEATURES[feature].buffers) - set(bare), feature
-        for each in set(new) - set(paths) - {"light_nodes", "light_places"}:  # made of the lights there are
-            assert new[each] == records.get(each, STAND_IN), (feature, each)
+        for each in set(new) - set(paths) - {"light_nodes", "light_parents"}:  # made of the lights there are
+            assert new[each] == records.get(each, DUMMY_BYTES), (feature, each)
 
 
 def test_statistics_take_the_bytes_that_they_state(monkeypatch):
     scene = compile_scene(load("cornell"), size=(16, 8))
     bare, wavefront = allocated(monkeypatch, scene)
     for needs, features_, bytes_a_pixel in (
-        (Needs(median=True, chunk=7), {"MEDIAN"}, 4 * 7 + 4),
-        (Needs(median=True, chunk=7, batch=4), {"MEDIAN", "BATCHES"}, 4 * 7 + 4 + 8),
-        (Needs(power=2.0), {"POWER"}, 8),
-        (Needs(half=True), {"HALF"}, 24),
+        (Needs(median=True, chunk=7), {"CHUNK_MEDIANS"}, 4 * 7 + 4),
+        (Needs(median=True, chunk=7, batch=4), {"CHUNK_MEDIANS", "BATCH_MEANS"}, 4 * 7 + 4 + 8),
+        (Needs(power=2.0), {"POWER_MEAN"}, 8),
+        (Needs(half=True), {"HALF_BUFFER"}, 24),
     ):
         more, of_more = allocated(monkeypatch, scene, needs)
         assert {each for each, on in of_more.features.items() if on and not wavefront.features[each]} == features_
@@ -366,7 +382,7 @@ def test_records_have_the_bytes_that_are_stated(monkeypatch, tmp_path):
         "analytics": len(scene.analytics),
         "shapes": len(scene.shapes),
         "instances": len(scene.instances),
-        "boundaries": len(scene.boundaries),
+        "rough_transmittances": len(scene.rough_transmittances),
         "media": len(scene.media),
         "lights": lights,
         "light_alias": lights,
@@ -378,19 +394,19 @@ def test_records_have_the_bytes_that_are_stated(monkeypatch, tmp_path):
         "light_nodes": sizes["light_nodes"] // stated("light_nodes"),
         "inverse_cdf": 1,
     }
-    number["light_places"] = lights + number["light_nodes"]
+    number["light_parents"] = lights + number["light_nodes"]
     assert {each: sizes[each] for each in number} == {each: stated(each) * count for each, count in number.items()}
     pixels = {"medians": 4 * 5 + 4 + 8, "powers": 8, "halves": 24}
     assert {each: sizes[each] for each in pixels} == {each: size * 9 * 7 for each, size in pixels.items()}
     unchecked = {each for feature in FEATURES.values() for each in feature.buffers} - set(number) - set(pixels)
-    assert unchecked == {"texel_floats", "corners", "corner_numbers", "light_bounds"}
+    assert unchecked == {"texel_floats", "corners", "corner_indices", "light_bounds"}
 
 
 def test_bytes_of_a_path_are_those_of_the_kernels_readme():
     table = (CHECKOUT / "kernels" / "README.md").read_text()
     rows = [int(size) for size in re.findall(r"^\| (?!sample).*?(\d+) a path\b", table, re.MULTILINE)]
-    everything = dict.fromkeys(FEATURES, True)
-    assert sum(rows) == sum(path_bytes(everything).values()) - path_bytes(everything)["tests"]
+    feature_superset = dict.fromkeys(FEATURES, True)
+    assert sum(rows) == sum(path_bytes(feature_superset).values()) - path_bytes(feature_superset)["tests"]
 
 
 def test_stages_named_for_a_feature_have_its_code():
@@ -401,7 +417,7 @@ def test_stages_named_for_a_feature_have_its_code():
         for stage in named:
             assert re.search(rf"\bFEATURE_{feature}\b", flatten(f"{stage}.cl")), (feature, stage)
     assert cost("NEXT_EVENT", only("POINT_LIGHTS")).stages == ("shadow",)
-    assert cost("VOLPATH", only("NEXT_EVENT")).stages == ("through",)
+    assert cost("VOLPATH", only("NEXT_EVENT")).stages == ("shadow_transmittance",)
     assert cost("VOLPATH", only("POINT_LIGHTS")).stages == ()
     assert cost("MEDIA", only("NEXT_EVENT", "VOLPATH")).path_bytes == 12
     assert cost("MEDIA", only("VOLPATH")).path_bytes == 8

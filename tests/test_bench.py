@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 from small_scene import assert_same_bits, lamp_over_floor, without
 
-from isonoise.benchmark import embree, made_scenes, peers, specialisation, starts, subject
-from isonoise.benchmark.against import Earlier
+from isonoise.benchmark import embree, generated_scenes, peers, specialisation, startup, subject
+from isonoise.benchmark.baseline import Earlier
 from isonoise.benchmark.bounces import count_shadow_rays, count_tests, pools, timed_bounces
+from isonoise.benchmark.bvh_stats import sah_cost, tree_facts
 from isonoise.benchmark.measure import Settings, head, measure
 from isonoise.benchmark.peers_text import peers_text
 from isonoise.benchmark.subject import MeasuredDevice, Subject
 from isonoise.benchmark.text import head_text, scene_text, summary_text
-from isonoise.benchmark.tree_facts import sah_cost, tree_facts
 from isonoise.cli import main
 from isonoise.commands import bench
 from isonoise.scene import builtin_scenes, compile_scene, load
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene.accel.build import build_scene_bvh
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 START = {"process_s": 1.0, "load_s": 0.1, "build_s": 0.01, "compile_s": 0.5}
@@ -153,7 +153,7 @@ def test_bounces_are_those_of_the_run():
 
 def test_tests_are_those_of_the_rays_of_a_run():
     """What one ray is tested against is in test_intersection.py. Here sums are bounded, and no pool changes them."""
-    vertices, faces = made_scenes.bumpy_ring(12, 8)
+    vertices, faces = generated_scenes.bumpy_ring(12, 8)
     ring = {"type": "mesh", "vertices": 0.3 * vertices + [0, 0, 0.3], "faces": faces}
     compiled = compile_scene(load(lamp_over_floor() | {"ring": ring}))
     sums = []
@@ -196,7 +196,7 @@ def test_pools_cut_a_map_in_order(size):
 def test_sah_cost_is_what_random_lines_visit():
     """Boxes of `cornell` met by lines that are uniform over those through a sphere around it."""
     scene = compile_scene(load("cornell"))
-    bvh = build_hierarchy(scene)
+    bvh = build_scene_bvh(scene)
     used = np.isfinite(bvh.nodes[:, 0])
     lower = np.moveaxis(bvh.nodes[:, 0:3], 1, 2)[used].astype(float)
     upper = np.moveaxis(bvh.nodes[:, 3:6], 1, 2)[used].astype(float)
@@ -229,7 +229,7 @@ def test_sah_cost_of_instances():
     for number, matrix in enumerate(moved):
         scene[f"i{number}"] = {"type": "instance", "to_world": matrix, "group": {"type": "ref", "id": "group"}}
     compiled = compile_scene(load(scene))
-    facts = tree_facts(build_hierarchy(compiled), compiled)
+    facts = tree_facts(build_scene_bvh(compiled), compiled)
     assert facts["sah_cost"] == pytest.approx(1 + 2 * 12 / 36 * (1 + 2), rel=1e-4)
     assert facts["leaves"] == 3  # one ball, two instances of it
     assert facts["triangles_per_block"] is None
@@ -244,9 +244,9 @@ def test_starts_are_processes_of_their_own(monkeypatch):
         (folder / "compiled").touch()
         return subprocess.CompletedProcess(command, 0, json.dumps({"setup_s": {"load": 1, "build": 2, "compile": 3}}))
 
-    monkeypatch.setattr(starts.subprocess, "run", process)
+    monkeypatch.setattr(startup.subprocess, "run", process)
     settings = Settings(size=(5, 4), max_depth=3, device="0")
-    facts = starts.start_facts("cornell", settings.render_options(), 2)
+    facts = startup.start_facts("cornell", settings.render_options(), 2)
     assert len(asked) == 3
     assert [len(held) for _, _, held in asked] == [0, 1, 1]  # the first finds nothing compiled
     for word in ("render", "cornell", "--size", "5x4", "--max-depth", "3", "--device", "0"):
@@ -258,7 +258,7 @@ def test_starts_are_processes_of_their_own(monkeypatch):
 
 @pytest.mark.long
 def test_a_start_without_compiled_programs_takes_longer():
-    facts = starts.start_facts("cornell", ["--size", "16x16"], 1)
+    facts = startup.start_facts("cornell", ["--size", "16x16"], 1)
     assert facts["uncached"]["process_s"] > facts["cached"]["process_s"]["median"] > 0
 
 
@@ -463,20 +463,20 @@ def test_help_says_what_there_is(capsys):
 
 
 def test_a_made_scene_is_a_closed_mesh(monkeypatch, capsys):
-    triangles = {name: 2 * around * tube for name, (around, tube) in made_scenes.MADE_SCENES.items()}
+    triangles = {name: 2 * around * tube for name, (around, tube) in generated_scenes.MADE_SCENES.items()}
     assert triangles == {"mesh-82k": 81_920, "mesh-1.3m": 1_310_720}
-    monkeypatch.setitem(made_scenes.MADE_SCENES, "mesh-82k", (32, 20))
-    assert made_scenes.main(["mesh-82k", "made"]) == 0
+    monkeypatch.setitem(generated_scenes.MADE_SCENES, "mesh-82k", (32, 20))
+    assert generated_scenes.main(["mesh-82k", "made"]) == 0
     scene = compile_scene(load(capsys.readouterr().out.strip()))
     assert len(scene.faces) == 2 * 32 * 20 + 2
     assert scene.environment is not None
-    corners, faces = made_scenes.bumpy_ring(32, 20)
+    corners, faces = generated_scenes.bumpy_ring(32, 20)
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     assert len(np.unique(edges, axis=0)) == len(edges)  # every edge once a direction: closed, with one outside
     assert np.array_equal(np.unique(edges, axis=0), np.unique(edges[:, ::-1], axis=0))
     a, b, c = (corners[faces[:, k]].astype(float) for k in range(3))
     assert np.sum(a * np.cross(b, c)) > 0  # normals point outwards
-    assert made_scenes.main(["mesh-83k", "made"]) == 2
+    assert generated_scenes.main(["mesh-83k", "made"]) == 2
 
 
 # peers
@@ -568,14 +568,14 @@ def test_bounced_rays_are_diffuse():
 def test_what_is_built_in_is_told_from_what_is_used(monkeypatch, capsys):
     """With two features more than the scene uses, in place of all that there are."""
     more = {"DIELECTRIC": True, "INSTANCES": True}
-    monkeypatch.setattr(specialisation, "everything", lambda used, volpath: used | more)
+    monkeypatch.setattr(specialisation, "feature_superset", lambda used, volpath: used | more)
     monkeypatch.setattr(specialisation, "compile_seconds", lambda source, build, settings: 1.5)
     options = ("--specialisation", "--size", "12x10", "--spp", "3", "--repeat", "2", "--json", "special.json")
     assert isonoise("bench", "cornell", *options) == 0
     result = json.loads(Path("special.json").read_text())
     assert fields(result) == documented()[2]
     special, *others = result["scenes"][0]["builds"]
-    assert [special["build"], *(build["build"] for build in others)] == ["specialised", "path", "everything"]
+    assert [special["build"], *(build["build"] for build in others)] == ["specialised", "path", "feature_superset"]
     assert special["specialised_ratio"] == {"median": 1, "min": 1, "max": 1}
     for build in others:
         assert build["features"] == special["features"] + len(more)
@@ -603,9 +603,9 @@ def test_other_pictures_are_not_the_same_bits():
 @pytest.mark.parametrize(
     ("integrator", "more", "names"),
     [
-        ("path", {}, ["specialised", "path", "everything"]),
+        ("path", {}, ["specialised", "path", "feature_superset"]),
         ("path", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "path"]),
-        ("volpath", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "everything"]),
+        ("volpath", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "feature_superset"]),
     ],
 )
 def test_programs_that_a_scene_is_measured_with(integrator, more, names):

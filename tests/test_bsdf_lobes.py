@@ -14,53 +14,53 @@ import pytest
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.kernels import STRUCTS
+from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import load, structs
-from isonoise.scene.boundaries import NODES, inner_reflectance, rough_boundary
-from isonoise.scene.bsdfs import Bsdfs
-from isonoise.scene.materials import conductors
+from isonoise.scene.material.bsdfs import Bsdfs
+from isonoise.scene.material.presets import conductors
+from isonoise.scene.material.rough_transmittance import NODES, inner_reflectance, rough_boundary
 
 KERNEL = """
-#include "bsdf.h"
+#include "bsdf/bsdf.h"
 
-Shading shading(__global const Bsdf* bsdf, __global const float* tables, __global const float* frame, Vec3 wi)
+BsdfContext shading(__global const Bsdf* bsdf, __global const float* rough_transmittances, __global const float* frame, Vec3 wi)
 {
-    Shading at;
-    at.bsdfs = bsdf;
-    at.bsdf = 0u;
-    at.normal = LOAD3(2, frame);
-    at.wi = wi;
-    at.cos_i = dot3(at.normal, wi);
+    BsdfContext ctx;
+    ctx.bsdfs = bsdf;
+    ctx.bsdf = 0u;
+    ctx.normal = LOAD3(2, frame);
+    ctx.wi = wi;
+    ctx.cos_i = dot3(ctx.normal, wi);
 #if HAS_FRAMES
-    at.s = LOAD3(0, frame);
-    at.t = LOAD3(1, frame);
+    ctx.s = LOAD3(0, frame);
+    ctx.t = LOAD3(1, frame);
 #endif
 #if FEATURE_ROUGH_PLASTIC
-    at.tables = tables;
+    ctx.rough_transmittances = rough_transmittances;
 #endif
-    return at;
+    return ctx;
 }
 
-__kernel void evaluate(__global const Bsdf* bsdf, __global const float* tables, __global const float* frame,
+__kernel void evaluate(__global const Bsdf* bsdf, __global const float* rough_transmittances, __global const float* frame,
                        __global const float* wi, __global const float* wo, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const Shading at = shading(bsdf, tables, frame, LOAD3(i, wi));
+    const BsdfContext ctx = shading(bsdf, rough_transmittances, frame, LOAD3(i, wi));
     float pdf = 0.0f;
-    Vec3 value = all3(0.0f);
-    if (bsdf_is_smooth(&at)) value = bsdf_eval(&at, LOAD3(i, wo), &pdf);
+    Vec3 value = splat3(0.0f);
+    if (has_non_delta_lobes(&ctx)) value = bsdf_eval(&ctx, LOAD3(i, wo), &pdf);
     STORE3(value, 2 * i, out);
     out[6 * i + 3] = pdf;
 }
 
-__kernel void draw(__global const Bsdf* bsdf, __global const float* tables, __global const float* frame,
+__kernel void draw(__global const Bsdf* bsdf, __global const float* rough_transmittances, __global const float* frame,
                    __global const float* wi, __global const float* u, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const Shading at = shading(bsdf, tables, frame, LOAD3(i, wi));
-    const BsdfSample sample = bsdf_sample(&at, LOAD3(i, u));
+    const BsdfContext ctx = shading(bsdf, rough_transmittances, frame, LOAD3(i, wi));
+    const BsdfSample sample = bsdf_sample(&ctx, LOAD3(i, u));
     if (sample.weight.x + sample.weight.y + sample.weight.z == 0.0f) return;
     STORE3(sample.direction, 3 * i, out);
     STORE3(sample.weight, 3 * i + 1, out);
@@ -197,7 +197,7 @@ def device():
 def build(device: Device, off: tuple[str, ...] = ()) -> dict:
     """The kernels, with all that materials can be but textures."""
     on = {name.removeprefix("BSDF_") for name in structs.CONSTANTS if name.startswith("BSDF_")}
-    on |= {"NEXT_EVENT", "BECKMANN", "ALL_NORMALS"}
+    on |= {"NEXT_EVENT", "BECKMANN", "SAMPLE_ALL_NORMALS"}
     source = program.kernel_source
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lobes.cl" else source(name))
@@ -730,7 +730,7 @@ def test_without_beckmann_ggx_is_the_same(device, kernels):
     """Leaving out what a scene does not use changes nothing."""
     random = np.random.default_rng(10)
     wi, u = uniform_sphere(random, 1000), numbers(random, 1000)
-    less = build(device, off=("BECKMANN", "ALL_NORMALS"))
+    less = build(device, off=("BECKMANN", "SAMPLE_ALL_NORMALS"))
     for name in ("roughconductor ggx stretched", "roughdielectric ggx", "principled all"):
         one, other = (Lobe(k, device, LOBES[name]).sample(wi, u) for k in (kernels, less))
         for a, b in zip(one, other, strict=True):

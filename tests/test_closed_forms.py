@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import isonoise
-from isonoise.film.luminance import luminance
+from isonoise.luminance import luminance
 
 Z = 5.2
 ROUNDING = 1e-5

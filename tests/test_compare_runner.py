@@ -30,8 +30,8 @@ from isonoise.comparison.specs import describe_spec, needs_variance, split_specs
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference, write_exr
 from isonoise.film.log import LogRow, columns
-from isonoise.film.luminance import luminance
-from isonoise.rendering import Stops
+from isonoise.loop import Stops
+from isonoise.luminance import luminance
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
 

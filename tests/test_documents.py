@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isonoise.device.opencl import Device
-from isonoise.integrator.kernels import KERNELS
+from isonoise.integrator.kernel_table import KERNELS
 from isonoise.renderer import Renderer
 from isonoise.scene.vocabulary import PLUGINS
 from isonoise.statistics import NOTHING_MORE, Needs

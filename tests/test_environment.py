@@ -10,9 +10,9 @@ import pytest
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
 from isonoise.errors import SceneError
-from isonoise.scene import environment
-from isonoise.scene.environment import Environment, make_environment
-from isonoise.scene.images import Image, read_image
+from isonoise.scene.image.image import Image, read_image
+from isonoise.scene.light import envmap
+from isonoise.scene.light.envmap import Environment, make_environment
 
 Z = 5.0
 SAMPLES = 1 << 19
@@ -23,24 +23,24 @@ __kernel void sample(__global const Environment* record, __global const float* t
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const EnvironmentMap map = {record, texels, rows, aliases};
+    const Envmap map = {record, texels, rows, aliases};
     Vec3 direction;
     float pdf;
-    const Vec3 radiance = environment_sample(&map, vec2(u[2 * i], u[2 * i + 1]), &direction, &pdf);
+    const Vec3 radiance = envmap_sample(&map, vec2(u[2 * i], u[2 * i + 1]), &direction, &pdf);
     STORE3(direction, 0, out + 8 * i);
     out[8 * i + 3] = pdf;
     STORE3(radiance, 0, out + 8 * i + 4);
 }
 
-__kernel void look(__global const Environment* record, __global const float* texels,
+__kernel void sample_direct_lane(__global const Environment* record, __global const float* texels,
                    __global const float* rows, __global const uint* aliases,
                    __global const float* directions, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const EnvironmentMap map = {record, texels, rows, aliases};
+    const Envmap map = {record, texels, rows, aliases};
     float pdf;
-    const Vec3 direction = LOAD3(i, directions), radiance = environment_radiance(&map, direction, &pdf);
+    const Vec3 direction = LOAD3(i, directions), radiance = envmap_radiance(&map, direction, &pdf);
     STORE3(radiance, 0, out + 4 * i);
     out[4 * i + 3] = pdf;
 }
@@ -52,8 +52,8 @@ class OnDevice:
 
     def __init__(self):
         self.device = Device()
-        record = declare_struct("Environment", environment.ENVIRONMENT)
-        text = ["#pragma OPENCL FP_CONTRACT OFF", record, flatten("environment.h"), KERNEL]
+        record = declare_struct("Environment", envmap.ENVIRONMENT)
+        text = ["#pragma OPENCL FP_CONTRACT OFF", record, flatten("light/envmap.h"), KERNEL]
         self._text = "\n".join(text)
 
     def _run(self, kernel: str, made: Environment, given: np.ndarray, rows: int) -> np.ndarray:

@@ -9,16 +9,18 @@ from small_scene import assert_same_bits
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
 from isonoise.integrator.accumulator import build_constants
+from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.feature_superset import feature_superset
 from isonoise.integrator.features import FEATURES, features
-from isonoise.integrator.few import MOST_CORNERS
-from isonoise.integrator.kernels import STRUCTS, kernel_table
-from isonoise.integrator.surplus import everything
+from isonoise.integrator.kernel_table import STRUCTS, kernel_table
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, light_list, load, structs, textures
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene import builtin_scenes, compile_scene, load, structs
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.light import light_list
+from isonoise.scene.material import textures
 from isonoise.statistics import NOTHING_MORE, Needs, Statistics
-from isonoise.strategies.even import uniform_allocation
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
 
@@ -31,10 +33,14 @@ def device():
 # Every two features build and run.
 
 
-def rendered(device: Device, scene: CompiledScene, spp: int, needs: Needs = NOTHING_MORE, built_in=None) -> Statistics:
+def rendered(
+    device: Device, scene: CompiledScene, spp: int, needs: Needs = NOTHING_MORE, feature_override=None
+) -> Statistics:
     """The statistics of a uniform wave; every kernel has been launched on nothing before."""
     pool_size = min(2**17, scene.width * scene.height * spp)
-    wavefront = Wavefront(device, scene, build_hierarchy(scene), needs, pool_size=pool_size, built_in=built_in)
+    wavefront = Wavefront(
+        device, scene, build_scene_bvh(scene), needs, pool_size=pool_size, feature_override=feature_override
+    )
     wavefront.warm_up()
     wavefront.trace(uniform_allocation((scene.height, scene.width), spp * scene.height * scene.width, 0))
     return wavefront.accumulator.statistics(scene.radiance_scale)
@@ -53,7 +59,7 @@ def runs_as_specialised(device: Device, monkeypatch, row: dict[str, bool], folde
     for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # without which there is neither tree nor list
         used[name] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}
-    more, specialised = (rendered(device, scene, 16, needs, built_in) for built_in in (row, used))
+    more, specialised = (rendered(device, scene, 16, needs, feature_override) for feature_override in (row, used))
     assert_same_bits(more, specialised)
     monkeypatch.setattr(Device, "build", build)
 
@@ -91,7 +97,7 @@ def test_all_build(device, lanes, off):
     """What launches them takes twice as long, and is among the long tests."""
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
-    constants |= {"MOST_CORNERS": MOST_CORNERS, "MOST_LISTED_LIGHTS": light_list.MOST}
+    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MOST}
     for few in (False, True):
         for file in dict.fromkeys(file for file, _ in kernel_table(all_but(*off), few).values()):
             text, options = stage_source(file, STRUCTS, constants, all_but(*off))
@@ -122,7 +128,7 @@ def test_every_two_run(device, monkeypatch, tmp_path, number):
 def test_everything_on_is_the_same_picture(device, name, volpath):
     """To the bit, of 64 samples in each of 65,536 pixels: no compiler may reorder what is built without leave to."""
     scene = compile_scene(load(name))
-    built_in = everything(features(scene), volpath)
-    full = rendered(device, scene, 64, EVERY_STATISTIC, built_in)
+    feature_override = feature_superset(features(scene), volpath)
+    full = rendered(device, scene, 64, EVERY_STATISTIC, feature_override)
     specialised = rendered(device, scene, 64, EVERY_STATISTIC)
     assert_same_bits(full, specialised)

@@ -9,9 +9,9 @@ import textwrap
 
 import pytest
 
+from isonoise.error.true_error import TrueError
 from isonoise.errors import UserError
 from isonoise.film.log import LogRow, LogWriter, columns, row_values
-from isonoise.film.true_error import TrueError
 
 
 def row(wave, true=None):

@@ -70,7 +70,12 @@ def test_a_uniform_render_has_no_code_of_other_renders(tmp_path):
     assert modules.isdisjoint(HEAVY)
     for package in ("benchmark", "comparison", "selftest", "integrator.surplus", "integrator.costs"):
         assert not [name for name in modules if name.startswith(f"isonoise.{package}")], package
-    assert {"isonoise.strategies.even", "numpy", "pyopencl", "OpenEXR"} <= modules  # or the names have changed
+    assert {
+        "isonoise.strategies.uniform_allocation",
+        "numpy",
+        "pyopencl",
+        "OpenEXR",
+    } <= modules  # or the names have changed
 
 
 def test_an_adaptive_render_has_its_own_strategy_alone(tmp_path):

@@ -14,20 +14,20 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
-from isonoise.integrator.kernels import STRUCTS
+from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.rendering import render
+from isonoise.loop import render
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.hierarchy import build_hierarchy
-from isonoise.scene.triangles import corner_normals, triangle_records
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
 
 NONE = structs.NONE
 ANALYTIC_BIT = 0x80000000
 
 PROBE = """
-#include "paths.h"
-#include "surface.h"
+#include "path/path_state.h"
+#include "geometry/surface.h"
 
 __kernel void probe(uint n, __global const float* triangles, __global const uint* faces,
                     __global const float* corner_normals, __global const Analytic* analytics,
@@ -37,7 +37,7 @@ __kernel void probe(uint n, __global const float* triangles, __global const uint
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    Geometry g;
+    SceneView g;
     g.triangles = triangles;
     g.faces = faces;
     g.corner_normals = corner_normals;
@@ -48,17 +48,17 @@ __kernel void probe(uint n, __global const float* triangles, __global const uint
     if (primitive == NONE) return;
     const Vec3 origin = load_planes3(ray_origin, i, n), direction = load_planes3(ray_direction, i, n);
 #if FEATURE_INSTANCES
-    const Surface s = instanced_surface_at(&g, instances, instance[i], primitive, origin, direction, hit.x, hit.y,
+    const Surface s = instanced_surface_of_hit(&g, instances, instance[i], primitive, origin, direction, hit.x, hit.y,
                                            hit.z);
 #else
-    const Surface s = surface_at(&g, primitive, origin, direction, hit.x, hit.y, hit.z);
+    const Surface s = surface_of_hit(&g, primitive, origin, direction, hit.x, hit.y, hit.z);
 #endif
     const Vec3 leaving = load_planes3(towards, i, n);
     STORE3(s.position, 5 * i, out);
     STORE3(s.error, 5 * i + 1, out);
     STORE3(s.geometric_normal, 5 * i + 2, out);
     STORE3(s.normal, 5 * i + 3, out);
-    STORE3(offset_origin(s.position, s.error, s.geometric_normal, leaving), 5 * i + 4, out);
+    STORE3(offset_ray_origin(s.position, s.error, s.geometric_normal, leaving), 5 * i + 4, out);
 }
 """
 
@@ -71,7 +71,7 @@ class Traced:
         self.scene = scene
         self.device = device = Device()
         self.features = features(scene)
-        bvh = build_hierarchy(scene)
+        bvh = build_scene_bvh(scene)
 
         def built(name: str):
             return device.build(*program.stage_source(f"{name}.cl", STRUCTS, structs.CONSTANTS, self.features))[name]
@@ -449,7 +449,7 @@ def test_ten_thousand_instances(monkeypatch):
     matrices = [placed(0.01, random.uniform(-1, 1, 3)) for _ in range(count)]
     begun = time.process_time()
     scene = compile_scene(load(with_instances({"ball": ball()}, *matrices)))
-    bvh = build_hierarchy(scene)
+    bvh = build_scene_bvh(scene)
     seconds = time.process_time() - begun
     assert len(scene.faces) == len(mesh.faces) == 1280
     assert len(scene.instances) == count
@@ -507,7 +507,7 @@ def test_deep_hierarchies_fit_the_stack(monkeypatch):
     nested = {"type": "mesh", "vertices": corners, "faces": np.arange(3000).reshape(-1, 3), "face_normals": True}
     matrices = [placed(scale) for scale in np.geomspace(1e-3, 1e3, 1000)]
     scene = compile_scene(load(with_instances({"nested": nested}, *matrices)))
-    assert build_hierarchy(scene).stack <= 256
+    assert build_scene_bvh(scene).stack <= 256
 
 
 MALFORMED = [
@@ -582,5 +582,5 @@ def test_no_buffer_and_no_code_without_instances(monkeypatch):
     ):
         what.clear()
         scene = compile_scene(load(description), size=(4, 4))
-        Wavefront(Device(), scene, build_hierarchy(scene), pool_size=64)
+        Wavefront(Device(), scene, build_scene_bvh(scene), pool_size=64)
         assert ("the instances" in what) == present

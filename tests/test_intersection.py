@@ -9,10 +9,10 @@ from planes import as_planes, read_rows
 
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
-from isonoise.integrator.kernels import STRUCTS
+from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import structs
-from isonoise.scene.bounds import analytic_bounds
-from isonoise.scene.bvh import WIDTH, build_bvh
+from isonoise.scene.accel.bounds import analytic_bounds
+from isonoise.scene.accel.bvh import WIDTH, build_bvh
 
 FEATURES = dict.fromkeys(("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"), True)
 FEATURES |= dict.fromkeys(("INSTANCES", "COUNT_TESTS"), False)
@@ -28,7 +28,7 @@ def traced(bvh, origins, directions, analytics=None, t_max=np.inf, count_tests=F
     """The same, and the nodes and blocks that each ray was tested against, (n, 2), where they are to be counted."""
     device = Device()
     features = FEATURES | {"COUNT_TESTS": count_tests}
-    source, options = stage_source("intersect.cl", STRUCTS, structs.CONSTANTS, features)
+    source, options = stage_source("stages/intersect.cl", STRUCTS, structs.CONSTANTS, features)
     kernel = device.build(source, options)["intersect"]
     n = len(origins)
     rays = np.empty((2, n, 4), np.float32)

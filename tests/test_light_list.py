@@ -10,14 +10,16 @@ from many_lights import compiled, deviate, mixed_lights, some_points
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
 from isonoise.integrator.features import features
-from isonoise.integrator.kernels import STRUCTS
-from isonoise.scene import light_list, structs, textures
-from isonoise.scene.light_list import build_light_list
-from isonoise.scene.light_tree import build_light_tree
+from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.scene import structs
+from isonoise.scene.light import light_list
+from isonoise.scene.light.light_list import build_light_list
+from isonoise.scene.light.light_tree import build_light_tree
+from isonoise.scene.material import textures
 
 Z = 5.0
 LANES = 64
-BY_INTENSITY = 2.0**-10  # in kernels/light_list.h
+BY_INTENSITY = 2.0**-10  # in kernels/light/light_list.h
 KERNELS = """
 __kernel void probability(__global const LightBound* bounds, uint lights, __global const float* points,
                           __global const float* normals, __global const uint* which, __global float* out, uint n)
@@ -26,7 +28,7 @@ __kernel void probability(__global const LightBound* bounds, uint lights, __glob
     if (i >= n) return;
     const LightList list = {bounds, lights};
     const Vec4 normal = vec4(normals[4 * i], normals[4 * i + 1], normals[4 * i + 2], normals[4 * i + 3]);
-    out[i] = light_list_probability(&list, which[i], LOAD3(i, points), normal);
+    out[i] = light_list_pmf(&list, which[i], LOAD3(i, points), normal);
 }
 
 __kernel void pick(__global const LightBound* bounds, uint lights, __global const float* points,
@@ -37,15 +39,15 @@ __kernel void pick(__global const LightBound* bounds, uint lights, __global cons
     const LightList list = {bounds, lights};
     const Vec4 normal = vec4(normals[4 * i], normals[4 * i + 1], normals[4 * i + 2], normals[4 * i + 3]);
     float p;
-    out[2 * i] = as_float(pick_from_list(&list, LOAD3(i, points), normal, u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p));
+    out[2 * i] = as_float(select_from_list(&list, LOAD3(i, points), normal, u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p));
     out[2 * i + 1] = p;
 }
 
 #if LANES > 1
-void keep_all(__global const float* records, uint members, uint begin, uint count, float* kept)
+void keep_all(__global const float* records, uint members, uint begin, uint count, float* lane_state)
 {
     for (uint k = 0u; k < count; ++k)
-        for (uint c = 0u; c < members; ++c) keep1(records[members * (begin + k) + c], kept, c, k);
+        for (uint c = 0u; c < members; ++c) store_lane(records[members * (begin + k) + c], lane_state, c, k);
 }
 
 __kernel void answer_all(__global const LightBound* bounds, uint lights, __global const float* points,
@@ -54,13 +56,13 @@ __kernel void answer_all(__global const LightBound* bounds, uint lights, __globa
     const uint begin = get_global_id(0) * LANES;
     const LightList list = {bounds, lights};
     if (begin >= n) return;
-    const uint count = LESSER(n - begin, LANES);
-    float asked[ASKED * LANES];
-    keep_all(points, 3u, begin, count, asked + ASKED_POINT * LANES);
-    keep_all(normals, 4u, begin, count, asked + ASKED_NORMAL * LANES);
-    for (uint k = 0u; k < count; ++k) keep1(as_float(which[begin + k]), asked, ASKED_LIGHT, k);
-    answer_from_list(&list, asked, count);
-    for (uint k = 0u; k < count; ++k) out[begin + k] = kept1(asked, ASKED_PROBABILITY, k);
+    const uint count = MIN(n - begin, LANES);
+    float queries[QUERY_FLOATS * LANES];
+    keep_all(points, 3u, begin, count, queries + QUERY_POINT * LANES);
+    keep_all(normals, 4u, begin, count, queries + QUERY_NORMAL * LANES);
+    for (uint k = 0u; k < count; ++k) store_lane(as_float(which[begin + k]), queries, QUERY_LIGHT, k);
+    evaluate_light_pdf_queries(&list, queries, count);
+    for (uint k = 0u; k < count; ++k) out[begin + k] = load_lane(queries, QUERY_PMF, k);
 }
 
 __kernel void pick_all(__global const LightBound* bounds, uint lights, __global const float* points,
@@ -69,18 +71,18 @@ __kernel void pick_all(__global const LightBound* bounds, uint lights, __global 
     const uint begin = get_global_id(0) * LANES;
     const LightList list = {bounds, lights};
     if (begin >= n) return;
-    const uint count = LESSER(n - begin, LANES);
+    const uint count = MIN(n - begin, LANES);
     float at[7 * LANES], random[2 * LANES], picks[2 * LANES];
     keep_all(points, 3u, begin, count, at);
     keep_all(normals, 4u, begin, count, at + 3u * LANES);
     for (uint k = 0u; k < count; ++k) {
-        keep1(u[begin + k].x * 0x1p-24f, random, 0u, k);
-        keep1(u[begin + k].y * 0x1p-24f, random, 1u, k);
+        store_lane(u[begin + k].x * 0x1p-24f, random, 0u, k);
+        store_lane(u[begin + k].y * 0x1p-24f, random, 1u, k);
     }
-    pick_all_from_list(&list, at, at + 3u * LANES, random, picks, count);
+    select_lights_from_list(&list, at, at + 3u * LANES, random, picks, count);
     for (uint k = 0u; k < count; ++k) {
-        out[2 * (begin + k)] = kept1(picks, 0u, k);
-        out[2 * (begin + k) + 1] = kept1(picks, 1u, k);
+        out[2 * (begin + k)] = load_lane(picks, 0u, k);
+        out[2 * (begin + k) + 1] = load_lane(picks, 1u, k);
     }
 }
 #endif
@@ -95,10 +97,10 @@ class OnDevice:
         self.kernels = {}
         for lanes in (LANES, 1):
             constants = structs.CONSTANTS | textures.CONSTANTS
-            constants |= {"LANES": lanes, "MOST_LISTED_LIGHTS": light_list.MOST}
+            constants |= {"LANES": lanes, "MAX_LISTED_LIGHTS": light_list.MOST}
             text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, of) for name, of in STRUCTS.items())]
             text += [f"#define {name} {value}u" for name, value in constants.items()]
-            text += [flatten("light_list.h"), KERNELS]
+            text += [flatten("light/light_list.h"), KERNELS]
             on = ("-DFEATURE_LIGHT_LIST=1", "-DFEATURE_AREA_LIGHTS=1")
             off = (f"-DFEATURE_{name}=0" for name in ("LIGHT_TREE", "CONSTANT_LIGHT", "ENVIRONMENT_MAP"))
             options = ("-cl-std=CL1.2", "-Werror", *on, *off)
@@ -165,8 +167,8 @@ def test_probabilities_are_those_of_float64(device, kernel):
     # 5e-6 of the roots, and the cosine of a sum of angles loses what its terms cancel
     np.testing.assert_allclose(found, expected, rtol=5e-5, atol=5e-6)
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=2e-6)
-    assert ((found > 0) == (scene.lights["pick_probability"] > 0)).all()
-    assert (scene.lights["pick_probability"] == 0).any()
+    assert ((found > 0) == (scene.lights["selection_pmf"] > 0)).all()
+    assert (scene.lights["selection_pmf"] == 0).any()
 
 
 def test_lanes_and_single_paths_agree(device):

@@ -13,10 +13,11 @@ from test_environment import normal_deviate
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.kernels import STRUCTS
-from isonoise.scene import compile_scene, load, structs, textures
+from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.scene import compile_scene, load, structs
+from isonoise.scene.material import textures
+from isonoise.scene.mesh.triangle_records import triangle_records
 from isonoise.scene.spectra import srgb_to_linear
-from isonoise.scene.triangles import triangle_records
 
 Z = 5.0
 SAMPLES, BINS, GRID = 2**16, 12, 240
@@ -25,11 +26,11 @@ GEOMETRY = """__global const float* triangles, __global const uint* faces, __glo
                       __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
                       __global const Light* lights"""
 KERNEL = f"""
-#include "light.h"
+#include "light/light.h"
 
-Geometry geometry({GEOMETRY})
+SceneView scene({GEOMETRY})
 {{
-    Geometry g;
+    SceneView g;
     g.triangles = triangles;
     g.faces = faces;
     g.corner_normals = NULL;
@@ -47,9 +48,9 @@ __kernel void sample({GEOMETRY},
 {{
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    const SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
     const Vec4 no_side = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-    const LightPick pick = pick_light(&g, lights, table, count, LOAD3(i, reference), no_side, u[4 * i], u[4 * i + 3]);
+    const LightSelection pick = select_light(&g, lights, table, count, LOAD3(i, reference), no_side, u[4 * i], u[4 * i + 3]);
     const LightSample light = sample_light(&g, lights, pick, LOAD3(i, reference), vec2(u[4 * i + 1], u[4 * i + 2]));
     STORE3(light.direction, 0, out + 16 * i);
     STORE3(light.radiance, 1, out + 16 * i);
@@ -67,10 +68,10 @@ __kernel void density({GEOMETRY},
 {{
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const Geometry g = geometry(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    const SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
     const Vec3 from = LOAD3(i, reference), arm = sub3(LOAD3(i, position), from);
     const Light light = Light_at(lights, index);
-    out[i] = light_pdf(&g, &light, from, unit(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
+    out[i] = light_pdf(&g, &light, from, normalize3(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
 }}
 """
 
@@ -154,7 +155,7 @@ class Lit:
         """Solid angle density, times the probability of the light."""
         places = np.broadcast_to(reference, position.shape)
         found = self._run("density", (np.uint32(light),), (places, position, normal), 1)[:, 0].astype(np.float64)
-        return found * self.scene.lights["pick_probability"][light]
+        return found * self.scene.lights["selection_pmf"][light]
 
 
 @pytest.fixture(scope="module")

@@ -16,15 +16,17 @@ from small_scene import lamp_over_floor
 import isonoise
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
-from isonoise.integrator.kernels import STRUCTS
-from isonoise.scene import emission, light_tree, structs, textures
-from isonoise.scene.light_tree import ROWS, WIDTH, build_light_tree
+from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.scene import structs
+from isonoise.scene.light import light_bounds, light_tree
+from isonoise.scene.light.light_tree import ROWS, WIDTH, build_light_tree
+from isonoise.scene.material import textures
 
 Z = 5.0
 BATCHES = 12
-BY_SHARE = 2.0**-10  # in kernels/light_tree.h
+BY_SHARE = 2.0**-10  # in kernels/light/light_tree.h
 KERNELS = """
-#define LOAD4(i, p) with_w(LOAD3(0, (p) + 4 * (i)), (p)[4 * (i) + 3])
+#define LOAD4(i, p) vec4_from(LOAD3(0, (p) + 4 * (i)), (p)[4 * (i) + 3])
 
 __kernel void node_probabilities(__global const float8* nodes, __global const uint* places, uint lights,
                                  __global const float* points, __global const float* normals,
@@ -33,11 +35,11 @@ __kernel void node_probabilities(__global const float8* nodes, __global const ui
     const uint i = get_global_id(0);
     if (i >= n) return;
     __global const float8* node = nodes + LIGHT_NODE_ROWS * which[i];
-    Lanes weight;
-    weight.all = light_node_weights(node, LOAD3(i, points), LOAD4(i, normals));
-    const float total = sum_of(weight.all);
+    Float8Lanes weight;
+    weight.all = light_node_importance(node, LOAD3(i, points), LOAD4(i, normals));
+    const float total = sum8(weight.all);
     for (uint k = 0u; k < 8u; ++k)
-        weight.lane[k] = child_probability(weight.lane[k], total, ((__global const float*)(node + 4))[k]);
+        weight.lane[k] = child_pmf(weight.lane[k], total, ((__global const float*)(node + 4))[k]);
     out[i] = weight.all;
 }
 
@@ -47,7 +49,7 @@ __kernel void probability(__global const float8* nodes, __global const uint* pla
 {
     const uint i = get_global_id(0);
     const LightTree tree = {nodes, places, lights};
-    if (i < n) out[i] = light_tree_probability(&tree, which[i], LOAD3(i, points), LOAD4(i, normals));
+    if (i < n) out[i] = light_tree_pmf(&tree, which[i], LOAD3(i, points), LOAD4(i, normals));
 }
 
 __kernel void pick(__global const float8* nodes, __global const uint* places, uint lights,
@@ -59,7 +61,7 @@ __kernel void pick(__global const float8* nodes, __global const uint* places, ui
     if (i >= n) return;
     float p;
     const Vec3 point = LOAD3(i, points);
-    const uint light = pick_from_tree(&tree, point, LOAD4(i, normals), u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p);
+    const uint light = select_from_tree(&tree, point, LOAD4(i, normals), u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p);
     out[2 * i] = as_float(light);
     out[2 * i + 1] = p;
 }
@@ -74,7 +76,7 @@ class OnDevice:
         constants = structs.CONSTANTS | textures.CONSTANTS
         text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, dtype) for name, dtype in STRUCTS.items())]
         text += [f"#define {name} {value}u" for name, value in constants.items()]
-        text += [flatten("light_tree.h"), KERNELS]
+        text += [flatten("light/light_tree.h"), KERNELS]
         self.kernels = self.device.build(
             "\n".join(text), ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=1", "-DFEATURE_LIGHT_LIST=0")
         )
@@ -142,14 +144,14 @@ def test_every_light_with_power_has_one_place(count, beyond):
     used = tree.nodes[:, 4] > 0
     np.testing.assert_allclose(tree.nodes[:, 4].sum(axis=1), 1.0, atol=1e-6)
     leaves = ~references[used & (references < 0)]
-    assert sorted(leaves) == np.flatnonzero(scene.lights["pick_probability"] > 0).tolist()
+    assert sorted(leaves) == np.flatnonzero(scene.lights["selection_pmf"] > 0).tolist()
     inner = references[used & (references >= 0)]
     assert sorted(inner) == list(range(1, len(tree.nodes)))
     for child in np.concatenate([leaves, lights + inner]):
         node, slot = divmod(int(tree.places[child]), WIDTH)
         assert references[node, slot] == (child - lights if child >= lights else ~child)
     assert tree.places[lights] == structs.NONE
-    dark = np.flatnonzero(scene.lights["pick_probability"] == 0)
+    dark = np.flatnonzero(scene.lights["selection_pmf"] == 0)
     assert len(dark) == 1
     assert tree.places[dark].tolist() == [structs.NONE]
 
@@ -229,7 +231,7 @@ def test_intensity_is_the_largest_that_a_light_has():
         spot={"type": "spot", "intensity": 17.0, "cutoff_angle": 30.0},
     )
     expected = np.array([2 * 3.0, 2 * 3.0, np.pi / 4 * 5.0, np.pi * 7.0, 2 * 0.5 * 2 * 11.0, 13.0, 17.0])
-    intensity = emission.emission_of(scene, scene.lights).intensity
+    intensity = light_bounds.emission_of(scene, scene.lights).intensity
     np.testing.assert_allclose(intensity / intensity[0], expected / expected[0], rtol=1e-5)
 
 
@@ -259,7 +261,7 @@ def test_probabilities_of_all_lights_sum_to_one(device):
         tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), 64)
     ).reshape(64, lights)
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-5)
-    power = scene.lights["pick_probability"]
+    power = scene.lights["selection_pmf"]
     assert ((found > 0) == (power > 0)).all()
 
 

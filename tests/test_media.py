@@ -16,11 +16,11 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES, features
-from isonoise.integrator.kernels import PATH_STATE, STRUCTS
+from isonoise.integrator.kernel_table import PATH_STATE, STRUCTS
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.boundaries import NODES
-from isonoise.scene.bsdfs import Bsdfs
-from isonoise.scene.triangles import triangle_records
+from isonoise.scene.material.bsdfs import Bsdfs
+from isonoise.scene.material.rough_transmittance import NODES
+from isonoise.scene.mesh.triangle_records import triangle_records
 
 NULL = {"type": "null"}
 LAMBERT = {"type": "diffuse", "reflectance": 0.5}
@@ -651,12 +651,12 @@ def test_media_of_a_file(scene_of):
     phases = compiled.bsdfs[[fog["phase"], own["phase"]]]
     assert (phases["kind"] == structs.BSDF_HG).all()
     assert phases["values"][:, 0] == pytest.approx([0.0, 0.8])
-    assert (phases["flags"] & structs.BSDF_UNLIT).astype(bool).tolist() == [False, True]
+    assert (phases["flags"] & structs.BSDF_NO_LIGHT_SAMPLING).astype(bool).tolist() == [False, True]
     sphere, cube, plain = compiled.shapes["media"]
     assert sphere >> 16 == compiled.sensor_medium
     assert (cube & 0xFFFF, cube >> 16) == (compiled.sensor_medium, structs.MEDIUM_NONE)
     assert plain == structs.NONE
-    seen_through = (compiled.shapes["flags"] & structs.SHAPE_SEE_THROUGH) != 0
+    seen_through = (compiled.shapes["flags"] & structs.SHAPE_PASS_THROUGH) != 0
     assert seen_through.tolist() == [True, True, False]
     records = triangle_records(compiled)
     assert set(records["media"]) == {cube, plain}

@@ -9,8 +9,8 @@ import pytest
 from checked_render import CASES, FAULTS
 
 from isonoise.device.program_cache import VARIABLE
+from isonoise.integrator.brute_force import use_brute_force
 from isonoise.integrator.features import FEATURES, features, statistics_features
-from isonoise.integrator.few import are_few
 from isonoise.scene import compile_scene, load
 from isonoise.statistics import NOTHING_MORE
 from isonoise.strategies import make_strategy
@@ -43,7 +43,7 @@ def test_the_cases_have_every_feature(many, tmp_path):
         if many and on["VOLPATH"]:
             continue
         seen |= {name for name, value in on.items() if value}
-        kinds.add(are_few(scene))
+        kinds.add(use_brute_force(scene))
     assert set(FEATURES) - seen <= without
     assert kinds == {False, True}
 

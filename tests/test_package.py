@@ -1,4 +1,4 @@
-"""The wheel: everything tracked that the program reads is in it, and it works away from the checkout."""
+"""The wheel: feature_superset tracked that the program reads is in it, and it works away from the checkout."""
 
 import os
 import subprocess
@@ -79,7 +79,7 @@ def test_everything_that_is_read_is_in_the_wheel(tracked, wheel):
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
     assert held == expected
-    assert {"isonoise/cli.py", "isonoise/scenes/cornell.xml", "isonoise/kernels/shade.cl"} <= held
+    assert {"isonoise/cli.py", "isonoise/scenes/cornell.xml", "isonoise/kernels/stages/shade.cl"} <= held
 
 
 def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
@@ -89,7 +89,7 @@ import importlib.resources, pathlib, sys, isonoise.cli
 from isonoise.scene import compile_scene, load
 assert len(compile_scene(load("cornell")).faces) > 0
 kernels = importlib.resources.files("isonoise.kernels")
-assert "kernel" in (kernels / "shade.cl").read_text()
+assert "kernel" in (kernels / "stages/shade.cl").read_text()
 print(*(pathlib.Path(str(place)).resolve() for place in (isonoise.cli.__file__, kernels)), sep="\\n")
 """
     for place in run(installed / "python", "-c", code, cwd=tmp_path).split():

@@ -13,9 +13,10 @@ from isonoise import Renderer
 from isonoise.cli import main
 from isonoise.commands import info
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load, support
-from isonoise.scene.registry import COLOURS, IGNORED, SUPPORTED, UNSUPPORTED, Parameter, Plugin
+from isonoise.scene import compile_scene, load
+from isonoise.scene.parse import plugin_tables
 from isonoise.scene.vocabulary import ELSEWHERE, PLUGINS, plugins_of
+from isonoise.scene.vocabulary.plugin import COLOURS, IGNORED, SUPPORTED, UNSUPPORTED, Parameter, Plugin
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 OWN = ("mesh",)  # isonoise's own plugins
@@ -338,27 +339,29 @@ TABLES = (CHECKOUT / "scenes" / "README.md").read_text("utf-8")
 
 
 def test_the_tables_are_those_of_the_registry():
-    assert support.with_tables(TABLES) == TABLES, "write them anew: python -m isonoise.scene.support scenes/README.md"
-    for kind in support.KINDS:
-        for name, status, meaning in support.overview(kind):
+    assert plugin_tables.with_tables(TABLES) == TABLES, (
+        "write them anew: python -m isonoise.scene.parse.plugin_tables scenes/README.md"
+    )
+    for kind in plugin_tables.KINDS:
+        for name, status, meaning in plugin_tables.overview(kind):
             assert f"`{name}`" in TABLES
             assert meaning
-            assert status in support.STATUS.values()
+            assert status in plugin_tables.STATUS.values()
 
 
 def test_the_kinds_are_complete():
-    assert set(support.KINDS) == {plugin.kind for plugin in READ} | set(ELSEWHERE)
-    for kind in support.KINDS:
-        names = [row[0] for row in support.overview(kind)]
+    assert set(plugin_tables.KINDS) == {plugin.kind for plugin in READ} | set(ELSEWHERE)
+    for kind in plugin_tables.KINDS:
+        names = [row[0] for row in plugin_tables.overview(kind)]
         assert len(set(names)) == len(names)
 
 
 def test_the_command_lists_them(capsys):
     assert main(["plugins"]) == 0
     listed = capsys.readouterr().out
-    for kind in support.KINDS:
+    for kind in plugin_tables.KINDS:
         assert re.search(rf"^{kind}$", listed, re.MULTILINE)
-        for name, status, _ in support.overview(kind):
+        for name, status, _ in plugin_tables.overview(kind):
             assert re.search(rf"^  {name} +{status}  ", listed, re.MULTILINE), name
     assert main(["plugins", "emitter"]) == 0
     listed = capsys.readouterr().out
@@ -370,7 +373,7 @@ def test_the_command_lists_them(capsys):
 def test_the_command_describes_a_plugin(plugin, capsys):
     assert main(["plugins", plugin.name]) == 0
     text = capsys.readouterr().out
-    assert text.startswith(f"{plugin.kind} '{plugin.name}' ({support.STATUS[plugin.status]}): ")
+    assert text.startswith(f"{plugin.kind} '{plugin.name}' ({plugin_tables.STATUS[plugin.status]}): ")
     for parameter in plugin.parameters:
         assert re.search(rf"^  {parameter.name}  ", text, re.MULTILINE), parameter.name
 
@@ -385,7 +388,7 @@ def test_the_command_describes_what_is_not_supported(capsys):
 def test_the_command_prints_json(capsys):
     assert main(["plugins", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert len(facts) == sum(len(support.overview(kind)) for kind in support.KINDS)
+    assert len(facts) == sum(len(plugin_tables.overview(kind)) for kind in plugin_tables.KINDS)
     assert main(["plugins", "sphere", "--json"]) == 0
     (sphere,) = json.loads(capsys.readouterr().out)
     radius = next(parameter for parameter in sphere["parameters"] if parameter["name"] == "radius")

@@ -8,7 +8,7 @@ from small_scene import assert_same_bits, lamp_over_floor
 from isonoise.benchmark import tune
 from isonoise.benchmark.measure import Settings
 from isonoise.cli import main
-from isonoise.device import opencl, pool, program_cache
+from isonoise.device import opencl, pool_size, program_cache
 from isonoise.renderer import Renderer
 from isonoise.scene import compile_scene, load
 
@@ -34,8 +34,8 @@ def pool_of(**options) -> tuple[int, Renderer]:
 
 def test_what_is_kept_is_used_and_changes_no_image(device):
     usual, before = pool_of()
-    assert usual == pool.usual_pool_size(device)
-    assert pool.keep_pool_size(device, 4096)
+    assert usual == pool_size.usual_pool_size(device)
+    assert pool_size.keep_pool_size(device, 4096)
     found, after = pool_of()
     assert found == 4096
     assert pool_of(pool_size=2048)[0] == 2048  # who says how many gets them
@@ -45,11 +45,11 @@ def test_what_is_kept_is_used_and_changes_no_image(device):
 
 
 def test_the_usual_size_is_not_kept(device, folder):
-    assert pool.keep_pool_size(device, 4096)
+    assert pool_size.keep_pool_size(device, 4096)
     assert len(list(folder.iterdir())) == 1
-    assert pool.keep_pool_size(device, pool.usual_pool_size(device))
+    assert pool_size.keep_pool_size(device, pool_size.usual_pool_size(device))
     assert not list(folder.iterdir())
-    assert pool.found_pool_size(device) is None
+    assert pool_size.found_pool_size(device) is None
 
 
 @pytest.mark.parametrize(
@@ -68,22 +68,22 @@ def test_the_usual_size_is_not_kept(device, folder):
     + [json.dumps({"pool_size": size}) for size in (-4096, 2**40, None, True, [4096])],
 )
 def test_what_is_not_sound_counts_as_not_there(device, content):
-    program_cache.store(pool._key(device), content.encode())
-    assert pool.found_pool_size(device) is None
-    assert pool_of()[0] == pool.usual_pool_size(device)
+    program_cache.store(pool_size._key(device), content.encode())
+    assert pool_size.found_pool_size(device) is None
+    assert pool_of()[0] == pool_size.usual_pool_size(device)
 
 
 def test_a_broken_file_counts_as_not_there(device, folder):
-    pool.keep_pool_size(device, 4096)
+    pool_size.keep_pool_size(device, 4096)
     (file,) = folder.iterdir()
     file.write_bytes(file.read_bytes().replace(b"4096", b"8192"))
-    assert pool.found_pool_size(device) is None
+    assert pool_size.found_pool_size(device) is None
 
 
 def test_another_driver_has_a_size_of_its_own(device, monkeypatch):
-    pool.keep_pool_size(device, 4096)
-    monkeypatch.setattr(pool, "driver_of", lambda device: ("another",))
-    assert pool.found_pool_size(device) is None
+    pool_size.keep_pool_size(device, 4096)
+    monkeypatch.setattr(pool_size, "driver_of", lambda device: ("another",))
+    assert pool_size.found_pool_size(device) is None
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_only_pools_for_which_there_is_memory(monkeypatch):
 
 
 def test_bench_tune_keeps_and_devices_says_so(device, monkeypatch, capsys):
-    usual = pool.usual_pool_size(device)
+    usual = pool_size.usual_pool_size(device)
     speeds = {usual // 2: [1e6, 1e6], usual: [2e6, 2e6], 2 * usual: [3e6, 2.5e6]}
     monkeypatch.setattr(tune, "measure_pools", lambda *arguments: speeds)
     assert main(["bench", "--tune", "cornell"]) == 0
@@ -136,7 +136,7 @@ def test_bench_tune_keeps_and_devices_says_so(device, monkeypatch, capsys):
 
 
 def test_bench_tune_says_when_it_cannot_keep(device, monkeypatch, capsys):
-    usual = pool.usual_pool_size(device)
+    usual = pool_size.usual_pool_size(device)
     monkeypatch.setattr(tune, "measure_pools", lambda *arguments: {usual: [1.0], 2 * usual: [2.0]})
     monkeypatch.setenv(program_cache.VARIABLE, "off")
     assert main(["bench", "--tune", "cornell"]) == 2

@@ -17,11 +17,12 @@ from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten, stage_source
 from isonoise.errors import DeviceError
 from isonoise.integrator.accumulator import build_constants
+from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.few import MOST_CORNERS
-from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, STRUCTS, TAKE_LANES
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, STRUCTS, TAKE_LANES
 from isonoise.renderer import Renderer
-from isonoise.scene import structs, textures
+from isonoise.scene import structs
+from isonoise.scene.material import textures
 from isonoise.statistics import Needs
 
 FOLDER = resources.files("isonoise.kernels")
@@ -32,12 +33,12 @@ CONSTANTS |= {
     "LANES": 1,
     "SHADE_LANES": 1,
     "PATHS_PER_BLOCK": 64,
-    "MOST_CORNERS": MOST_CORNERS,
-    "MOST_LISTED_LIGHTS": 8,
+    "MAX_CORNERS": MAX_CORNERS,
+    "MAX_LISTED_LIGHTS": 8,
 }
 MANY = CONSTANTS | {"LANES": 64, "SHADE_LANES": 256}
-"""For work-items that take many paths: kernels/paths.h. There are none in scenes of the feature VOLPATH."""
-TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in FEW_KERNELS.values()})
+"""For work-items that take many paths: kernels/path/path_state.h. There are none in scenes of the feature VOLPATH."""
+TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in BRUTE_FORCE_KERNELS.values()})
 
 
 def mentioned(text: str) -> set[str]:
@@ -74,7 +75,7 @@ def test_every_line_says_where_it_is_from(name):
         number += 1
 
 
-@pytest.mark.parametrize("name", ["compact.cl", "plain.h"])
+@pytest.mark.parametrize("name", ["stages/compact.cl", "util/vec.h"])
 def test_a_compiler_error_names_file_and_line(name, monkeypatch):
     source = program.kernel_source
 
@@ -84,7 +85,7 @@ def test_a_compiler_error_names_file_and_line(name, monkeypatch):
     monkeypatch.setattr(program, "kernel_source", spoiled)
     line = source(name).count("\n") + 1
     with pytest.raises(DeviceError, match=rf"{re.escape(name)}\D{{1,3}}{line}\b"):
-        Device().build(*stage_source("compact.cl", STRUCTS, CONSTANTS, only()))
+        Device().build(*stage_source("stages/compact.cl", STRUCTS, CONSTANTS, only()))
 
 
 def test_a_path_with_spaces(tmp_path, monkeypatch):
@@ -122,8 +123,8 @@ def test_features_are_tested_by_value(name):
 
 
 def test_a_feature_that_nobody_set_is_an_error():
-    with pytest.raises(KeyError, match="BATCHES"):
-        stage_source("reduce.cl", STRUCTS, CONSTANTS, {})
+    with pytest.raises(KeyError, match="BATCH_MEANS"):
+        stage_source("stages/reduce.cl", STRUCTS, CONSTANTS, {})
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -188,14 +189,16 @@ def test_records_as_pyopencl_declares_them(device):
 
 def test_every_argument_of_a_kernel_has_a_name():
     """The host's table has as many arguments as the kernel has parameters, and every kernel is in it."""
-    joined = dict.fromkeys(re.findall(r'#include "(.*?)"', (FOLDER / "pixels.cl").read_text()), "pixels.cl")
+    joined = dict.fromkeys(
+        re.findall(r'#include "(.*?)"', (FOLDER / "stages/pixel_stages.cl").read_text()), "stages/pixel_stages.cl"
+    )
     found = {}
     for file in STAGES:
         for kernel, parameters in re.findall(
             r"__kernel void (\w+)\((.*?)\)\s*\{", (FOLDER / file).read_text(), re.DOTALL
         ):
             found[joined.get(file, file), kernel] = len(parameters.split(","))
-    tables = (*KERNELS.items(), *FEW_KERNELS.items())
+    tables = (*KERNELS.items(), *BRUTE_FORCE_KERNELS.items())
     named = {(file, kernel): {name.rpartition(":")[2] for name in names.split()} for kernel, (file, names) in tables}
     assert found == {kernel: len(names) for kernel, names in named.items()}
 

@@ -1,4 +1,4 @@
-"""The random numbers of kernels/random.h: the published generator, uniform, and unrelated where their names are.
+"""The random numbers of kernels/util/random.h: the published generator, uniform, and unrelated where their names are.
 
 The statistical tests look at one fixed set of numbers: as long as the generator is what the first test says, they give
 the same verdict. Their bounds are at z standard deviations; false alarms of a good generator are 6e-7 for each of the
@@ -49,7 +49,7 @@ def philox_4x32(counter, key, rounds: int = 7) -> tuple[int, int, int, int]:
 def generate():
     """Numbers (n, 4) of the device for names (n, 3), which are pixel, index and block, and keys (n, 2)."""
     device = Device()
-    kernel = device.build(flatten("random.h") + KERNEL, ("-cl-std=CL1.2",))["blocks"]
+    kernel = device.build(flatten("util/random.h") + KERNEL, ("-cl-std=CL1.2",))["blocks"]
 
     def run(names, keys) -> np.ndarray:
         names, keys = np.ascontiguousarray(names, np.uint32), np.asarray(keys, np.uint32)
@@ -100,7 +100,7 @@ def test_the_device_computes_philox(generate):
 
 def test_every_use_has_its_own_block():
     device = Device()
-    kernel = device.build(flatten("random.h") + KERNEL, ("-cl-std=CL1.2",))["names"]
+    kernel = device.build(flatten("util/random.h") + KERNEL, ("-cl-std=CL1.2",))["names"]
     buffer = device.buffer(12 * 100, "names")
     device.launch(kernel, 100, (buffer, np.uint32(100)))
     camera, bsdf, light = device.read(buffer, np.uint32, 300).reshape(100, 3).T.tolist()

@@ -10,11 +10,11 @@ from small_scene import BUILT_IN, PIXELS, assert_same_bits, assert_sound, lamp_o
 
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
+from isonoise.loop import render
 from isonoise.renderer import Renderer
-from isonoise.rendering import render
 from isonoise.statistics import Statistics
 from isonoise.strategies import Strategy, Wave, available_strategies
-from isonoise.strategies.even import uniform_allocation
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 

@@ -5,8 +5,8 @@ import pytest
 from small_scene import assert_same_bits, lamp_over_floor
 
 from isonoise.device.opencl import Device
+from isonoise.loop import render
 from isonoise.renderer import Renderer
-from isonoise.rendering import render
 from isonoise.statistics import Needs, Statistics
 from isonoise.strategies import make_strategy
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from small_scene import BUILT_IN, HEIGHT, PIXELS, WIDTH, assert_same_bits, assert_sound, lamp_over_floor
 
-from isonoise import rendering
+from isonoise import loop
 from isonoise.errors import UserError
+from isonoise.loop import Stops, render, render_loop
 from isonoise.renderer import Renderer
-from isonoise.rendering import Stops, render, render_loop
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,8 @@ def test_the_rows_of_the_log_rise(strategy):
 
 def test_the_clock_stands_still_for_true_errors(monkeypatch):
     """A reference that takes long to compare with must not eat the time of the render."""
-    true_error = rendering.true_error
-    monkeypatch.setattr(rendering, "true_error", lambda *images: time.sleep(0.2) or true_error(*images))
+    true_error = loop.true_error
+    monkeypatch.setattr(loop, "true_error", lambda *images: time.sleep(0.2) or true_error(*images))
     reference = np.ones((HEIGHT, WIDTH, 3), np.float32), None
     renderer = Renderer(lamp_over_floor())
     begun = time.perf_counter()

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from isonoise.errors import SceneError
-from isonoise.scene.images import read_image
+from isonoise.scene.image.image import read_image
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +209,7 @@ def test_radiance_pictures(mi, tmp_path, width, encoding):
 
 
 def test_radiance_pictures_of_many_chunks(tmp_path, monkeypatch):
-    monkeypatch.setattr("isonoise.scene.rgbe._CHUNK", 1000)
+    monkeypatch.setattr("isonoise.scene.image.rgbe._CHUNK", 1000)
     pixels = rgbe_of((37, 60))
     (tmp_path / "picture.hdr").write_bytes(hdr(b"".join(map(packed_line, pixels)), "-Y 37 +X 60"))
     assert (read_image(tmp_path / "picture.hdr").pixels == value_of(pixels)).all()

@@ -5,7 +5,7 @@ import pytest
 from records import slot
 
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.alias import alias_table, alias_tables, picked
+from isonoise.scene.light.alias_table import alias_table, alias_tables, picked
 from isonoise.scene.spectra import LUMINANCE
 
 
@@ -60,7 +60,7 @@ def test_alias_table_sums_exactly_to_the_stated_probabilities():
             c={"type": "point", "intensity": 0.7},
         )
     )
-    assert np.array_equal(picked(scene.light_alias).astype(np.float32), scene.lights["pick_probability"])
+    assert np.array_equal(picked(scene.light_alias).astype(np.float32), scene.lights["selection_pmf"])
 
 
 def test_lights_of_a_shape_follow_its_primitives():
@@ -107,7 +107,7 @@ def test_power_decides_the_pick():
             4 * np.pi**2 * radius_squared * 19.0,
         ]
     )
-    np.testing.assert_allclose(scene.lights["pick_probability"], powers / powers.sum(), rtol=2e-6)
+    np.testing.assert_allclose(scene.lights["selection_pmf"], powers / powers.sum(), rtol=2e-6)
     assert scene.environment_light == 7
 
 
@@ -123,13 +123,13 @@ def test_dark_and_degenerate_primitives_are_never_picked():
             },
         )
     )
-    assert scene.lights["pick_probability"].tolist() == [0, 0, 0, 1]
+    assert scene.lights["selection_pmf"].tolist() == [0, 0, 0, 1]
 
 
 def test_lights_without_power_and_scenes_without_light():
     dark = compile_scene(_scene(sky={"type": "constant", "radiance": 0.0}))
     assert dark.radiance_scale == 1.0
-    assert dark.lights["pick_probability"].tolist() == [1.0]
+    assert dark.lights["selection_pmf"].tolist() == [1.0]
     none = compile_scene(_scene())
     assert none.radiance_scale == 1.0
     assert len(none.lights) == len(none.light_alias) == 0
@@ -174,7 +174,7 @@ def test_a_million_emissive_triangles():
     scene = compile_scene(_scene(field=shape))
     assert len(scene.lights) == 2 * (side - 1) ** 2 > 10**6
     areas = scene.lights["area"].astype(float)
-    np.testing.assert_allclose(scene.lights["pick_probability"], areas / areas.sum(), rtol=2e-6)
+    np.testing.assert_allclose(scene.lights["selection_pmf"], areas / areas.sum(), rtol=2e-6)
 
 
 def test_what_shines_and_names_no_material_reflects_nothing():

@@ -11,7 +11,7 @@ import pytest
 
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load
-from isonoise.scene.serialized import read_serialized
+from isonoise.scene.mesh.serialized import read_serialized
 
 NORMALS, UVS, COLOURS, FLAT, SINGLE, DOUBLE = 0x1, 0x2, 0x8, 0x10, 0x1000, 0x2000
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.1], [1, 1, 1e-3]])

@@ -5,7 +5,7 @@ import pytest
 from records import slot
 
 from isonoise.scene import compile_scene, load
-from isonoise.scene.materials import conductors, refractive_indices
+from isonoise.scene.material.presets import conductors, refractive_indices
 from isonoise.scene.spectra import LUMINANCE, flat_to_rgb, spectrum_to_rgb
 
 # Mitsuba computes in float32 and prints six digits: 1000 terms round to some 1e-6.

@@ -6,10 +6,10 @@ from small_scene import lamp_over_floor
 
 import isonoise
 from isonoise.errors import SceneError
-from isonoise.scene.meshes import read_shape
-from isonoise.scene.obj import _indexed, read_obj
-from isonoise.scene.ply import read_ply
-from isonoise.scene.ply_attributes import attributes_of
+from isonoise.scene.mesh.obj import _indexed, read_obj
+from isonoise.scene.mesh.ply import read_ply
+from isonoise.scene.mesh.ply_attributes import attributes_of
+from isonoise.scene.mesh.read import read_shape
 
 TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt .25 .75\nvt .5 .125 9\nvt -3 1e3\nvn 0 0 1\nvn 0 0.6 0.8\n"
 

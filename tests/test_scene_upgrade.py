@@ -8,9 +8,9 @@ import pytest
 
 from isonoise.errors import SceneError
 from isonoise.scene import load
-from isonoise.scene.source import Element, Reference
-from isonoise.scene.xml_reader import read_xml
-from isonoise.scene.xml_upgrade import snake_case
+from isonoise.scene.parse.elements import Element, Reference
+from isonoise.scene.parse.xml_reader import read_xml
+from isonoise.scene.parse.xml_upgrade import snake_case
 
 
 @pytest.fixture

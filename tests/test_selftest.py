@@ -137,7 +137,7 @@ def broken(monkeypatch):
 
 def test_plain_sums_fail(broken):
     broken(
-        "compensated.h",
+        "util/compensated.h",
         "    return quick_two_sum(sum.high, sum.low + a.low);\n",
         "    const Compensated plain = {sum.high, 0.0f};\n    return plain;\n",
     )
@@ -147,7 +147,7 @@ def test_plain_sums_fail(broken):
 
 def test_a_dropped_check_for_finite_numbers_fails(broken):
     broken(
-        "reduce.cl",
+        "stages/reduce.cl",
         "!(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && x < LUMINANCE_LIMIT)",
         "x >= LUMINANCE_LIMIT",
     )
@@ -156,7 +156,9 @@ def test_a_dropped_check_for_finite_numbers_fails(broken):
 
 
 def test_a_wrong_sign_of_the_offset_fails(broken):
-    broken("vectors.h", "with_sign(distance, dot3(direction, normal))", "with_sign(distance, -dot3(direction, normal))")
+    broken(
+        "util/math.h", "with_sign(distance, dot3(direction, normal))", "with_sign(distance, -dot3(direction, normal))"
+    )
     cases = verdicts(surfaces._convex(Bench(Device()), *surfaces.SIZES[0]))
     assert list(cases.values()).count(FAIL) >= 2
 

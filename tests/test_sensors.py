@@ -9,8 +9,8 @@ from test_random import philox_4x32
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
 from isonoise.integrator.features import features
-from isonoise.integrator.kernels import STRUCTS
-from isonoise.rendering import render
+from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.loop import render
 from isonoise.scene import compile_scene, load, structs
 
 SEED = (7, 9)
@@ -44,7 +44,7 @@ def generated(description: dict) -> tuple[np.ndarray, np.ndarray]:
     scene = compile_scene(load(description))
     device = Device()
     constants = structs.CONSTANTS | {"LANES": device.lanes}
-    kernel = device.build(*stage_source("generate.cl", STRUCTS, constants, features(scene)))["generate"]
+    kernel = device.build(*stage_source("stages/generate.cl", STRUCTS, constants, features(scene)))["generate"]
     pixels = scene.width * scene.height
     n = pixels * SAMPLES
     sample_pixel = np.repeat(np.arange(pixels, dtype=np.uint32), SAMPLES)

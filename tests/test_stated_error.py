@@ -7,7 +7,7 @@ sampling noise: a quantile of 256x256 pixels has a standard error of 0.5 % at p5
 import numpy as np
 import pytest
 
-from isonoise.film.stated_error import half_width_95, relative_standard_error, stated_error
+from isonoise.error.stated_error import half_width_95, relative_standard_error, stated_error
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
 

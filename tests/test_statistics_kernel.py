@@ -13,7 +13,7 @@ import pytest
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.integrator.accumulator import STRIP
-from isonoise.selftest.made_samples import Reducer, chunk_medians, colour, luminance32
+from isonoise.selftest.synthetic_samples import Reducer, chunk_medians, colour, luminance32
 from isonoise.statistics import NOTHING_MORE, Needs, Statistics
 
 SLICE = 2**22
@@ -157,13 +157,13 @@ def test_any_cut_into_slices_gives_the_same_bits(needs):
 def test_what_is_kept_beside_them_changes_no_bit_of_the_others():
     random = np.random.default_rng(8)
     samples = [random.pareto(1.5, size=(n, 3)) for n in (1, 4, 17, 100, 1234)]
-    everything = reduce(samples)
+    feature_superset = reduce(samples)
     for needs in (NOTHING_MORE, Needs(median=True), Needs(power=ALL.power), Needs(half=True)):
         statistics = reduce(samples, needs=needs)
         kept = {name for name, plane in vars(statistics).items() if plane is not None}
         optional = {"median": needs.median, "power": needs.power is not None, "half": needs.half}
         assert kept == {"count", "rejected", "rgb", "mean", "variance"} | {name for name in optional if optional[name]}
-        assert_same_bits(statistics, everything, kept)
+        assert_same_bits(statistics, feature_superset, kept)
 
 
 def test_scaling_by_a_power_of_two_scales_the_statistics_exactly():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isonoise.strategies.allocation import deficit, proportional, proportional_to_error
-from isonoise.strategies.even import uniform_allocation
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
 def exact_shares(count, variance, budget, cap):

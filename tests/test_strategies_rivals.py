@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isonoise.errors import UserError
-from isonoise.rendering import render
+from isonoise.loop import render
 from isonoise.statistics import Statistics
 from isonoise.strategies import describe, make_strategy
 from isonoise.strategies.cycles import Cycles, display_error, with_neighbours

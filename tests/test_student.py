@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from isonoise.student import quantile
+from isonoise.student_t import quantile
 
 # to the three decimals that tables have; the last column is the normal quantile
 PRINTED = {

@@ -9,12 +9,13 @@ from PIL import Image
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load, structs, textures
+from isonoise.scene import compile_scene, load, structs
+from isonoise.scene.material import textures
+from isonoise.scene.material.textures import MeshAttributes, Textures
 from isonoise.scene.spectra import srgb_to_linear
-from isonoise.scene.textures import MeshAttributes, Textures
 
 KERNEL = """
-__kernel void look(__global const Texture* records, __global const uchar* bytes, __global const float* floats,
+__kernel void sample_direct_lane(__global const Texture* records, __global const uchar* bytes, __global const float* floats,
                    __global const float* srgb, __global const float* attributes, __global const uint* faces,
                    uint texture, __global const float* points, __global const uint* triangles, __global float* out,
                    uint n)
@@ -26,7 +27,7 @@ __kernel void look(__global const Texture* records, __global const uchar* bytes,
     const TexturePoint at = {uv, triangles[i], weights};
     const Vec2 gradient = texture_gradient(&all, texture, &at);
     STORE3(texture_rgb(&all, texture, &at), 2 * i, out);
-    STORE3(vec3(texture_number(&all, texture, &at), gradient.x, gradient.y), 2 * i + 1, out);
+    STORE3(vec3(texture_float(&all, texture, &at), gradient.x, gradient.y), 2 * i + 1, out);
 }
 """
 KINDS = ("BITMAPS", "CHECKERBOARDS", "MESH_ATTRIBUTES")
@@ -64,7 +65,7 @@ def kernel_of(device, *on: str):
     text += [
         "#pragma OPENCL FP_CONTRACT OFF",
         declare_struct("Texture", textures.TEXTURE),
-        flatten("texture.h"),
+        flatten("texture/texture.h"),
         KERNEL,
     ]
     flags = ["-DFEATURE_TEXTURES=1", "-DFEATURE_BUMP=1", *(f"-DFEATURE_{kind}={int(kind in on)}" for kind in KINDS)]

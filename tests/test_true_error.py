@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from isonoise.film.luminance import luminance
-from isonoise.film.true_error import reference_serves, true_error
+from isonoise.error.true_error import reference_serves, true_error
+from isonoise.luminance import luminance
 from isonoise.statistics import Statistics
 
 

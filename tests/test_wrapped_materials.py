@@ -16,17 +16,18 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.kernels import STRUCTS
-from isonoise.scene import structs, textures
-from isonoise.scene.boundaries import NODES
-from isonoise.scene.bsdfs import Bsdfs
-from isonoise.scene.textures import Textures
+from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.scene import structs
+from isonoise.scene.material import textures
+from isonoise.scene.material.bsdfs import Bsdfs
+from isonoise.scene.material.rough_transmittance import NODES
+from isonoise.scene.material.textures import Textures
 
 KERNEL = """
-#include "bsdf.h"
-#include "material.h"
+#include "bsdf/bsdf.h"
+#include "bsdf/nested.h"
 
-__kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const float* tables,
+__kernel void scatter_lane(uint first, __global const Bsdf* bsdfs, __global const float* rough_transmittances,
                       __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
                       __global const float* surface, __global const float* wi, __global const float* wo,
                       __global const float* u, __global float* out, uint n)
@@ -42,32 +43,32 @@ __kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const flo
     s.dp_dv = LOAD3(3, surface);
     s.uv = vec2(surface[12], surface[13]);
     s.triangle = NONE;
-    s.barycentric = all2(0.0f);
-    Shading at;
-    at.bsdfs = bsdfs;
-    at.bsdf = first;
-    at.normal = s.normal;
-    at.wi = LOAD3(i, wi);
-    at.cos_i = dot3(at.normal, at.wi);
-    at.turned = false;
-    at.shadow = NO_BUMP;
-    set_frame(&at, &s);
-    at.tables = tables;
-    at.textures = &all;
-    at.point = texture_point(&s);
-    out[12] = unwrap(&at, &s, u[4 * i + 3]);
+    s.barycentric = splat2(0.0f);
+    BsdfContext ctx;
+    ctx.bsdfs = bsdfs;
+    ctx.bsdf = first;
+    ctx.normal = s.normal;
+    ctx.wi = LOAD3(i, wi);
+    ctx.cos_i = dot3(ctx.normal, ctx.wi);
+    ctx.flipped = false;
+    ctx.shadow = NO_BUMP;
+    set_shading_frame(&ctx, &s);
+    ctx.rough_transmittances = rough_transmittances;
+    ctx.textures = &all;
+    ctx.point = texture_point(&s);
+    out[12] = resolve_nested_bsdf(&ctx, &s, u[4 * i + 3]);
     if (out[12] != 0.0f) return;
-    if ((material(&at).flags & BSDF_TWOSIDED) && at.cos_i < 0.0f) turn_to_viewer(&at);
+    if ((material(&ctx).flags & BSDF_TWOSIDED) && ctx.cos_i < 0.0f) flip_to_viewer(&ctx);
     float pdf = 0.0f;
-    Vec3 value = all3(0.0f);
-    if (bsdf_is_smooth(&at))
-        value = scale3(bsdf_eval(&at, LOAD3(i, wo), &pdf), bump_share(&at, &s, LOAD3(i, wo)));
+    Vec3 value = splat3(0.0f);
+    if (has_non_delta_lobes(&ctx))
+        value = scale3(bsdf_eval(&ctx, LOAD3(i, wo), &pdf), bump_shadowing(&ctx, &s, LOAD3(i, wo)));
     STORE3(value, 0, out);
     out[3] = pdf;
-    const BsdfSample sample = bsdf_sample(&at, LOAD3(0, u + 4 * i));
+    const BsdfSample sample = bsdf_sample(&ctx, LOAD3(0, u + 4 * i));
     if (sample.weight.x + sample.weight.y + sample.weight.z == 0.0f) return;
     STORE3(sample.direction, 0, out + 4);
-    STORE3(scale3(sample.weight, bump_share(&at, &s, sample.direction)), 0, out + 7);
+    STORE3(scale3(sample.weight, bump_shadowing(&ctx, &s, sample.direction)), 0, out + 7);
     out[10] = sample.pdf;
     out[11] = sample.eta;
 }

@@ -8,12 +8,12 @@ _PUBLIC = {
     "Needs": "isonoise.statistics",
     "Renderer": "isonoise.renderer",
     "Statistics": "isonoise.statistics",
-    "Stops": "isonoise.rendering",
+    "Stops": "isonoise.loop",
     "Strategy": "isonoise.strategies",
     "Wave": "isonoise.strategies",
     "load": "isonoise.scene",
-    "render": "isonoise.rendering",
-    "render_loop": "isonoise.rendering",
+    "render": "isonoise.loop",
+    "render_loop": "isonoise.loop",
 }
 __all__ = sorted(_PUBLIC)
 

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 
-from isonoise import __version__, arguments
+from isonoise import __version__, argument_types
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.errors import UserError
 
@@ -90,26 +90,28 @@ def _add_render(commands) -> None:
         help=".exr: all layers, float32; .png: tone-mapped for a look; may be given more than once",
     )
     limits = render.add_argument_group("when to stop")
-    limits.add_argument("--spp", metavar="N", type=arguments.positive, help="mean samples per pixel")
+    limits.add_argument("--spp", metavar="N", type=argument_types.positive, help="mean samples per pixel")
     limits.add_argument(
-        "--time", metavar="S", type=arguments.positive, help="seconds of rendering; set-up is not counted"
+        "--time", metavar="S", type=argument_types.positive, help="seconds of rendering; set-up is not counted"
     )
-    limits.add_argument("--error", metavar="E", type=arguments.positive, help="stated relative error, as in 0.02")
+    limits.add_argument("--error", metavar="E", type=argument_types.positive, help="stated relative error, as in 0.02")
     limits.add_argument(
         "--quantile",
         metavar="Q",
-        type=arguments.quantile,
+        type=argument_types.quantile,
         default=0.99,
         help="quantile over the pixels at which --error holds (default: %(default)s)",
     )
     how = render.add_argument_group("how to render")
     how.add_argument("--strategy", metavar="NAME[:k=v,..]", help="how samples are spread over the image; listed below")
     how.add_argument(
-        "--seed", metavar="K", type=arguments.seed, default=0, help="same seed, same image (default: %(default)s)"
+        "--seed", metavar="K", type=argument_types.seed, default=0, help="same seed, same image (default: %(default)s)"
     )
-    how.add_argument("--size", metavar="WxH", type=arguments.size, help="image size in pixels instead of the scene's")
     how.add_argument(
-        "--max-depth", metavar="N", type=arguments.max_depth, help="longest path: 1 is emitters only, -1 no end"
+        "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scene's"
+    )
+    how.add_argument(
+        "--max-depth", metavar="N", type=argument_types.max_depth, help="longest path: 1 is emitters only, -1 no end"
     )
     _add_definitions(how)
     how.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
@@ -145,18 +147,20 @@ def _add_compare(commands) -> None:
         help="a whole plan, listed below; scenes and options that are given replace its pieces",
     )
     what.add_argument(
-        "--seeds", metavar="N", type=arguments.count, help="runs of each strategy on each scene (default: 8)"
+        "--seeds", metavar="N", type=argument_types.count, help="runs of each strategy on each scene (default: 8)"
     )
     what.add_argument(
-        "--seed", metavar="K", type=arguments.seed, default=0, help="seed of the first run (default: %(default)s)"
+        "--seed", metavar="K", type=argument_types.seed, default=0, help="seed of the first run (default: %(default)s)"
     )
     budget = compare.add_argument_group("budget of a run (one of them)")
-    budget.add_argument("--time", metavar="S", type=arguments.positive, help="seconds of rendering (default: 10)")
-    budget.add_argument("--spp", metavar="N", type=arguments.positive, help="mean samples per pixel")
+    budget.add_argument("--time", metavar="S", type=argument_types.positive, help="seconds of rendering (default: 10)")
+    budget.add_argument("--spp", metavar="N", type=argument_types.positive, help="mean samples per pixel")
     how = compare.add_argument_group("how to render")
-    how.add_argument("--size", metavar="WxH", type=arguments.size, help="image size in pixels instead of the scenes'")
     how.add_argument(
-        "--max-depth", metavar="N", type=arguments.max_depth, help="longest path: 1 is emitters only, -1 no end"
+        "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scenes'"
+    )
+    how.add_argument(
+        "--max-depth", metavar="N", type=argument_types.max_depth, help="longest path: 1 is emitters only, -1 no end"
     )
     how.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
     references = compare.add_argument_group("references")
@@ -171,7 +175,7 @@ def _add_compare(commands) -> None:
     references.add_argument(
         "--reference-time",
         metavar="S",
-        type=arguments.positive,
+        type=argument_types.positive,
         help="seconds for a reference, and as many for what an oracle knows (default: 20 times --time; "
         "with --spp 20 times its samples)",
     )
@@ -190,12 +194,14 @@ def _add_bench(commands) -> None:
     bench.add_argument("scenes", metavar="SCENE", nargs="*", help="a scene file, a built-in scene, or one listed below")
     what = bench.add_argument_group("what to measure")
     what.add_argument(
-        "--repeat", metavar="N", type=arguments.count, default=5, help="runs of each kind (default: %(default)s)"
+        "--repeat", metavar="N", type=argument_types.count, default=5, help="runs of each kind (default: %(default)s)"
     )
-    what.add_argument("--spp", metavar="N", type=arguments.positive, help="samples per pixel of a run; see below")
-    what.add_argument("--size", metavar="WxH", type=arguments.size, help="image size in pixels instead of the scenes'")
+    what.add_argument("--spp", metavar="N", type=argument_types.positive, help="samples per pixel of a run; see below")
     what.add_argument(
-        "--max-depth", metavar="N", type=arguments.max_depth, help="longest path: 1 is emitters only, -1 no end"
+        "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scenes'"
+    )
+    what.add_argument(
+        "--max-depth", metavar="N", type=argument_types.max_depth, help="longest path: 1 is emitters only, -1 no end"
     )
     what.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
     instead = what.add_mutually_exclusive_group()
@@ -212,7 +218,7 @@ def _add_bench(commands) -> None:
     instead.add_argument(
         "--specialisation",
         action="store_true",
-        help="measure the speed over that of programs with everything built in, instead; see below",
+        help="measure the speed over that of programs with feature_superset built in, instead; see below",
     )
     output = bench.add_argument_group("what to do with it")
     output.add_argument("--json", metavar="FILE", help="write all figures; host/README.md documents the fields")
@@ -222,7 +228,7 @@ def _add_bench(commands) -> None:
     output.add_argument(
         "--threshold",
         metavar="R",
-        type=arguments.positive,
+        type=argument_types.positive,
         help="speed over the earlier speed below which something is slower (default: 0.9)",
     )
 
@@ -248,7 +254,7 @@ def _add_definitions(parser) -> None:
         "-D",
         dest="parameters",
         metavar="name=value",
-        type=arguments.definition,
+        type=argument_types.definition,
         action="append",
         default=[],
         help="set a <default> parameter of the scene file; may be given more than once",
@@ -310,13 +316,13 @@ def _compare_epilog() -> str:
 
 
 def _bench_epilog() -> str:
-    from isonoise.benchmark.made_scenes import MADE_SCENES
+    from isonoise.benchmark.generated_scenes import MADE_SCENES
     from isonoise.commands.bench import DEFAULT_SCENES
 
     return "\n".join(
         [
             f"scenes beside files and built-in ones: {', '.join(MADE_SCENES)}: a mesh of as many triangles under an",
-            "environment map, made on the spot; `python -m isonoise.benchmark.made_scenes NAME FOLDER` writes it.",
+            "environment map, made on the spot; `python -m isonoise.benchmark.generated_scenes NAME FOLDER` writes it.",
             f"Without SCENE: {', '.join(DEFAULT_SCENES)}; with --peers mesh-1.3m as well; with --specialisation the",
             "built-in scenes.",
             "",
@@ -332,7 +338,7 @@ def _bench_epilog() -> str:
             "libLLVM, 19 or newer.",
             "",
             "--specialisation takes turns with programs that hold more than the scene uses: `path` what scenes of that",
-            "integrator may use, `everything` what those of volpath may besides. It compares the images, too. What is",
+            "integrator may use, `feature_superset` what those of volpath may besides. It compares the images, too. What is",
             "compiled for the first time is compiled in processes of their own: that takes a minute a scene on a CPU.",
             "",
             "exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C",

@@ -10,13 +10,13 @@ import numpy as np
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.integrator.wavefront import Wavefront
+from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compile import compile_scene
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
-from isonoise.strategies.even import uniform_allocation
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Renderer:
 
         self.scene: CompiledScene = compile_scene(load(scene, parameters), size=size, max_depth=max_depth)
         lap("load")
-        bvh = build_hierarchy(self.scene)
+        bvh = build_scene_bvh(self.scene)
         lap("build")
         on_device = Device(device, profile)
         self.device_name = on_device.name

@@ -10,7 +10,7 @@ from isonoise.benchmark.subject import Subject
 from isonoise.device.opencl import Device, list_devices
 from isonoise.integrator.wavefront import Wavefront
 
-SHADOW_KERNELS = ("shadow", "through")
+SHADOW_KERNELS = ("shadow", "shadow_transmittance")
 BLOCK = 8
 """Triangles of a block, which one operation tests, and counts, whether or not all of its places are taken."""
 
@@ -56,7 +56,7 @@ def count_shadow_rays(subject: Subject) -> list[int]:
 
     def on_bounce(paths: int) -> None:
         nonlocal depth
-        lengths = 3 * int(wavefront.stages.arguments["pool"])  # the last plane
+        lengths = 3 * int(wavefront.stages.arguments["plane_stride"])  # the last plane
         rays = subject.device.read(directions, np.float32, paths, offset=lengths)
         counts.extend([0] * (depth + 1 - len(counts)))
         counts[depth] += int(np.count_nonzero(rays))
@@ -107,8 +107,10 @@ def count_tests(subject: Subject, rays: list[int]) -> list[RayTests]:
     if subject.wavefront.few:
         return [RayTests(number, 0, number * len(subject.scene.faces)) for number in rays]
     device = Device(list_devices().index(subject.device.device))  # its buffers are none of those that are reported
-    built_in = subject.wavefront.features | {"COUNT_TESTS": True}
-    wavefront = Wavefront(device, subject.scene, subject.bvh, pool_size=subject.pool_size, built_in=built_in)
+    feature_override = subject.wavefront.features | {"COUNT_TESTS": True}
+    wavefront = Wavefront(
+        device, subject.scene, subject.bvh, pool_size=subject.pool_size, feature_override=feature_override
+    )
     sums = [RayTests()] * len(rays)
     depth = 0
 

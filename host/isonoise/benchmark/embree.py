@@ -11,8 +11,8 @@ import numpy as np
 from isonoise.benchmark.spread import Spread
 from isonoise.benchmark.subject import MeasuredDevice
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.structs import NONE
 
 RAYS = 2**20
@@ -32,7 +32,7 @@ class IntersectStage:
 
     def __init__(self, device: MeasuredDevice, scene: CompiledScene):
         begun = time.perf_counter()
-        bvh = build_hierarchy(scene)
+        bvh = build_scene_bvh(scene)
         self.build_s = time.perf_counter() - begun
         self._device, self._wavefront = device, Wavefront(device, scene, bvh, pool_size=RAYS)
         self._wavefront.warm_up()
@@ -42,7 +42,7 @@ class IntersectStage:
         """Sends rays to the device."""
         self._rays = len(origins)
         of = self._wavefront.stages.arguments
-        plane = 4 * int(of["pool"])  # bytes
+        plane = 4 * int(of["plane_stride"])  # bytes
 
         def write(buffer: str, *members: np.ndarray) -> None:
             for place, member in enumerate(members):
@@ -68,7 +68,7 @@ class IntersectStage:
         """Distances (n,), infinite where nothing was met, and triangles (n,), NONE there."""
         of = self._wavefront.stages.arguments
         distances = self._device.read(of["hit"], np.float32, self._rays)
-        triangles = self._device.read(of["hit"], np.uint32, self._rays, offset=3 * int(of["pool"]))
+        triangles = self._device.read(of["hit"], np.uint32, self._rays, offset=3 * int(of["plane_stride"]))
         return np.where(triangles == NONE, np.inf, distances), triangles
 
 

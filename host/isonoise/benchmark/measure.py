@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from isonoise import __version__
 from isonoise.benchmark.bounces import count_shadow_rays, count_tests, ray_facts, timed_bounces
+from isonoise.benchmark.bvh_stats import tree_facts
 from isonoise.benchmark.spread import Spread
-from isonoise.benchmark.starts import start_facts
+from isonoise.benchmark.startup import start_facts
 from isonoise.benchmark.subject import MeasuredDevice, Run, Subject
-from isonoise.benchmark.tree_facts import tree_facts
 from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.scene.compile import compile_scene
-from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load
 
 SCHEMA, SCHEMA_VERSION = "isonoise-bench", 1
@@ -144,7 +144,7 @@ def measure(
         "pool_paths": subject.pool_size,
         "occupancy": intersect["items"] / (intersect["launches"] * subject.pool_size) if intersect else None,
         "hierarchy": tree_facts(subject.bvh, scene),
-        "memory": memory_facts(device, int(subject.wavefront.stages.arguments["pool"])),
+        "memory": memory_facts(device, int(subject.wavefront.stages.arguments["plane_stride"])),
     }
 
 

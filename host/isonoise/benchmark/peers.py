@@ -17,7 +17,7 @@ from isonoise.comparison.mitsuba_peer import Worker
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
 from isonoise.errors import UserError
 from isonoise.progress import Bar
-from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.compiled_scene import CompiledScene
 
 SCHEMA, SCHEMA_VERSION = "isonoise-peers", 1
 PEER_SCENES = ("cornell", "bright-spots", "mesh-82k", "mesh-1.3m")

@@ -1,4 +1,4 @@
-"""What it brings that a program holds only what its scene uses: against programs that hold everything, in turn.
+"""What it brings that a program holds only what its scene uses: against programs that hold feature_superset, in turn.
 
 Run as a module it compiles one program, in a process and with caches of its own, and prints how long that takes.
 """
@@ -19,14 +19,14 @@ import numpy as np
 from isonoise import __version__
 from isonoise.benchmark.measure import Settings, device_facts, identity, load_subject, samples_of
 from isonoise.benchmark.spread import Spread
-from isonoise.benchmark.starts import CACHES
+from isonoise.benchmark.startup import CACHES
 from isonoise.benchmark.subject import MeasuredDevice, Subject
 from isonoise.errors import UserError
+from isonoise.integrator.feature_superset import feature_superset
 from isonoise.integrator.features import features
-from isonoise.integrator.kernels import path_bytes
-from isonoise.integrator.surplus import everything
+from isonoise.integrator.kernel_table import path_bytes
 from isonoise.progress import Bar
-from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import NOTHING_MORE, Needs, Statistics
 
 SCHEMA, SCHEMA_VERSION = "isonoise-specialisation", 1
@@ -41,16 +41,16 @@ Build = tuple[Needs, dict[str, bool] | None]
 def builds(scene: CompiledScene) -> dict[str, Build]:
     """The programs that a scene is measured with, by name: needs and features, None for those that it uses.
 
-    `path` has all that scenes for the integrator `path` may use, `everything` what those for `volpath` may besides:
+    `path` has all that scenes for the integrator `path` may use, `feature_superset` what those for `volpath` may besides:
     there a work-item takes one path. A scene of `path` with surfaces that let paths through looks another way under
     `volpath`, so it has no such program; one of `volpath` has no other.
     """
     used = features(scene)
     found: dict[str, Build] = {SPECIALISED: (NOTHING_MORE, None)}
     if not used["VOLPATH"]:
-        found["path"] = (EVERY_STATISTIC, everything(used, volpath=False))
+        found["path"] = (EVERY_STATISTIC, feature_superset(used, volpath=False))
     if used["VOLPATH"] or not (used["NULL"] or used["MASK"]):
-        found["everything"] = (EVERY_STATISTIC, everything(used, volpath=True))
+        found["feature_superset"] = (EVERY_STATISTIC, feature_superset(used, volpath=True))
     return found
 
 
@@ -83,11 +83,11 @@ def _measure(name: str, source: str, settings: Settings, say: Callable[[float, s
         say(0.5 * number / len(chosen), f"compiling, {build}")
         compile_s[build] = compile_seconds(source, build, settings)
     subjects, images, launches = {}, {}, {}
-    for number, (build, (needs, built_in)) in enumerate(chosen.items()):
+    for number, (build, (needs, feature_override)) in enumerate(chosen.items()):
         say(0.5 + 0.2 * number / len(chosen), f"warm-up, {build}")
         device = MeasuredDevice(settings.device)
         samples = samples_of(scene, settings, device)
-        subject = subjects[build] = Subject(scene, device, samples, settings.pool_size, needs, built_in)
+        subject = subjects[build] = Subject(scene, device, samples, settings.pool_size, needs, feature_override)
         launches[build] = sum(work.launches for work in subject.run(profile=True).kernels.values())
         images[build] = subject.wavefront.accumulator.statistics(scene.radiance_scale)
     seconds: dict[str, list[float]] = {build: [] for build in chosen}
@@ -141,10 +141,10 @@ def main(arguments: list[str]) -> None:
     """Compiles one program: `SOURCE BUILD SETTINGS`."""
     source, build, settings = arguments[0], arguments[1], Settings(**json.loads(arguments[2]))
     scene = load_subject(source, settings)
-    needs, built_in = builds(scene)[build]
+    needs, feature_override = builds(scene)[build]
     device = MeasuredDevice(settings.device)
     begun = time.perf_counter()
-    Subject(scene, device, scene.width * scene.height, settings.pool_size, needs, built_in)
+    Subject(scene, device, scene.width * scene.height, settings.pool_size, needs, feature_override)
     print(time.perf_counter() - begun)
     os.environ["ISONOISE_PROGRAM_CACHE"] = "off"  # nobody will ask for what was compiled
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from isonoise.device.opencl import Device
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import NOTHING_MORE, Needs
-from isonoise.strategies.even import uniform_allocation
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
 class MeasuredDevice(Device):
@@ -48,7 +48,7 @@ class Subject:
     """A compiled scene with its program built and every kernel launched once.
 
     A run is a uniform wave of `samples` samples, at most one more in one pixel than in another, and the reading of its
-    statistics. `needs` and `built_in` as of `Wavefront`.
+    statistics. `needs` and `feature_override` as of `Wavefront`.
     """
 
     def __init__(
@@ -58,11 +58,13 @@ class Subject:
         samples: int,
         pool_size: int | None = None,
         needs: Needs = NOTHING_MORE,
-        built_in: Mapping[str, bool] | None = None,
+        feature_override: Mapping[str, bool] | None = None,
     ):
         self.scene, self.device, self.samples = scene, device, samples
-        self.bvh = build_hierarchy(scene)
-        self.wavefront = Wavefront(device, scene, self.bvh, needs, pool_size=pool_size, built_in=built_in)
+        self.bvh = build_scene_bvh(scene)
+        self.wavefront = Wavefront(
+            device, scene, self.bvh, needs, pool_size=pool_size, feature_override=feature_override
+        )
         self.wavefront.warm_up()
         self.allocation = uniform_allocation((scene.height, scene.width), samples, 0)
 

@@ -4,7 +4,7 @@ import io
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from isonoise.benchmark.against import Comparison, Ratio
+from isonoise.benchmark.baseline import Comparison, Ratio
 from isonoise.benchmark.spread import Spread
 from isonoise.progress import count, duration
 

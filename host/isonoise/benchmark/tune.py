@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from isonoise.benchmark.measure import Settings, samples_of
 from isonoise.benchmark.subject import MeasuredDevice, Subject
 from isonoise.device.opencl import Device
-from isonoise.device.pool import usual_pool_size
-from isonoise.scene.compiled import CompiledScene
+from isonoise.device.pool_size import usual_pool_size
+from isonoise.scene.compiled_scene import CompiledScene
 
 FACTORS = (0.25, 0.5, 1, 2, 4)
 """Pool sizes that are tried, over the usual one."""

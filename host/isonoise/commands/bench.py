@@ -7,12 +7,12 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from isonoise.benchmark.against import Earlier
-from isonoise.benchmark.made_scenes import MADE_SCENES, write_made_scene
+from isonoise.benchmark.baseline import Earlier
+from isonoise.benchmark.generated_scenes import MADE_SCENES, write_made_scene
 from isonoise.benchmark.measure import Settings, head, identity, load_subject, measure, samples_of
 from isonoise.benchmark.text import against_text, head_text, pools_text, scene_text, summary_text
 from isonoise.commands import EXIT_DONE
-from isonoise.device import pool, program_cache
+from isonoise.device import pool_size, program_cache
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable, write_whole
@@ -90,10 +90,10 @@ def _tune(settings: Settings, sources: Mapping[str, str]) -> int:
     scenes = [load_subject(source, settings) for source in sources.values()]
     with Bar() as bar:
         speeds = measure_pools(scenes, settings, lambda done, what: bar.show(done, 1, what))
-    usual = pool.usual_pool_size(device)
+    usual = pool_size.usual_pool_size(device)
     chosen = fastest(speeds, usual)
     _say(pools_text(speeds, usual, chosen))
-    if not pool.keep_pool_size(device, chosen):
+    if not pool_size.keep_pool_size(device, chosen):
         raise UserError(
             f"the choice cannot be kept: {program_cache.VARIABLE} is off, or its folder cannot be written to"
         )

@@ -4,7 +4,7 @@ import argparse
 
 from isonoise.commands import EXIT_DONE
 from isonoise.device.opencl import driver_advice, list_devices
-from isonoise.device.pool import found_pool_size, pool_size
+from isonoise.device.pool_size import found_pool_size, pool_size
 from isonoise.errors import DeviceError
 
 

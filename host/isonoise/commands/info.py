@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.commands import EXIT_DONE
-from isonoise.scene import structs, textures
-from isonoise.scene.bsdfs import KINDS
-from isonoise.scene.compiled import CompiledScene
+from isonoise.scene import structs
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.material import textures
+from isonoise.scene.material.bsdfs import KINDS
 
 SHAPES = {structs.ANALYTIC_SPHERE: "spheres", structs.ANALYTIC_DISK: "disks", structs.ANALYTIC_CYLINDER: "cylinders"}
 MATERIALS = {kind: name for name, kind in KINDS.items()}
-MATERIALS |= {structs.BSDF_SIDES: "twosided", structs.BSDF_HG: "phase functions"}
+MATERIALS |= {structs.BSDF_FRONT_BACK: "twosided", structs.BSDF_HG: "phase functions"}
 TEXTURES = {
     textures.TEXTURE_COLOUR: "plain",
     textures.TEXTURE_BITMAP: "bitmap",
@@ -52,9 +53,9 @@ def _image(path: str) -> None:
 
 
 def _scene(source: str, parameters: dict[str, str]) -> None:
-    from isonoise.integrator.costs import cost
+    from isonoise.integrator.feature_costs import cost
     from isonoise.integrator.features import FEATURES, features
-    from isonoise.integrator.kernels import path_bytes
+    from isonoise.integrator.kernel_table import path_bytes
     from isonoise.scene import compile_scene, load
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 

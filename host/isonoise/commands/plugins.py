@@ -7,20 +7,20 @@ import textwrap
 
 from isonoise.commands import EXIT_DONE
 from isonoise.errors import UserError
-from isonoise.scene import support
-from isonoise.scene.source import nearest
+from isonoise.scene.parse import plugin_tables
+from isonoise.scene.parse.elements import nearest
 from isonoise.scene.vocabulary import ELSEWHERE, kinds_of, plugins_of
 
 
 def run(options: argparse.Namespace) -> int:
     """List all kinds, one kind, or describe the plugins of a name. Raises UserError where there is no such name."""
     name = options.name
-    kinds = support.KINDS if name is None else (name,) if name in support.KINDS else ()
+    kinds = plugin_tables.KINDS if name is None else (name,) if name in plugin_tables.KINDS else ()
     if name is not None and not kinds and name not in _names():
         raise UserError(f"'{name}' is neither a kind nor a plugin; did you mean '{nearest(name, _names())}'?")
-    found = [(kind, name) for kind in kinds_of(name) if kind in support.KINDS] if not kinds else None
+    found = [(kind, name) for kind in kinds_of(name) if kind in plugin_tables.KINDS] if not kinds else None
     if options.json:
-        listed = found or [(kind, row[0]) for kind in kinds for row in support.overview(kind)]
+        listed = found or [(kind, row[0]) for kind in kinds for row in plugin_tables.overview(kind)]
         print(json.dumps([_facts(kind, plugin) for kind, plugin in listed], indent=1))
     elif found:
         print("\n\n".join("\n".join(_description(kind, plugin)) for kind, plugin in found))
@@ -30,17 +30,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _names() -> list[str]:
-    names = {row[0] for kind in support.KINDS for row in support.overview(kind)}
-    return sorted(names | set(support.KINDS))
+    names = {row[0] for kind in plugin_tables.KINDS for row in plugin_tables.overview(kind)}
+    return sorted(names | set(plugin_tables.KINDS))
 
 
 def _facts(kind: str, name: str) -> dict:
     plugin = plugins_of(kind).get(name)
-    return support.facts(plugin) if plugin else support.absent_facts(kind, name)
+    return plugin_tables.facts(plugin) if plugin else plugin_tables.absent_facts(kind, name)
 
 
 def _listing(kind: str) -> list[str]:
-    return [kind, *_table(support.overview(kind))]
+    return [kind, *_table(plugin_tables.overview(kind))]
 
 
 def _description(kind: str, name: str) -> list[str]:
@@ -52,7 +52,9 @@ def _description(kind: str, name: str) -> list[str]:
     rows = []
     for parameter in facts["parameters"]:
         type_ = parameter["type"] + (" or texture" if parameter["texture"] and parameter["type"] != "texture" else "")
-        over = "" if parameter["status"] == support.STATUS[support.SUPPORTED] else f"{parameter['status']}: "
+        over = (
+            "" if parameter["status"] == plugin_tables.STATUS[plugin_tables.SUPPORTED] else f"{parameter['status']}: "
+        )
         rows.append((parameter["name"], type_, parameter["values"], parameter["default"], over + parameter["meaning"]))
     if rows:
         lines += _table([("parameter", "type", "values", "default", "meaning"), *rows])

@@ -11,14 +11,14 @@ from pathlib import Path
 
 from isonoise import __version__
 from isonoise.commands import EXIT_DONE, EXIT_ERROR_NOT_MET
+from isonoise.error.stated_error import stated_error
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.log import LogRow, LogWriter, row_values
 from isonoise.film.output import check_output, image_layers, write_image
-from isonoise.film.stated_error import stated_error
+from isonoise.loop import Outcome, Stops, render_loop
 from isonoise.progress import ProgressBar, duration, percent
 from isonoise.renderer import Renderer
-from isonoise.rendering import Outcome, Stops, render_loop
 from isonoise.strategies import describe
 
 HEADER = (

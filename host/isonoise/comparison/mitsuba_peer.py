@@ -17,10 +17,10 @@ from isonoise.comparison.mitsuba_scene import mitsuba_xml
 from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.recording import Recorder
 from isonoise.comparison.specs import PEERS
+from isonoise.error.true_error import true_error
 from isonoise.errors import UserError
 from isonoise.film.log import LogRow
-from isonoise.film.true_error import true_error
-from isonoise.rendering import LAST_WAVE_SHARE, LAST_WAVES, Stops
+from isonoise.loop import LAST_WAVE_SHARE, LAST_WAVES, Stops
 
 VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Tried in this order: the first needs a libLLVM that DRJIT_LIBLLVM_PATH may have to name."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from isonoise.film.files import write_whole
 from isonoise.film.log import LogRow, row_values
-from isonoise.film.luminance import luminance
-from isonoise.rendering import Stops
+from isonoise.loop import Stops
+from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
 SNAPSHOTS = 6

@@ -14,10 +14,10 @@ from isonoise.comparison.plan import REFERENCE_SHARE, SEEDS, SceneEntry
 from isonoise.errors import UserError
 from isonoise.film.exr import write_exr
 from isonoise.film.files import write_whole
-from isonoise.film.luminance import luminance
+from isonoise.loop import Stops, render_loop
+from isonoise.luminance import luminance
 from isonoise.progress import duration, percent
 from isonoise.renderer import Renderer
-from isonoise.rendering import Stops, render_loop
 from isonoise.statistics import Statistics
 from isonoise.strategies import Strategy, Wave
 from isonoise.strategies.allocation import deficit

@@ -10,7 +10,7 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference
-from isonoise.film.luminance import luminance
+from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
 

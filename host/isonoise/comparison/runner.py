@@ -10,9 +10,9 @@ from isonoise.comparison.recording import Recorder
 from isonoise.comparison.references import ensure_reference, ensure_variance
 from isonoise.comparison.specs import PEERS, needs_variance, with_variance
 from isonoise.film.exr import read_reference
+from isonoise.loop import Stops, render_loop
 from isonoise.progress import Bar, count, duration, percent
 from isonoise.renderer import Renderer
-from isonoise.rendering import Stops, render_loop
 from isonoise.strategies import describe
 
 WARM_UP = 1.0

@@ -184,7 +184,7 @@ class Device:
 
     @property
     def lanes(self) -> int:
-        """Paths that a work-item takes where there is a choice: kernels/paths.h.
+        """Paths that a work-item takes where there is a choice: kernels/path/path_state.h.
 
         PoCL's loop over work-items becomes vector instructions in simple kernels only, a loop of the kernel's own more
         often. Other compilers, and GPUs, do it with work-items.

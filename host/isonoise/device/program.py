@@ -11,7 +11,7 @@ import numpy as np
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 _PRAGMA_ONCE = re.compile(r"^\s*#pragma\s+once")
-_READERS = "that host/isonoise/device/program.py puts here."  # in plain.h
+_READERS = "that host/isonoise/device/program.py puts here."  # in util/vec.h
 _C_TYPES = {"f4": "float", "u4": "uint", "i4": "int"}
 
 
@@ -90,8 +90,8 @@ def stage_source(
     readers = [record_reader(key, dtype) for key, dtype in structs.items() if f"{key}_at" in words]
     if readers:
         before, place, after = body.partition(_READERS)
-        line = kernel_source("plain.h").partition(_READERS)[0].count("\n") + 2
-        body = "\n".join([before + place, *readers, f'#line {line} "plain.h"' + after])
+        line = kernel_source("util/vec.h").partition(_READERS)[0].count("\n") + 2
+        body = "\n".join([before + place, *readers, f'#line {line} "util/vec.h"' + after])
     mentioned = sorted(word.removeprefix("FEATURE_") for word in words if word.startswith("FEATURE_"))
     options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]
     return "\n".join([*prelude, body]) + "\n", tuple(options)

@@ -8,7 +8,7 @@ from isonoise.errors import UserError
 from isonoise.film.files import check_writable, write_whole
 
 if TYPE_CHECKING:
-    from isonoise.film.true_error import TrueError
+    from isonoise.error.true_error import TrueError
 
 
 def _column(meaning: str):
@@ -53,7 +53,7 @@ def columns(true_errors: bool) -> dict[str, str]:
     """Names of the CSV's columns, in order, with their meaning; with `true_errors` those that need a reference too."""
     found = {f.name: f.metadata["doc"] for f in fields(LogRow) if f.name != "true"}
     if true_errors:
-        from isonoise.film.true_error import TrueError
+        from isonoise.error.true_error import TrueError
 
         found |= {f"true_{f.name}": _TRUE_COLUMNS[f.name] for f in fields(TrueError)}
     return found

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise.error.stated_error import relative_standard_error
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable
-from isonoise.film.stated_error import relative_standard_error
 from isonoise.statistics import Statistics
 
 EXTENSIONS = (".exr", ".png")

@@ -5,7 +5,7 @@ import os
 import numpy as np
 
 from isonoise.film.files import write_whole
-from isonoise.film.luminance import luminance
+from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
 KEY = 0.18

@@ -5,8 +5,8 @@ import numpy as np
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
 
-BLOCK = 16
-"""Samples that are summed before they are merged into the statistics, a power of two (kernels/reduce.cl)."""
+SAMPLES_PER_BLOCK = 16
+"""Samples that are summed before they are merged into the statistics, a power of two (kernels/stages/reduce.cl)."""
 
 STRIP = 2**16
 """Pixels that are summarised and read at a time: what a strip holds stays in a CPU's cache."""
@@ -17,7 +17,7 @@ _OPEN = 6  # planes of the unfinished block: sums of red, green, blue; shift; su
 
 def build_constants(needs: Needs) -> dict[str, int]:
     """What the kernels of the statistics are built with."""
-    return {"BLOCK": BLOCK, "CHUNK": needs.chunk, "BATCH": needs.batch}
+    return {"SAMPLES_PER_BLOCK": SAMPLES_PER_BLOCK, "CHUNK_SIZE": needs.chunk, "BATCH_SIZE": needs.batch}
 
 
 class Accumulator:
@@ -41,7 +41,7 @@ class Accumulator:
         self.rejected = planes(1, "the counts of rejected samples")
         # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
         medians = 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
-        summary = 6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half  # kernels/summarise.cl
+        summary = 6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half  # kernels/stages/summarise.cl
         self._summary = self._device.buffer(4 * summary * STRIP, "the summary of the statistics")
         self._summary_floats = summary * STRIP
         stages.arguments.update(

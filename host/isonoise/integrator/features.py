@@ -9,13 +9,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isonoise.integrator.pixel_filter import CELLS
-from isonoise.scene import light_list, structs, textures
-from isonoise.scene.boundaries import NODES
-from isonoise.scene.bsdfs import reads_uvs
-from isonoise.scene.bvh import BLOCK_ROWS, WIDTH
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.environment import ENVIRONMENT, ENVIRONMENT_ROW
-from isonoise.scene.light_tree import ROWS, pays
+from isonoise.scene import structs
+from isonoise.scene.accel.bvh import BLOCK_ROWS, WIDTH
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.light import light_list
+from isonoise.scene.light.envmap import ENVIRONMENT, ENVIRONMENT_ROW
+from isonoise.scene.light.light_tree import ROWS, pays
+from isonoise.scene.material import textures
+from isonoise.scene.material.bsdfs import reads_uvs
+from isonoise.scene.material.rough_transmittance import NODES
 from isonoise.statistics import NOTHING_MORE, Needs
 
 
@@ -41,7 +43,7 @@ FEATURES = {
             "triangles": _records(structs.TRIANGLE, "a triangle"),
             "blocks": f"{4 * BLOCK_ROWS * WIDTH} bytes for up to {WIDTH} triangles",
             "corners": "12 bytes a corner, where there is no hierarchy",
-            "corner_numbers": "12 bytes a triangle, where there is no hierarchy",
+            "corner_indices": "12 bytes a triangle, where there is no hierarchy",
         },
     ),
     "VERTEX_NORMALS": Feature("smooth shading by vertex normals", {"corner_normals": "36 bytes a triangle"}),
@@ -74,12 +76,12 @@ FEATURES = {
     "ROUGH_CONDUCTOR": Feature("rough metal"),
     "ROUGH_DIELECTRIC": Feature("rough glass"),
     "PLASTIC": Feature("smooth plastic"),
-    "ROUGH_PLASTIC": Feature("rough plastic", {"boundaries": f"{4 * NODES} bytes a kind of plastic"}),
+    "ROUGH_PLASTIC": Feature("rough plastic", {"rough_transmittances": f"{4 * NODES} bytes a kind of plastic"}),
     "PRINCIPLED": Feature("the principled material"),
     "BECKMANN": Feature("rough surfaces by Beckmann's distribution"),
-    "ALL_NORMALS": Feature("rough surfaces sampled by all their normals"),
+    "SAMPLE_ALL_NORMALS": Feature("rough surfaces sampled by all their normals"),
     "NULL": Feature("surfaces that let all through"),
-    "SIDES": Feature("materials that differ on the two sides"),
+    "FRONT_BACK": Feature("materials that differ on the two sides"),
     "MASK": Feature("opacity"),
     "BLEND": Feature("blends of materials"),
     "BUMP": Feature("bump maps"),
@@ -112,7 +114,7 @@ FEATURES = {
         "many lights, picked by what they could send to a point",
         {
             "light_nodes": f"{4 * ROWS * WIDTH} bytes for up to {WIDTH} lights or nodes",
-            "light_places": "4 bytes a light and node",
+            "light_parents": "4 bytes a light and node",
         },
     ),
     "LIGHT_LIST": Feature(
@@ -125,10 +127,10 @@ FEATURES = {
     "THIN_LENS": Feature("a lens with depth of field"),
     "ORTHOGRAPHIC": Feature("a camera of parallel rays"),
     "FILTER_TABLE": Feature("pixel filter other than a box", {"inverse_cdf": f"{4 * (CELLS + 1):,} bytes"}),
-    "MEDIAN": Feature("chunk medians M_x", {"medians": "4 bytes a pixel and entry of a chunk, and 4 a pixel"}),
-    "BATCHES": Feature("chunks of means of several samples", {"medians": "8 bytes more a pixel"}),
-    "POWER": Feature("mean of a power of the samples", {"powers": "8 bytes a pixel"}),
-    "HALF": Feature("mean of every second sample", {"halves": "24 bytes a pixel"}),
+    "CHUNK_MEDIANS": Feature("chunk medians M_x", {"medians": "4 bytes a pixel and entry of a chunk, and 4 a pixel"}),
+    "BATCH_MEANS": Feature("chunks of means of several samples", {"medians": "8 bytes more a pixel"}),
+    "POWER_MEAN": Feature("mean of a power of the samples", {"powers": "8 bytes a pixel"}),
+    "HALF_BUFFER": Feature("mean of every second sample", {"halves": "24 bytes a pixel"}),
     "COUNT_TESTS": Feature("nodes and blocks of triangles tested, counted"),
 }
 """What a scene, or a strategy, may use. What is in all programs, such as `nodes` and `bsdfs`, is in no feature."""
@@ -157,7 +159,7 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
     endless = scene.max_depth < 0
     next_event = bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1)
     weighs_lights = next_event and pays(scene.lights)
-    volpath = len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_SEE_THROUGH).any())
+    volpath = len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_PASS_THROUGH).any())
     lists_lights = light_list.serves(scene.lights) and not volpath  # one by one they take 2 to 5 times as long
     return {
         "TRIANGLES": len(scene.faces) > 0,
@@ -182,9 +184,9 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
         "ROUGH_PLASTIC": structs.BSDF_ROUGH_PLASTIC in bsdf,
         "PRINCIPLED": structs.BSDF_PRINCIPLED in bsdf,
         "BECKMANN": bool((rough & (scene.bsdfs["flags"] & structs.BSDF_GGX == 0)).any()),
-        "ALL_NORMALS": bool((scene.bsdfs["flags"] & structs.BSDF_SAMPLE_ALL).any()),
+        "SAMPLE_ALL_NORMALS": bool((scene.bsdfs["flags"] & structs.BSDF_SAMPLE_ALL_NORMALS).any()),
         "NULL": structs.BSDF_NULL in bsdf,
-        "SIDES": structs.BSDF_SIDES in bsdf,
+        "FRONT_BACK": structs.BSDF_FRONT_BACK in bsdf,
         "MASK": structs.BSDF_MASK in bsdf,
         "BLEND": structs.BSDF_BLEND in bsdf,
         "BUMP": structs.BSDF_BUMP in bsdf,
@@ -220,8 +222,8 @@ def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, boo
 def statistics_features(needs: Needs) -> dict[str, bool]:
     """Which features the statistics of `needs` ask for: all that the stages `reduce` and `summarise` know."""
     return {
-        "MEDIAN": needs.median,
-        "BATCHES": needs.median and needs.batch > 1,
-        "POWER": needs.power is not None,
-        "HALF": needs.half,
+        "CHUNK_MEDIANS": needs.median,
+        "BATCH_MEANS": needs.median and needs.batch > 1,
+        "POWER_MEAN": needs.power is not None,
+        "HALF_BUFFER": needs.half,
     }

@@ -6,7 +6,7 @@ import numpy as np
 
 from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
 from isonoise.device.program import stage_source
-from isonoise.integrator.kernels import ONE_PROGRAM, present
+from isonoise.integrator.kernel_table import ONE_PROGRAM, present
 
 
 class Stages:

@@ -10,13 +10,13 @@ from functools import partial
 
 import numpy as np
 
-from isonoise.device import pool
 from isonoise.device.opencl import LOCAL_SIZE, Device
+from isonoise.device.pool_size import default_pool_size
 from isonoise.integrator.accumulator import Accumulator, build_constants
+from isonoise.integrator.brute_force import MAX_CORNERS, distinct_corners, use_brute_force
 from isonoise.integrator.features import features
-from isonoise.integrator.few import MOST_CORNERS, are_few, distinct_corners
-from isonoise.integrator.kernels import (
-    FEW_KERNELS,
+from isonoise.integrator.kernel_table import (
+    BRUTE_FORCE_KERNELS,
     PATH_BUFFERS,
     PATH_STATE,
     STRUCTS,
@@ -28,11 +28,13 @@ from isonoise.integrator.kernels import (
 )
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages
-from isonoise.scene import bsdfs, light_list, structs, textures
-from isonoise.scene.bvh import Bvh
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.light_tree import build_light_tree
-from isonoise.scene.triangles import corner_normals, triangle_records
+from isonoise.scene import structs
+from isonoise.scene.accel.bvh import Bvh
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.light import light_list
+from isonoise.scene.light.light_tree import build_light_tree
+from isonoise.scene.material import bsdfs, textures
+from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
 from isonoise.statistics import NOTHING_MORE, Needs
 
 PLANE_PADDING = 80
@@ -58,7 +60,7 @@ _HELD = {
 class Wavefront:
     """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads.
 
-    `built_in`: features of the program, to test or to measure what it does with more of them than scene and `needs` ask
+    `feature_override`: features of the program, to test or to measure what it does with more of them than scene and `needs` ask
     for; by default those. With COUNT_TESTS the buffer `tests` has, after a bounce, the nodes and blocks of triangles
     that each ray of `intersect` was tested against.
     """
@@ -71,19 +73,19 @@ class Wavefront:
         needs: Needs = NOTHING_MORE,
         seed: int = 0,
         pool_size: int | None = None,
-        built_in: Mapping[str, bool] | None = None,
+        feature_override: Mapping[str, bool] | None = None,
     ):
         self.device, self.scene = device, scene
-        self.features = dict(built_in or features(scene, needs))
-        self.pool_size = pool_size or pool.pool_size(device.device)
+        self.features = dict(feature_override or features(scene, needs))
+        self.pool_size = pool_size or default_pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
-        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/steps.h knows no media
+        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/path/shade_lanes.h knows no media
         self.shade_lanes = SHADE_LANES if self.lanes > 1 else 1
         hierarchy = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
-        self.few = self.lanes > 1 and not hierarchy and are_few(scene)
+        self.few = self.lanes > 1 and not hierarchy and use_brute_force(scene)
         table = kernel_table(self.features, self.few)
-        self._shadow = next((name for name in ("shadow", "through") if name in table), None)
+        self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
         self._stages = Stages(
             device,
             table,
@@ -95,8 +97,8 @@ class Wavefront:
                 "LANES": self.lanes,
                 "SHADE_LANES": self.shade_lanes,
                 "PATHS_PER_BLOCK": self.block_size,
-                "MOST_CORNERS": MOST_CORNERS,
-                "MOST_LISTED_LIGHTS": light_list.MOST,
+                "MAX_CORNERS": MAX_CORNERS,
+                "MAX_LISTED_LIGHTS": light_list.MOST,
             },
             STRUCTS,
             in_small_groups=(TAKE_MANY | TAKE_LANES if self.lanes > 1 else TAKE_MANY) if device.lanes > 1 else (),
@@ -105,10 +107,10 @@ class Wavefront:
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = present(PATH_STATE, self.features)
         self._arguments.update(self._upload(bvh, seed))
-        if built_in:
-            from isonoise.integrator.surplus import stand_ins
+        if feature_override:
+            from isonoise.integrator.feature_superset import dummy_buffers
 
-            self._arguments.update(stand_ins(device, scene, self.features, self._arguments, self.few))
+            self._arguments.update(dummy_buffers(device, scene, self.features, self._arguments, self.few))
         self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
 
     @property
@@ -159,7 +161,7 @@ class Wavefront:
             "media": table(scene.media, "the media"),
             "sensor_medium": np.uint32(scene.sensor_medium),
             "scene_sphere": _sphere_around(scene.bounds),
-            "boundaries": table(scene.boundaries, "the tables of rough plastics"),
+            "rough_transmittances": table(scene.rough_transmittances, "the tables of rough plastics"),
             "lights": table(scene.lights, "the lights"),
             "light_alias": table(scene.light_alias, "the light table"),
             "light_count": np.uint32(len(scene.lights)),
@@ -169,7 +171,7 @@ class Wavefront:
             "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
             "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
-            "pool": np.uint32(plane),
+            "plane_stride": np.uint32(plane),
             "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
             **dict.fromkeys(PATH_BUFFERS),
@@ -184,11 +186,11 @@ class Wavefront:
     def _corners(self) -> dict[str, object]:
         """The corners of the triangles, where they are so few that there is no hierarchy."""
         if not self.few or not len(self.scene.faces):
-            return {"corners": None, "corner_numbers": None, "corner_count": np.uint32(0)}
+            return {"corners": None, "corner_indices": None, "corner_count": np.uint32(0)}
         corners, numbers = distinct_corners(self.scene)
         return {
             "corners": self.device.buffer(corners, "the triangles"),
-            "corner_numbers": self.device.buffer(numbers, "the triangles"),
+            "corner_indices": self.device.buffer(numbers, "the triangles"),
             "corner_count": np.uint32(len(corners)),
         }
 
@@ -213,7 +215,7 @@ class Wavefront:
         tree = build_light_tree(self.scene)
         return {
             "light_nodes": self.device.buffer(tree.nodes, "the light tree"),
-            "light_places": self.device.buffer(tree.places, "the light tree"),
+            "light_parents": self.device.buffer(tree.places, "the light tree"),
         }
 
     def warm_up(self) -> None:
@@ -222,7 +224,7 @@ class Wavefront:
         Large grids first: what PoCL compiles for them, of 2^16 work-items or more, serves small ones too, not the other
         way round.
         """
-        bounds = ("pixels", "slice_samples", "count_new", "paths", "rays_per_item", "blocks_in_use")
+        bounds = ("pixels", "slice_samples", "count_new", "path_count", "rays_per_item", "blocks_in_use")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (min(self.pool_size, 2**17), 1):
             for name in self._stages:
@@ -279,13 +281,13 @@ class Wavefront:
 
     def _launch(self, kernel: str, items: int, **given) -> None:
         """Runs a kernel over at least `items`, of which a work-item of some kernels takes several."""
-        lanes = self.lanes if kernel in TAKE_LANES or (self.few and kernel in FEW_KERNELS) else 1
+        lanes = self.lanes if kernel in TAKE_LANES or (self.few and kernel in BRUTE_FORCE_KERNELS) else 1
         lanes = self.shade_lanes if kernel == "shade" else lanes
         self._stages.launch(kernel, items, lanes, **given)
 
     def _bounce(self, paths: int) -> int:
         """One bounce of all paths in flight; returns how many go on. Waits for the device."""
-        bound = {"paths": np.uint32(paths)}
+        bound = {"path_count": np.uint32(paths)}
         self.trace_rays("intersect", paths)
         self._launch("shade", paths, **bound)
         if self._shadow:
@@ -305,12 +307,14 @@ class Wavefront:
     def trace_rays(self, stage: str, paths: int) -> None:
         """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other."""
         if self.few:
-            self._launch(stage, paths, paths=np.uint32(paths))
+            self._launch(stage, paths, path_count=np.uint32(paths))
             return
         rays = 1
-        if self.device.is_cpu and stage != "through":  # and every core has some groups, as long as there are enough
+        if (
+            self.device.is_cpu and stage != "shadow_transmittance"
+        ):  # and every core has some groups, as long as there are enough
             rays = min(max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1), RAYS_PER_ITEM)
-        self._stages.launch(stage, paths, rays, paths=np.uint32(paths), rays_per_item=np.uint32(rays))
+        self._stages.launch(stage, paths, rays, path_count=np.uint32(paths), rays_per_item=np.uint32(rays))
 
 
 def _sphere_around(bounds: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from isonoise.scene.builtin import builtin_scenes
 from isonoise.scene.compile import compile_scene
-from isonoise.scene.compiled import CompiledScene
+from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load
 
 __all__ = ["CompiledScene", "builtin_scenes", "compile_scene", "load"]

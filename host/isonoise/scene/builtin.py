@@ -5,7 +5,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from isonoise.errors import SceneError
-from isonoise.scene.source import nearest
+from isonoise.scene.parse.elements import nearest
 
 
 def builtin_scenes() -> list[str]:

@@ -5,19 +5,19 @@ import hashlib
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene import lights as lighting
 from isonoise.scene import structs, vocabulary
-from isonoise.scene.alias import alias_table, picked
-from isonoise.scene.bounds import instance_extents
-from isonoise.scene.bsdfs import Bsdfs, mark_see_through, reads_uvs
+from isonoise.scene.accel.bounds import instance_extents
 from isonoise.scene.camera import compile_camera
-from isonoise.scene.compiled import CompiledScene
-from isonoise.scene.environment import Environment, make_environment
-from isonoise.scene.images import read_image
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.image.image import read_image
 from isonoise.scene.instances import instance_records, separate
-from isonoise.scene.media import Media
-from isonoise.scene.surfaces import Surface, make_surface
-from isonoise.scene.textures import MeshAttributes, Textures, attributes_read, is_plain
+from isonoise.scene.light import lights as lighting
+from isonoise.scene.light.alias_table import alias_table, picked
+from isonoise.scene.light.envmap import Environment, make_environment
+from isonoise.scene.material.bsdfs import Bsdfs, mark_pass_through, reads_uvs
+from isonoise.scene.material.media import Media
+from isonoise.scene.material.textures import MeshAttributes, Textures, attributes_read, is_plain
+from isonoise.scene.mesh.surfaces import Surface, make_surface
 
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none,
 _BLACK = {"type": "diffuse", "reflectance": 0.0}  # and where it shines
@@ -64,7 +64,7 @@ def compile_scene(
         "instances": instances,
         "group_begins": _group_begins(spaces),
         "bsdfs": geometry.bsdfs,
-        "boundaries": geometry.boundaries,
+        "rough_transmittances": geometry.boundaries,
         "media": geometry.media,
         "rewound": geometry.rewound,
         "uvs": geometry.uvs,
@@ -104,7 +104,7 @@ def _of_kind(description: dict, kind: str) -> dict[str, dict]:
 
 
 def _hash(arrays: dict[str, np.ndarray], facts: dict) -> str:
-    """Digest of everything that the picture follows from; file names and ids are not in it."""
+    """Digest of feature_superset that the picture follows from; file names and ids are not in it."""
     digest = hashlib.blake2b(repr(sorted(facts.items())).encode(), digest_size=16)
     for name, array in arrays.items():
         digest.update(f"{name}{array.shape}".encode())
@@ -201,7 +201,7 @@ class _Geometry:
         self.analytics = np.concatenate(analytics) if analytics else np.zeros(0, structs.ANALYTIC)
         self.bsdfs, self.boundaries, self.media = bsdfs.records, bsdfs.tables, media.records
         if volumetric:
-            self.shapes["flags"][mark_see_through(self.bsdfs)[self.shapes["bsdf"]]] |= structs.SHAPE_SEE_THROUGH
+            self.shapes["flags"][mark_pass_through(self.bsdfs)[self.shapes["bsdf"]]] |= structs.SHAPE_PASS_THROUGH
         self.textures = textures.arrays(
             [MeshAttributes(len(mesh.vertices), len(mesh.faces), mesh.attributes) for mesh in meshes]
         )
@@ -263,8 +263,8 @@ def _lights(
     if (textured.any() and scale > _LARGEST) or (sky is not None and not np.isfinite(sky.record["scale"]).all()):
         raise SceneError("the lights are so dim that images in them leave the range of 32-bit floats")
     beyond = np.flatnonzero(np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP)))
-    alias = alias_table(lighting.pick_probabilities(lights, bounds))
-    lights["pick_probability"] = picked(alias)
+    alias = alias_table(lighting.light_selection_pmf(lights, bounds))
+    lights["selection_pmf"] = picked(alias)
     if textured.any():
         lights["radiance"][textured] = scale  # times the texture
     return lights, alias, int(beyond[0]) if len(beyond) else -1, scale

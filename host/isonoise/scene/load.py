@@ -5,9 +5,9 @@ from collections.abc import Mapping
 
 from isonoise.errors import SceneError
 from isonoise.scene.builtin import find_scene
-from isonoise.scene.dict_reader import read_dict
-from isonoise.scene.validate import normalise
-from isonoise.scene.xml_reader import read_xml
+from isonoise.scene.parse.dict_reader import read_dict
+from isonoise.scene.parse.validate import normalise
+from isonoise.scene.parse.xml_reader import read_xml
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 
@@ -26,7 +26,7 @@ def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None 
         return normalise(read_dict(source))
     path = find_scene(source)
     if path.suffix.lower() in MESH_SUFFIXES:
-        from isonoise.scene.framing import frame_mesh
+        from isonoise.scene.default_scene import frame_mesh
 
         if parameters:
             raise SceneError(f"{path}: parameters belong to XML scenes, this is a mesh")

@@ -23,7 +23,7 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = (1 << bit for bit in range(3
     BSDF_ROUGH_PLASTIC,
     BSDF_PRINCIPLED,
     BSDF_NULL,
-    BSDF_SIDES,
+    BSDF_FRONT_BACK,
     BSDF_MASK,
     BSDF_BLEND,
     BSDF_BUMP,
@@ -42,11 +42,11 @@ ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = (1 << bit for bit in range(3
     LIGHT_ENVIRONMENT_MAP,
 ) = (1 << bit for bit in range(9))
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
-SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS, SHAPE_SEE_THROUGH = 1, 2, 4, 8
+SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS, SHAPE_PASS_THROUGH = 1, 2, 4, 8
 TRIANGLE_REWOUND = 16  # beside its shape's flags
-BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL = 1, 2, 4, 8
-BSDF_ANY_NORMAL, BSDF_NO_SHADOW = 16, 32
-BSDF_UNLIT, BSDF_SEE_THROUGH = 64, 128
+BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL_NORMALS = 1, 2, 4, 8
+BSDF_KEEP_INVALID_NORMALS, BSDF_NO_BUMP_SHADOWING = 16, 32
+BSDF_NO_LIGHT_SAMPLING, BSDF_PASS_THROUGH = 64, 128
 BSDF_SLOTS = 12
 """Parameters of a material; what each is, by kind, is told in `scene.bsdfs`."""
 
@@ -74,7 +74,7 @@ SHAPE = np.dtype(
         ("bsdf", "u4"),
         ("first_light", "u4"),  # light of the shape's first primitive, NONE if it does not shine
         ("first_primitive", "u4"),  # triangle index, or index of the analytic primitive
-        ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS | SHAPE_UVS | SHAPE_SEE_THROUGH
+        ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS | SHAPE_UVS | SHAPE_PASS_THROUGH
         ("media", "u4"),  # within | without << 16, each MEDIUM_NONE if there is none; NONE if the shape separates none
     ]
 )
@@ -120,7 +120,7 @@ BSDF = np.dtype(
     [
         ("kind", "u4"),
         ("flags", "u4"),  # BSDF_TWOSIDED | BSDF_GGX | ..._NONLINEAR | ..._SAMPLE_ALL | ..._ANY_NORMAL | ..._NO_SHADOW
-        # | ..._UNLIT (a phase function from which no lights are sampled) | ..._SEE_THROUGH
+        # | ..._UNLIT (a phase function from which no lights are sampled) | ..._PASS_THROUGH
         ("nested", "u4", 2),  # materials that this one wraps: SIDES front, back; BLEND at weight 0, 1; else the first
         ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three
         ("textures", "u4", BSDF_SLOTS),  # that take the place of the values; NONE
@@ -140,7 +140,7 @@ LIGHT = np.dtype(
     [
         ("kind", "u4"),
         ("primitive", "u4"),  # triangle or analytic index, NONE for lights without surface
-        ("pick_probability", "f4"),  # probability that next-event estimation picks this light
+        ("selection_pmf", "f4"),  # probability that next-event estimation picks this light
         ("area", "f4"),  # world area of the primitive, 0 for lights without surface
         # radiance; point, spot: radiant intensity; directional: irradiance. All times radiance_scale
         ("radiance", "f4", 3),

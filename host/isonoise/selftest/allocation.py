@@ -9,7 +9,7 @@ import numpy as np
 
 from isonoise.selftest.core import Bench, Case, count, worst
 from isonoise.strategies.allocation import deficit, proportional, proportional_to_error
-from isonoise.strategies.even import uniform_allocation
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 SHAPE = (64, 96)
 PIXELS = SHAPE[0] * SHAPE[1]

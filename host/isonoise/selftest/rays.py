@@ -3,12 +3,12 @@
 import numpy as np
 
 from isonoise.device.opencl import Device
-from isonoise.integrator.few import MOST_CORNERS
-from isonoise.integrator.kernels import FEW_KERNELS, KERNELS, STRUCTS
+from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, STRUCTS
 from isonoise.integrator.stages import Stages
 from isonoise.scene import structs
-from isonoise.scene.bounds import analytic_bounds
-from isonoise.scene.bvh import Bvh, build_bvh
+from isonoise.scene.accel.bounds import analytic_bounds
+from isonoise.scene.accel.bvh import Bvh, build_bvh
 
 _ON = ("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS")
 _OFF = ("INSTANCES", "COUNT_TESTS", "NEXT_EVENT")
@@ -19,7 +19,7 @@ HIERARCHY, FEW = "hierarchy", "few"
 
 
 def traversals(device: Device) -> tuple[str, ...]:
-    """Those that the device has: kernels/few.h is for devices whose work-items take several paths."""
+    """Those that the device has: kernels/geometry/brute_force.h is for devices whose work-items take several paths."""
     return (HIERARCHY, FEW) if device.lanes > 1 else (HIERARCHY,)
 
 
@@ -30,8 +30,8 @@ class Tracer:
         self.device, self._by = device, by
         corners = np.asarray(corners, np.float32).reshape(-1, 3, 3)
         analytics = np.zeros(0, structs.ANALYTIC) if analytics is None else analytics
-        row = (FEW_KERNELS if by == FEW else KERNELS)["intersect"]
-        constants = structs.CONSTANTS | {"LANES": device.lanes, "MOST_CORNERS": MOST_CORNERS}
+        row = (BRUTE_FORCE_KERNELS if by == FEW else KERNELS)["intersect"]
+        constants = structs.CONSTANTS | {"LANES": device.lanes, "MAX_CORNERS": MAX_CORNERS}
         self._stages = Stages(device, {"intersect": row}, _FEATURES, constants, STRUCTS)
         self._stages.arguments["analytics"] = self._table(analytics)
         if by == FEW:
@@ -39,7 +39,7 @@ class Tracer:
             self._stages.arguments.update(
                 corners=self._table(points),
                 corner_count=np.uint32(len(points)),
-                corner_numbers=self._table(numbers.reshape(-1, 3).astype(np.uint32)),
+                corner_indices=self._table(numbers.reshape(-1, 3).astype(np.uint32)),
                 triangle_count=np.uint32(len(corners)),
                 analytic_count=np.uint32(len(analytics)),
             )
@@ -73,7 +73,7 @@ class Tracer:
             "hit": self.device.buffer(16 * pool, "the hits"),
         }
         lanes = self.device.lanes if self._by == FEW else 1
-        self._stages.launch("intersect", n, lanes, paths=np.uint32(n), pool=np.uint32(pool), **buffers)
+        self._stages.launch("intersect", n, lanes, path_count=np.uint32(n), plane_stride=np.uint32(pool), **buffers)
         hit = self.device.read(buffers["hit"], np.float32, 4 * pool).reshape(4, pool)
         for buffer in buffers.values():
             self.device.allocated -= buffer.size

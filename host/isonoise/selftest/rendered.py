@@ -10,7 +10,7 @@ import numpy as np
 
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene import compile_scene, load
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.selftest.core import Bench, Case
 from isonoise.statistics import Statistics
 
@@ -37,7 +37,7 @@ def rendered(bench: Bench, description: dict, spp: int, seed: int = 1) -> Image:
     compiled = compile_scene(load(description))
     shape = (compiled.height, compiled.width)
     pool = min(2**17, max(2**10, spp * shape[0] * shape[1]))
-    wavefront = Wavefront(bench.device, compiled, build_hierarchy(compiled), seed=seed, pool_size=pool)
+    wavefront = Wavefront(bench.device, compiled, build_scene_bvh(compiled), seed=seed, pool_size=pool)
     wavefront.trace(np.full(shape, spp, np.uint32))
     statistics = wavefront.accumulator.statistics(compiled.radiance_scale)
     error = np.sqrt((statistics.variance / np.maximum(statistics.count, 1)).sum()) / statistics.count.size

@@ -11,7 +11,7 @@ from math import gamma
 import numpy as np
 
 from isonoise.selftest.core import Bench, Case, count, worst
-from isonoise.selftest.made_samples import Reducer, chunk_medians, luminance32
+from isonoise.selftest.synthetic_samples import Reducer, chunk_medians, luminance32
 from isonoise.statistics import Needs, Statistics
 
 ALL = Needs(median=True, power=1.3, half=True)
@@ -20,7 +20,7 @@ SQUARES = 2.0**-19
 SQUARES_BASIS = "2^-19: float32 sums of 16 squares and of 16 differences"
 STEP = 2.0**-24
 LIMIT = 2.0**62
-"""Luminance from which on a sample counts as not finite (kernels/reduce.cl)."""
+"""Luminance from which on a sample counts as not finite (kernels/stages/reduce.cl)."""
 
 
 def statistics_cases(bench: Bench) -> Iterator[Case]:

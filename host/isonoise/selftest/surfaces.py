@@ -12,7 +12,7 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.hierarchy import build_hierarchy
+from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.selftest.core import Bench, Case, count
 from isonoise.selftest.rays import icosphere
 from isonoise.selftest.scenes import diffuse, looking, placed, scene
@@ -37,11 +37,11 @@ def surface_cases(bench: Bench) -> Iterator[Case]:
 def rays_by_bounce(bench: Bench, description: dict, spp: int = SPP) -> list[tuple[int, int]]:
     """How many rays there are in each bounce, and how many of them meet something."""
     compiled = compile_scene(load(description))
-    wavefront = Wavefront(bench.device, compiled, build_hierarchy(compiled), seed=1, pool_size=2**17)
+    wavefront = Wavefront(bench.device, compiled, build_scene_bvh(compiled), seed=1, pool_size=2**17)
     of, bounces = wavefront.stages.arguments, []
 
     def read(paths: int) -> None:
-        primitive = bench.device.read(of["hit"], np.uint32, paths, offset=3 * int(of["pool"]))
+        primitive = bench.device.read(of["hit"], np.uint32, paths, offset=3 * int(of["plane_stride"]))
         bounces.append((paths, np.count_nonzero(primitive != structs.NONE)))
 
     wavefront.on_bounce = read
@@ -85,7 +85,7 @@ def _convex(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Ca
 
 
 def _closed(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Case]:
-    """None gets out. A ray that starts within some 20 roundings of another triangle's plane ends (kernels/arrival.h),
+    """None gets out. A ray that starts within some 20 roundings of another triangle's plane ends (kernels/path/path_vertex.h),
     and far from the world's origin these are wide: the limit of how far from it meshes can stand."""
     begun = SIDE * SIDE * SPP // 2
     camera = looking((offset,) * 3, offset + scale * np.array([1.0, 0.4, -0.3]))

@@ -11,7 +11,7 @@ from isonoise.statistics import Needs, Statistics
 from isonoise.strategies import measures
 from isonoise.strategies.allocation import deficit, proportional_to_error
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.parameters import check_range, check_whole
+from isonoise.strategies.parameter_checks import check_range, check_whole
 from isonoise.strategies.schedule import alternating_waves
 
 RULES = ("deficit", "sqrt", "proportional")

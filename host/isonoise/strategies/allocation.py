@@ -4,7 +4,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from isonoise.strategies.even import MAX_COUNT, check_budget, first_in_hashed_order, uniform_allocation
+from isonoise.strategies.uniform_allocation import MAX_COUNT, check_budget, first_in_hashed_order, uniform_allocation
 
 SAMPLE = 2**14
 """Pixels on which the water level is sought first."""

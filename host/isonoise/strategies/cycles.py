@@ -7,8 +7,8 @@ import numpy as np
 
 from isonoise.statistics import Needs, Statistics
 from isonoise.strategies.measures import brightness, half_difference
-from isonoise.strategies.parameters import check_range
-from isonoise.strategies.retiring import Retiring
+from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.stopping import Retiring
 
 FACTOR = 5
 """Between the threshold a user gives and the one that errors are compared with."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from isonoise.statistics import Needs, Statistics
 from isonoise.strategies.measures import half_buffer
-from isonoise.strategies.parameters import check_range
-from isonoise.strategies.retiring import Retiring
+from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.stopping import Retiring
 
 SPLIT = 256
 """A block splits when its error is less than this many times the threshold at which it stops."""

@@ -8,8 +8,8 @@ import numpy as np
 from isonoise.statistics import Statistics
 from isonoise.strategies.allocation import proportional
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.even import uniform_allocation
-from isonoise.strategies.parameters import check_range
+from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 SIGMAS = 6
 """Standard deviations from the mean at which errors are cut."""

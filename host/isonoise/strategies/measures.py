@@ -3,7 +3,7 @@
 import numpy as np
 
 from isonoise.statistics import Statistics
-from isonoise.student import quantile
+from isonoise.student_t import quantile
 
 STRIP = 2**15
 """Pixels that are pooled at a time, so that what lies between the steps stays in the cache."""

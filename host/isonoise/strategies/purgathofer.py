@@ -7,8 +7,8 @@ import numpy as np
 
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import confidence
-from isonoise.strategies.parameters import check_range
-from isonoise.strategies.retiring import Retiring
+from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.stopping import Retiring
 
 
 @dataclass(kw_only=True, eq=False)

@@ -7,8 +7,8 @@ import numpy as np
 
 from isonoise.statistics import Statistics
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.even import uniform_allocation
-from isonoise.strategies.parameters import check_range
+from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.uniform_allocation import uniform_allocation
 
 BLOCK = 4
 """Pixels a side of a block."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.parameters import check_range
+from isonoise.strategies.parameter_checks import check_range
 from isonoise.strategies.schedule import uniform_waves
 
 

@@ -4,15 +4,15 @@ from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
 
-from isonoise.scene.registry import Child, Plugin
 from isonoise.scene.vocabulary.bsdfs import BSDFS
 from isonoise.scene.vocabulary.common import ignored
-from isonoise.scene.vocabulary.elsewhere import ELSEWHERE
 from isonoise.scene.vocabulary.emitters import EMITTERS
 from isonoise.scene.vocabulary.media import MEDIA
+from isonoise.scene.vocabulary.plugin import Child, Plugin
 from isonoise.scene.vocabulary.sensors import FILMS, INTEGRATORS, SAMPLERS, SENSORS
 from isonoise.scene.vocabulary.shapes import SHAPES
 from isonoise.scene.vocabulary.textures import TEXTURES
+from isonoise.scene.vocabulary.unsupported import ELSEWHERE
 
 _SCENE = Plugin(
     "scene",

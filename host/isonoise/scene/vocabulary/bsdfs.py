@@ -1,6 +1,6 @@
 """Materials of the vocabulary; names, defaults and what may be a texture are Mitsuba 3's."""
 
-from isonoise.scene.registry import UNSUPPORTED, Child, Parameter, Plugin
+from isonoise.scene.vocabulary.plugin import UNSUPPORTED, Child, Parameter, Plugin
 
 P = Parameter
 

@@ -1,6 +1,6 @@
 """Pieces that several plugins share."""
 
-from isonoise.scene.registry import IGNORED, Parameter
+from isonoise.scene.vocabulary.plugin import IGNORED, Parameter
 
 
 def ignored(type_: str, *names: str, why: str) -> tuple[Parameter, ...]:

@@ -1,7 +1,7 @@
 """Emitters of the vocabulary."""
 
-from isonoise.scene.registry import UNSUPPORTED, Child, Parameter, Plugin
 from isonoise.scene.vocabulary.common import PLACED, ignored
+from isonoise.scene.vocabulary.plugin import UNSUPPORTED, Child, Parameter, Plugin
 
 P = Parameter
 _WEIGHT = ignored("float", "sampling_weight", why="moves samples between lights; isonoise picks them by itself")

@@ -1,7 +1,7 @@
 """Media, phase functions and volumes of the vocabulary."""
 
-from isonoise.scene.registry import Child, Parameter, Plugin
 from isonoise.scene.vocabulary.common import ignored
+from isonoise.scene.vocabulary.plugin import Child, Parameter, Plugin
 
 P = Parameter
 

@@ -1,7 +1,7 @@
 """Sensors, films, reconstruction filters, samplers and integrators of the vocabulary."""
 
-from isonoise.scene.registry import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
 from isonoise.scene.vocabulary.common import PLACED, ignored
+from isonoise.scene.vocabulary.plugin import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
 
 P = Parameter
 _CLIP = (

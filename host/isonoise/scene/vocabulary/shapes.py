@@ -1,7 +1,7 @@
 """Shapes of the vocabulary."""
 
-from isonoise.scene.registry import Child, Parameter, Plugin
 from isonoise.scene.vocabulary.common import PLACED, ignored
+from isonoise.scene.vocabulary.plugin import Child, Parameter, Plugin
 
 P = Parameter
 _SHAPE = (

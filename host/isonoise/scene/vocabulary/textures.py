@@ -1,7 +1,7 @@
 """Textures of the vocabulary."""
 
-from isonoise.scene.registry import Parameter, Plugin
 from isonoise.scene.vocabulary.common import ignored
+from isonoise.scene.vocabulary.plugin import Parameter, Plugin
 
 P = Parameter
 _UV = P("to_uv", "transform", meaning="applied to the texture coordinates", unset="identity")

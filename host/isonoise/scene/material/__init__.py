@@ -1,0 +1,1 @@
+"""BSDFs, textures and media as device records."""

@@ -1,0 +1,1 @@
+"""Meshes and analytic shapes: file readers, and the arrays made of them."""

@@ -1,0 +1,48 @@
+"""The triangles of a shape: read from its file, or those of a rectangle or cube."""
+
+from pathlib import Path
+
+import numpy as np
+
+from isonoise.scene.mesh.mesh import Mesh
+
+_NONE = np.zeros((0, 3))
+_UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+_RECTANGLE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+_RECTANGLE_FACES = np.array([[0, 1, 2], [2, 3, 0]])
+# Four corners a side, so that each has texture coordinates of its own; order, corners and coordinates are Mitsuba 3's.
+_CUBE = np.array(
+    [
+        *([1, -1, -1], [1, -1, 1], [-1, -1, 1], [-1, -1, -1]),
+        *([1, 1, -1], [-1, 1, -1], [-1, 1, 1], [1, 1, 1]),
+        *([1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]),
+        *([1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]),
+        *([-1, -1, 1], [-1, 1, 1], [-1, 1, -1], [-1, -1, -1]),
+        *([1, 1, -1], [1, -1, -1], [-1, -1, -1], [-1, 1, -1]),
+    ],
+    float,
+)
+_CUBE_FACES = (4 * np.arange(6)[:, None, None] + [[0, 1, 2], [3, 0, 2]]).reshape(-1, 3)
+_CUBE_UVS = np.tile(_UNIT_SQUARE[[3, 2, 1, 0]], (6, 1))
+
+
+def read_shape(shape: dict) -> Mesh:
+    """The triangles of a shape of the description that is made of them. Raises SceneError where its file is bad."""
+    if shape["type"] == "rectangle":
+        return Mesh(_RECTANGLE, _RECTANGLE_FACES, _NONE, _UNIT_SQUARE)
+    if shape["type"] == "cube":
+        return Mesh(_CUBE, _CUBE_FACES, _NONE, _CUBE_UVS)
+    if shape["type"] == "mesh":
+        return Mesh(shape["vertices"], shape["faces"], shape.get("normals", _NONE))
+    path = Path(shape["filename"])
+    if shape["type"] == "obj":
+        from isonoise.scene.mesh.obj import read_obj
+
+        return read_obj(path, shape["flip_tex_coords"]).mesh
+    if shape["type"] == "serialized":
+        from isonoise.scene.mesh.serialized import read_serialized
+
+        return read_serialized(path, shape["shape_index"])
+    from isonoise.scene.mesh.ply import read_ply
+
+    return read_ply(path, shape["flip_tex_coords"])

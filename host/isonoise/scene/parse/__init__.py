@@ -1,0 +1,1 @@
+"""From scene files and dicts to a checked description."""

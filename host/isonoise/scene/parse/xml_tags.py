@@ -1,0 +1,81 @@
+"""XML files -> bare tags with line numbers. Bounded depth, no entities and no DTDs (see defusedxml for why)."""
+
+from pathlib import Path
+
+from isonoise.errors import SceneError
+from isonoise.scene.files import regular_file
+from isonoise.scene.parse.elements import Place
+
+DEPTH = 64  # nested elements; no scene needs more, and Python's stack holds it
+_CHUNK = 1 << 16  # bytes; a huge file that is not XML ends within the first
+
+
+class Tag:
+    """One XML element and where it began."""
+
+    __slots__ = ("attributes", "children", "file", "line", "name")
+
+    def __init__(self, name: str, attributes: dict[str, str], file: str, line: int):
+        self.name, self.attributes, self.file, self.line = name, attributes, file, line
+        self.children: list[Tag] = []
+
+    @property
+    def place(self) -> Place:
+        kept = " ".join(f'{k}="{v[:60]}"' for k, v in self.attributes.items() if k in ("type", "name", "id"))
+        name = self.name[:60]
+        return Place(self.file, self.line, f"<{name} {kept}>" if kept else f"<{name}>")
+
+
+class _Builder:
+    """Target of the XML parser."""
+
+    def __init__(self, file: str):
+        self.file, self.root, self.stack, self.expat = file, None, [], None
+
+    def start(self, name, attributes):
+        tag = Tag(name, dict(attributes), self.file, self.expat.CurrentLineNumber)
+        if len(self.stack) >= DEPTH:
+            tag.place.fail(f"nested more than {DEPTH} levels deep")
+        if self.stack:
+            self.stack[-1].children.append(tag)
+        else:
+            self.root = tag
+        self.stack.append(tag)
+
+    def end(self, name):
+        self.stack.pop()
+
+    def data(self, text):
+        if text.strip():
+            place = Place(self.file, self.expat.CurrentLineNumber)
+            place.fail(f"text between elements has no meaning: '{text.strip()[:40]}'")
+
+    def close(self):
+        return self.root
+
+
+def parse_tags(path: Path) -> Tag:
+    """The root tag of a file. Raises SceneError where the file is not well-formed XML."""
+    from defusedxml.common import DefusedXmlException
+    from defusedxml.ElementTree import DefusedXMLParser, ParseError
+
+    builder = _Builder(str(path))
+    parser = DefusedXMLParser(target=builder, forbid_dtd=True)
+    builder.expat = parser.parser
+    try:
+        with regular_file(path) as file:
+            while chunk := file.read(_CHUNK):
+                parser.feed(chunk)
+        return parser.close()
+    except ParseError as error:
+        line = error.position[0]
+        reason = str(error).split(":")[0]
+        empty = reason == "no element found" and builder.root is None
+        what = "there is no scene in this file" if empty else f"not well-formed XML ({reason})"
+        Place(str(path), line).fail(f"{what}; scenes are Mitsuba 3 XML, meshes OBJ, PLY, STL or GLB")
+    except DefusedXmlException:
+        Place(str(path)).fail("document type declarations and entities are not read; remove the <!DOCTYPE>")
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, LookupError) as error:  # encodings that Python does not know, or bytes that are not of theirs
+        Place(str(path)).fail(f"not an XML file ({error})")

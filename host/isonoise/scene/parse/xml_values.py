@@ -1,0 +1,142 @@
+"""Values of Mitsuba 3 XML: numbers, vectors, colours and transforms from the attributes of tags."""
+
+import math
+import re
+
+import numpy as np
+
+from isonoise.scene import transforms
+from isonoise.scene.parse.xml_tags import Tag
+
+OPERATIONS = ("translate", "rotate", "scale", "lookat", "matrix")
+
+
+def check_attributes(tag: Tag, required: tuple[str, ...], optional: tuple[str, ...] = ()):
+    """Complain about attributes that are missing or unknown."""
+    for name in required:
+        if name not in tag.attributes:
+            tag.place.fail(f"the attribute '{name}' is missing")
+    for name in tag.attributes:
+        if name not in required and name not in optional:
+            listed = ", ".join((*required, *optional))
+            tag.place.fail(f"unexpected attribute '{name}' (known here: {listed})")
+
+
+def number(tag: Tag, text: str) -> float:
+    """A finite float; trailing units are refused."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or "_" in text:
+        tag.place.fail(f"'{text[:60]}' is not a finite number (no units, no formulas)")
+    return value
+
+
+def numbers(tag: Tag, text: str) -> list[float]:
+    """Numbers separated by commas or white space."""
+    return [number(tag, part) for part in re.split(r"[\s,]+", text.strip()) if part]
+
+
+def xyz(tag: Tag, default: float | None, *others: str) -> tuple[float, float, float]:
+    """A vector from `value` (one or three numbers) or from x, y, z; those left out are `default` (None: required)."""
+    if "value" in tag.attributes:
+        check_attributes(tag, ("value", *others))
+        given = numbers(tag, tag.attributes["value"])
+        if len(given) not in (1, 3):
+            tag.place.fail(f"'value' is one or three numbers, got {len(given)}")
+        return tuple(given * 3 if len(given) == 1 else given)
+    axes = ("x", "y", "z")
+    check_attributes(tag, (*others, *axes) if default is None else others, axes)
+    return tuple(number(tag, tag.attributes[axis]) if axis in tag.attributes else default for axis in axes)
+
+
+def _integer(tag: Tag) -> int:
+    text = tag.attributes["value"].strip()
+    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
+        tag.place.fail(f"'{text[:60]}' is not a whole number")
+    return int(text)
+
+
+def _boolean(tag: Tag) -> bool:
+    text = tag.attributes["value"].strip().lower()
+    if text not in ("true", "false"):
+        tag.place.fail(f"'{text[:60]}' is neither true nor false")
+    return text == "true"
+
+
+def _rgb(tag: Tag) -> dict:
+    given = numbers(tag, tag.attributes["value"])
+    if len(given) not in (1, 3):
+        tag.place.fail(f"an rgb colour is one or three numbers, got {len(given)}")
+    return {"type": "rgb", "value": given}
+
+
+def _spectrum(tag: Tag) -> dict:
+    check_attributes(tag, ("name",), ("value", "filename"))
+    if "value" not in tag.attributes:
+        tag.place.fail("spectra from files are not supported; write the pairs of wavelength and value into 'value'")
+    text = tag.attributes["value"]
+    if ":" not in text:
+        given = numbers(tag, text)
+        if len(given) != 1:
+            tag.place.fail("a spectrum is one number or pairs such as 400:0.3, 500:0.7")
+        return {"type": "spectrum", "value": given[0]}
+    pairs = []
+    for part in re.split(r"[\s,]+", text.strip()):
+        wavelength, separator, value = part.partition(":")
+        if part and not separator:
+            tag.place.fail(f"'{part[:60]}' is not a pair of wavelength and value such as 400:0.3")
+        if part:
+            pairs.append((number(tag, wavelength), number(tag, value)))
+    return {"type": "spectrum", "value": pairs}
+
+
+def operation(tag: Tag) -> np.ndarray:
+    """The 4x4 matrix of one element inside <transform>."""
+    if tag.name == "translate":
+        return transforms.translate(xyz(tag, 0.0))
+    if tag.name == "scale":
+        return transforms.scale(xyz(tag, 1.0))
+    if tag.name == "rotate":
+        axis = xyz(tag, 0.0, "angle")
+        if not any(axis):
+            tag.place.fail("the axis of a rotation cannot be zero")
+        return transforms.rotate(axis, number(tag, tag.attributes["angle"]))
+    if tag.name == "lookat":
+        return _look_at(tag)
+    if tag.name == "matrix":
+        check_attributes(tag, ("value",))
+        given = numbers(tag, tag.attributes["value"])
+        if len(given) not in (9, 16):
+            tag.place.fail(f"a matrix has 16 or 9 numbers, got {len(given)}")
+        size = 4 if len(given) == 16 else 3
+        matrix = np.eye(4)
+        matrix[:size, :size] = np.reshape(given, (size, size))
+        return matrix
+    tag.place.fail(f"a transform is made of {', '.join(OPERATIONS)}")
+
+
+def _look_at(tag: Tag) -> np.ndarray:
+    check_attributes(tag, ("origin", "target"), ("up",))
+    vectors = [numbers(tag, tag.attributes[name]) for name in ("origin", "target", "up") if name in tag.attributes]
+    if any(len(v) != 3 for v in vectors):
+        tag.place.fail("origin, target and up are three numbers each")
+    try:
+        return transforms.look_at(*vectors)
+    except ValueError:
+        tag.place.fail("target equals origin, or up is parallel to the line between them")
+
+
+def value_of(tag: Tag):
+    """The value that a property tag (not <transform>) stands for."""
+    if tag.name in ("point", "vector"):
+        return xyz(tag, None, "name")
+    if tag.name == "spectrum":
+        return _spectrum(tag)
+    check_attributes(tag, ("name", "value"))
+    if tag.name == "string":
+        return tag.attributes["value"]
+    if tag.name == "float":
+        return number(tag, tag.attributes["value"].strip())
+    return {"integer": _integer, "boolean": _boolean, "rgb": _rgb}[tag.name](tag)

@@ -1,0 +1,62 @@
+"""The stages of the statistics fed with made samples, as the wavefront would; and their references in float64."""
+
+import numpy as np
+
+from isonoise.device.opencl import Device
+from isonoise.integrator.accumulator import Accumulator, build_constants
+from isonoise.integrator.features import statistics_features
+from isonoise.integrator.kernel_table import KERNELS
+from isonoise.integrator.stages import Stages
+from isonoise.statistics import NOTHING_MORE, Needs, Statistics
+
+
+class Reducer:
+    """`reduce` and `summarise` over `pixels` in a row."""
+
+    def __init__(self, device: Device, pixels: int, needs: Needs = NOTHING_MORE):
+        self.device = device
+        table = {name: KERNELS[name] for name in ("reduce", "summarise")}
+        self.stages = Stages(self.device, table, statistics_features(needs), build_constants(needs), {})
+        self.accumulator = Accumulator(self.stages, (1, pixels), needs)
+        self.stages.arguments["pixel_offset"] = self.device.buffer(4 * pixels, "the offsets")
+
+    def feed(self, samples: list[np.ndarray], times: int = 1) -> None:
+        """One slice, `times` in a row; samples of each pixel, (n,) grey or (n, 3)."""
+        flat = np.concatenate([colour(s) for s in samples])
+        ends = np.cumsum([len(s) for s in samples])
+        offsets = (ends - [len(s) for s in samples]).astype(np.uint32)
+        self.device.write(self.stages.arguments["pixel_offset"], offsets)
+        buffer = self.device.buffer(flat, "the samples")
+        bounds = {"pixels": np.uint32(len(samples)), "slice_samples": np.uint32(len(flat))}
+        for _ in range(times):
+            self.stages.launch("reduce", len(samples), samples=buffer, first_pixel=np.uint32(0), **bounds)
+            self.device.finish()
+        buffer.release()
+
+    def statistics(self, scale: float = 1.0) -> Statistics:
+        """Of all that was fed; samples were `scale` times the scene's."""
+        return self.accumulator.statistics(scale)
+
+
+def colour(samples: np.ndarray) -> np.ndarray:
+    """As float32 (n, 3)."""
+    return (samples if samples.ndim == 2 else np.repeat(samples[:, None], 3, axis=1)).astype(np.float32)
+
+
+def luminance32(samples: np.ndarray) -> np.ndarray:
+    """x as the kernel computes it: float32, left to right."""
+    v = samples.astype(np.float32)
+    r, g, b = (v, v, v) if v.ndim == 1 else v.T
+    f = np.float32
+    return (r * f(0.2126) + g * f(0.7152) + b * f(0.0722)).astype(np.float64)
+
+
+def chunk_medians(x: np.ndarray, needs: Needs) -> float:
+    """M_x of samples x in float64."""
+    full = len(x) // needs.batch
+    if full == 0:
+        return float(x.mean())
+    entries = x[: full * needs.batch].reshape(full, -1).mean(axis=1)
+    if full < needs.chunk:
+        return float(np.median(entries))
+    return float(np.median(entries[: full // needs.chunk * needs.chunk].reshape(-1, needs.chunk), axis=1).mean())

@@ -1,0 +1,200 @@
+// Surfaces of many small mirrors: distributions of their normals, masking, sampling. In the surface's frame: z is its normal.
+// Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; names and numbers as in Mitsuba 3.
+#pragma once
+#include "util/math.h"
+
+#define HAS_MICROFACETS (FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
+#define HAS_EXP_APPROX (FEATURE_BECKMANN || FEATURE_PRINCIPLED)
+#define MIN_ALPHA 1e-4f
+
+#if HAS_EXP_APPROX
+// e^x for x <= 0, to 2e-7 of it: 2^k times Taylor's polynomial on |rest| <= ln(2) / 2.
+INLINE float exp_approx(float x)
+{
+    if (x < -87.0f) return 0.0f;
+    const int k = (int)(1.44269504f * x - 0.5f);
+    const float r = x - (float)k * 0.693145752f - (float)k * 1.42860677e-6f;
+    const float r2 = r * r;
+    const float p = (1.0f + r) + r2 * (0.5f + r * 1.6666667e-1f) +
+                    r2 * r2 * (4.1666667e-2f + r * 8.3333333e-3f + r2 * 1.3888889e-3f);
+    return p * as_float((uint)(k + 127) << 23);
+}
+
+// Natural logarithm of a positive number that is not denormal, by the series of atanh on [1 / sqrt(2), sqrt(2)].
+INLINE float log_approx(float x)
+{
+    const uint shifted = as_uint(x) - 0x3F3504F3u;  // of 1 / sqrt(2)
+    const float m = as_float((shifted & 0x7FFFFFu) + 0x3F3504F3u), k = (float)((int)shifted >> 23);
+    const float t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
+    return k * 0.693147181f + t * (2.0f + t2 * (6.6666667e-1f + t2 * (0.4f + t2 * (2.8571429e-1f + t2 * 2.2222222e-1f))));
+}
+#endif
+
+#if FEATURE_BECKMANN
+// To 1.5e-7, for x >= 0 with e^(-x^2) at hand. Abramowitz and Stegun, Handbook of Mathematical Functions, 7.1.26.
+INLINE float erf_approx(float x, float gaussian)
+{
+    const float t = 1.0f / (1.0f + 0.3275911f * x);
+    const float p = -0.284496736f + t * (1.421413741f + t * (-1.453152027f + t * 1.061405429f));
+    return 1.0f - gaussian * t * (0.254829592f + t * p);
+}
+
+// M. Giles, "Approximating the erfinv Function", GPU Computing Gems, Jade Edition, 2011. -1 < x < 1.
+INLINE float erfinv_approx(float x)
+{
+    float w = -log_approx((1.0f - x) * (1.0f + x)), p;
+    if (w < 5.0f) {
+        w -= 2.5f;
+        const float w2 = w * w, w4 = w2 * w2;  // short chains: nothing but their latency costs here
+        p = (1.50140941f + w * 0.246640727f) + w2 * (-0.00417768164f - w * 0.00125372503f) +
+            w4 * ((0.00021858087f - w * 4.39150654e-06f) + w2 * (-3.5233877e-06f + w * 3.43273939e-07f)) +
+            w4 * w4 * 2.81022636e-08f;
+    } else {
+        w = SQRT(w) - 3.0f;
+        p = -0.000200214257f;
+        p = 0.000100950558f + p * w;
+        p = 0.00134934322f + p * w;
+        p = -0.00367342844f + p * w;
+        p = 0.00573950773f + p * w;
+        p = -0.0076224613f + p * w;
+        p = 0.00943887047f + p * w;
+        p = 1.00167406f + p * w;
+        p = 2.83297682f + p * w;
+    }
+    return p * x;
+}
+#endif
+
+#if HAS_MICROFACETS
+typedef struct {
+    float alpha_u, alpha_v;  // roughness along x and y
+    bool is_ggx;             // else Beckmann
+    bool sample_all;         // normals are sampled whether they are seen or not
+} MicrofacetDistribution;
+
+INLINE MicrofacetDistribution make_microfacets(float alpha_u, float alpha_v, uint flags)
+{
+    MicrofacetDistribution d;
+    d.alpha_u = MAX(alpha_u, MIN_ALPHA);
+    d.alpha_v = MAX(alpha_v, MIN_ALPHA);
+    d.is_ggx = !FEATURE_BECKMANN || (flags & BSDF_GGX);
+    d.sample_all = FEATURE_SAMPLE_ALL_NORMALS && (flags & BSDF_SAMPLE_ALL_NORMALS);
+    return d;
+}
+
+// D(m): area of the facets with normal m, for an area of the surface.
+INLINE float microfacet_d(const MicrofacetDistribution* d, Vec3 m)
+{
+    const float x = m.x / d->alpha_u, y = m.y / d->alpha_v, slope2 = x * x + y * y, cos2 = m.z * m.z;
+    const float area = M_PI_F * d->alpha_u * d->alpha_v;
+    float density;
+#if FEATURE_BECKMANN
+    if (!d->is_ggx)
+        density = exp_approx(-slope2 / cos2) / (area * cos2 * cos2);
+    else
+#endif
+        density = 1.0f / (area * (slope2 + cos2) * (slope2 + cos2));
+    return density * m.z > 1e-20f ? density : 0.0f;  // Mitsuba's bound; not a number is none either
+}
+
+// Smith's G1(v) / |cos v|: the share of the facets that are seen from v, without a division by a cosine that may vanish.
+INLINE float smith_g1_over_cos(const MicrofacetDistribution* d, Vec3 v)
+{
+    const float x = d->alpha_u * v.x, y = d->alpha_v * v.y, q = x * x + y * y, z = abs_float(v.z);
+#if FEATURE_BECKMANN
+    if (!d->is_ggx) {  // Walter's fit, to 0.35 %
+        const float s = SQRT(q);
+        return z >= 1.6f * s ? 1.0f / z : (3.535f * s + 2.181f * z) / (q + 2.276f * s * z + 2.577f * z * z);
+    }
+#endif
+    return 2.0f / (z + SQRT(z * z + q));
+}
+
+INLINE float smith_g1(const MicrofacetDistribution* d, Vec3 v)
+{
+    return smith_g1_over_cos(d, v) * abs_float(v.z);
+}
+
+// Solid angle density of `sample_microfacet` for a normal that is seen from w, if D(m) is `density`.
+INLINE float microfacet_pdf(const MicrofacetDistribution* d, Vec3 w, Vec3 m, float density)
+{
+    return density * (d->sample_all ? m.z : smith_g1_over_cos(d, w) * dot3(w, m));
+}
+
+// E. Heitz, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
+INLINE Vec3 sample_visible_ggx(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
+{
+    const Vec3 v = normalize3(vec3(d->alpha_u * w.x, d->alpha_v * w.y, w.z));
+    const float sin2 = v.x * v.x + v.y * v.y, inverse = sin2 > 1e-30f ? 1.0f / SQRT(sin2) : 0.0f;
+    const float cos_phi = sin2 > 1e-30f ? v.x * inverse : 1.0f, sin_phi = v.y * inverse;
+    Vec2 p = square_to_disk(u);
+    const float s = 0.5f * (1.0f + v.z);
+    p.y = (1.0f - s) * SQRT(MAX(1.0f - p.x * p.x, 0.0f)) + s * p.y;
+    const float z = SQRT(MAX(1.0f - dot2(p, p), 0.0f));
+    const float along = z * sin2 * inverse - p.y * v.z;  // in the plane of v and the normal
+    const float up = z * v.z + p.y * sin2 * inverse;
+    return normalize3(vec3(d->alpha_u * (along * cos_phi - p.x * sin_phi), d->alpha_v * (along * sin_phi + p.x * cos_phi),
+                     MAX(up, 0.0f)));
+}
+
+#if FEATURE_BECKMANN
+// Slope along the plane of incidence of a surface of roughness 1 seen under a tangent: the distribution function is inverted in
+// the variable x = erf(slope), where it is nearly straight, by two steps of Halley's method: to 3e-5 of the distribution.
+// After W. Jakob, "An Improved Visible Normal Sampling Routine for the Beckmann Distribution", 2014, whose steps are Newton's.
+INLINE float sample_visible_slope_beckmann(float tangent, float u)
+{
+    const float cotangent = 1.0f / tangent, bound = 0x1.fffffep-1f;  // of no tangent: 1 / 0, and erf is 1
+    const float end = exp_approx(-cotangent * cotangent), most = erf_approx(cotangent, end);
+    const float t = 0.564189584f * tangent, target = u * (1.0f + most + t * end);  // 1 / sqrt(pi)
+    float x = most - (most + 1.0f) * erf_approx(SQRT(-log_approx(u)), u);  // the solution at grazing incidence
+    float slope = 0.0f, step = 0.0f;
+#pragma unroll
+    for (uint i = 0; i < 2u; ++i) {
+        x = MIN(MAX(x, -bound), bound);
+        slope = erfinv_approx(x);
+        const float gaussian = exp_approx(-slope * slope), rate = 0.886226925f / gaussian;  // sqrt(pi) / 2
+        const float value = 1.0f + x + t * gaussian - target, derivative = MAX(1.0f - slope * tangent, 1e-6f);
+        const float square = derivative * derivative;
+        const float next = x - value * derivative / MAX(square + 0.5f * value * tangent * rate, 0.25f * square);
+        step = rate * (MIN(MAX(next, -bound), MIN(most, bound)) - x);
+        x = next;
+    }
+    return slope + step * (1.0f + slope * step);  // erf's inverse about the last one but one
+}
+
+INLINE Vec3 sample_visible_beckmann(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
+{
+    u = vec2(MAX(u.x, 0x1p-24f), MAX(u.y, 0x1p-24f));
+    const float x = d->alpha_u * w.x, y = d->alpha_v * w.y, s = SQRT(x * x + y * y);
+    const float cos_phi = s > 0.0f ? x / s : 1.0f, sin_phi = s > 0.0f ? y / s : 0.0f;
+    const float along = sample_visible_slope_beckmann(s / w.z, u.x), across = erfinv_approx(2.0f * u.y - 1.0f);
+    return normalize3(vec3(-d->alpha_u * (cos_phi * along - sin_phi * across), -d->alpha_v * (sin_phi * along + cos_phi * across),
+                     1.0f));
+}
+#endif
+
+#if FEATURE_SAMPLE_ALL_NORMALS
+// By density D(m) cos m: slopes of a surface of roughness 1, stretched.
+INLINE Vec3 sample_all_microfacets(const MicrofacetDistribution* d, Vec2 u)
+{
+    float tan2 = u.x / (1.0f - u.x);
+#if FEATURE_BECKMANN
+    if (!d->is_ggx) tan2 = -log_approx(1.0f - u.x);
+#endif
+    const Vec2 slope = scale2(cos_sin_turns(u.y), SQRT(tan2));
+    return normalize3(vec3(d->alpha_u * slope.x, d->alpha_v * slope.y, 1.0f));
+}
+#endif
+
+// A facet's normal for a path that came from w, w.z > 0.
+INLINE Vec3 sample_microfacet(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
+{
+#if FEATURE_SAMPLE_ALL_NORMALS
+    if (d->sample_all) return sample_all_microfacets(d, u);
+#endif
+#if FEATURE_BECKMANN
+    if (!d->is_ggx) return sample_visible_beckmann(d, w, u);
+#endif
+    return sample_visible_ggx(d, w, u);
+}
+#endif

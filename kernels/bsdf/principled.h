@@ -1,0 +1,187 @@
+// The principled material: Burley, "Physically Based Shading at Disney", 2012, and "Extending the Disney BRDF to a BSDF with
+// Integrated Subsurface Scattering", 2015, with the lobes, blends and bounds of Mitsuba 3. Directions are of the surface's frame,
+// turned around where the path comes from inside: a distribution of normals looks the same from both sides.
+#pragma once
+#include "bsdf/rough.h"
+
+#if FEATURE_PRINCIPLED
+typedef struct {
+    Vec3 base;
+    float roughness, metallic, glass;  // glass: share of the light that is no metal's and may pass
+    float diffuse;                     // share of the diffuse base
+    float eta;                         // index of the far side over that of the near side
+    bool front;
+    MicrofacetDistribution facets;
+    float diffuse_rate, clearcoat_rate, specular_rate;  // probabilities of the lobes; the last has reflection and transmission
+} Principled;
+
+INLINE Principled principled_parameters(const BsdfContext* ctx)
+{
+    Principled p;
+    p.front = ctx->cos_i > 0.0f;
+    p.base = bsdf_rgb(ctx, 0);
+    p.roughness = bsdf_float(ctx, 1);
+    p.metallic = bsdf_float(ctx, 3);
+    const float anisotropic = bsdf_float(ctx, 2), spec_trans = bsdf_float(ctx, 4), index = bsdf_float(ctx, 5);
+    p.glass = (1.0f - p.metallic) * spec_trans;
+    p.diffuse = (1.0f - p.metallic) * (1.0f - spec_trans);
+    p.eta = p.front ? index : 1.0f / index;
+    const float aspect = SQRT(1.0f - 0.9f * anisotropic), square = p.roughness * p.roughness;
+    p.facets = make_microfacets(MAX(square / aspect, 1e-3f), MAX(square * aspect, 1e-3f), BSDF_GGX);
+    // rates of the three lobes, in places of their numbers that are free: slot 1, and 5 twice
+    const Bsdf m = material(ctx);
+    const float diffuse = p.diffuse * m.values[4], specular = m.values[16];
+    const float clearcoat = 0.25f * bsdf_float(ctx, 10) * m.values[17];
+    const float total = diffuse + clearcoat + specular, scale = total > 0.0f ? 1.0f / total : 0.0f;
+    p.diffuse_rate = p.front ? diffuse * scale : 0.0f;
+    p.clearcoat_rate = p.front ? clearcoat * scale : 0.0f;
+    p.specular_rate = p.front ? specular * scale : 1.0f;
+    return p;
+}
+
+// Of what the main lobe sends on, how much is transmitted, if the boundary reflects this share.
+INLINE float transmission_probability(const Principled* p, float reflectance)
+{
+    return (p->front ? p->glass : 1.0f) * (1.0f - reflectance);
+}
+
+INLINE float schlick_weight(float cosine)
+{
+    const float m = MIN(MAX(1.0f - cosine, 0.0f), 1.0f), m2 = m * m;
+    return m2 * m2 * m;
+}
+
+// How far Schlick's reflectance is from that at normal incidence to 1; from the denser side by the angle of refraction.
+INLINE float schlick_at_interface(float cosine, float eta)
+{
+    return schlick_weight(eta > 1.0f ? cosine : SQRT(MAX(1.0f - (1.0f - cosine * cosine) / (eta * eta), 0.0f)));
+}
+
+// The colour without its luminance (Rec. 709, in Mitsuba's digits), `tint` of the way from white to it.
+INLINE Vec3 tint_color(Vec3 colour, float tint)
+{
+    const float luminance = dot3(colour, vec3(0.212671f, 0.715160f, 0.072169f));
+    const Vec3 pure = luminance > 0.0f ? div_scalar3(colour, luminance) : splat3(1.0f);
+    return add3(splat3(1.0f), scale3(sub3(pure, splat3(1.0f)), tint));
+}
+
+// What the main lobe reflects: metal and the tinted part by Schlick's approximation, the rest by Fresnel's formula.
+INLINE Vec3 principled_reflectance(const BsdfContext* ctx, const Principled* p, float cosine, float reflectance)
+{
+    if (!p->front) return splat3(p->glass * reflectance);
+    const float towards_one = schlick_at_interface(cosine, p->eta), tint = bsdf_float(ctx, 6), n = (p->eta - 1.0f) / (p->eta + 1.0f);
+    const Vec3 metal = add3(p->base, scale3(sub3(splat3(1.0f), p->base), towards_one));
+    const Vec3 normal_incidence = scale3(tint_color(p->base, 1.0f), n * n);
+    const Vec3 coloured = add3(normal_incidence, scale3(sub3(splat3(1.0f), normal_incidence), towards_one));
+    const Vec3 other = add3(splat3((1.0f - tint) * reflectance), scale3(coloured, tint));
+    return add3(scale3(metal, p->metallic), scale3(other, 1.0f - p->metallic));
+}
+
+// The second, coloured-by-nothing lobe: GTR1 with its logarithm of alpha squared. From sin^2 + alpha^2 cos^2: 1 - cos^2 would
+// have lost its digits where the lobe is.
+INLINE float clearcoat_alpha2(const BsdfContext* ctx)
+{
+    const float alpha = 0.1f + bsdf_float(ctx, 11) * (0.001f - 0.1f);
+    return alpha * alpha;
+}
+
+INLINE float gtr1_d(float alpha2, Vec3 m)
+{
+    return (alpha2 - 1.0f) / (M_PI_F * log_approx(alpha2) * (m.x * m.x + m.y * m.y + alpha2 * m.z * m.z));
+}
+
+INLINE Vec3 sample_gtr1(float alpha2, Vec2 u)
+{
+    const float power = exp_approx((1.0f - u.y) * log_approx(alpha2)), scale = 1.0f / (1.0f - alpha2);  // alpha^2(1 - u)
+    const float radius = SQRT(MAX(power - alpha2, 0.0f) * scale), z = SQRT(MAX(1.0f - power, 0.0f) * scale);
+    const Vec2 p = scale2(cos_sin_turns(u.x), radius);
+    return vec3(p.x, p.y, z);
+}
+
+// Diffuse, retro-reflection, flattened subsurface scattering and sheen, over the cosine.
+INLINE Vec3 principled_diffuse(const BsdfContext* ctx, const Principled* p, float cos_w, float cos_o, float cos_m)
+{
+    const float fw = schlick_weight(cos_w), fo = schlick_weight(cos_o), retro = 2.0f * p->roughness * cos_m * cos_m;
+    const float flatness = bsdf_float(ctx, 9), sheen = bsdf_float(ctx, 7);
+    const float lambert = (1.0f - 0.5f * fw) * (1.0f - 0.5f * fo) + retro * (fo + fw + fo * fw * (retro - 1.0f));
+    const float flat = (1.0f + fo * (0.5f * retro - 1.0f)) * (1.0f + fw * (0.5f * retro - 1.0f));
+    const float subsurface = 1.25f * (flat * (1.0f / (cos_o + cos_w) - 0.5f) + 0.5f);
+    Vec3 value = scale3(p->base, p->diffuse * M_1_PI_F * (lambert + flatness * (subsurface - lambert)));
+    if (sheen > 0.0f)
+        value = add3(value, scale3(tint_color(p->base, bsdf_float(ctx, 8)),
+                                   sheen * (1.0f - p->metallic) * schlick_weight(cos_m)));
+    return value;
+}
+
+INLINE Vec3 principled_local(const BsdfContext* ctx, const Principled* p, Vec3 w, Vec3 o, float* pdf)
+{
+    Vec3 value = splat3(0.0f), m;
+    float cos_w, cos_o, jacobian, cos_t;
+    *pdf = 0.0f;
+    if (!(w.z > 0.0f && o.z != 0.0f && (p->front || p->glass > 0.0f))) return value;
+    if (!generalized_half_vector(w, o, p->eta, &m, &cos_w, &cos_o, &jacobian)) return value;
+    const float reflectance = fresnel_dielectric(cos_w, p->eta, &cos_t);
+    const float density = microfacet_d(&p->facets, m), transmitted = transmission_probability(p, reflectance);
+    const float facets = jacobian * microfacet_pdf(&p->facets, w, m, density), specular_lobe = facets * smith_g1(&p->facets, o);
+    if (o.z < 0.0f) {
+        *pdf = p->specular_rate * transmitted * facets;
+        const Vec3 colour = vec3(SQRT(p->base.x), SQRT(p->base.y), SQRT(p->base.z));
+        return scale3(colour, p->glass * (1.0f - reflectance) * specular_lobe / (p->eta * p->eta));
+    }
+    *pdf = p->specular_rate * (p->front ? 1.0f - transmitted : reflectance) * facets;
+    if (reflectance > 0.0f) value = scale3(principled_reflectance(ctx, p, cos_w, reflectance), specular_lobe);
+    if (p->front) {
+        const float clearcoat = bsdf_float(ctx, 10);
+        if (clearcoat > 0.0f) {
+            const float alpha2 = clearcoat_alpha2(ctx), coat = gtr1_d(alpha2, m);
+            const MicrofacetDistribution quarter = make_microfacets(0.25f, 0.25f, BSDF_GGX);
+            const float coat_reflectance = 0.04f + 0.96f * schlick_at_interface(cos_w, p->eta);
+            value = add3(value, splat3(0.25f * clearcoat * coat_reflectance * coat * smith_g1(&quarter, w) * smith_g1(&quarter, o) * o.z));
+            *pdf += p->clearcoat_rate * coat * m.z * jacobian;
+        }
+        if (p->diffuse > 0.0f) value = add3(value, scale3(principled_diffuse(ctx, p, w.z, o.z, cos_o), o.z));
+        *pdf += p->diffuse_rate * o.z * M_1_PI_F;
+    }
+    return value;
+}
+
+#if FEATURE_NEXT_EVENT
+INLINE Vec3 principled_eval(const BsdfContext* ctx, Vec3 wo, float* pdf)
+{
+    const Principled p = principled_parameters(ctx);
+    const float side = copy_sign(1.0f, ctx->cos_i);
+    return principled_local(ctx, &p, scale3(to_local(ctx, ctx->wi), side), scale3(to_local(ctx, wo), side), pdf);
+}
+#endif
+
+INLINE BsdfSample principled_sample(const BsdfContext* ctx, Vec3 u)
+{
+    BsdfSample sample = empty_bsdf_sample();
+    const Principled p = principled_parameters(ctx);
+    const float side = copy_sign(1.0f, ctx->cos_i);
+    const Vec3 w = scale3(to_local(ctx, ctx->wi), side);
+    if (!(w.z > 0.0f)) return sample;
+    Vec3 o = splat3(0.0f);
+    bool reflects = true;
+    if (u.x < p.diffuse_rate) {
+        o = square_to_hemisphere(vec2(u.y, u.z));
+    } else if (u.x < p.diffuse_rate + p.clearcoat_rate) {
+        const Vec3 m = sample_gtr1(clearcoat_alpha2(ctx), vec2(u.y, u.z));
+        o = normalize3(sub3(scale3(m, 2.0f * dot3(w, m)), w));
+    } else {
+        const Vec3 m = sample_microfacet(&p.facets, w, vec2(u.y, u.z));
+        const float cos_w = dot3(w, m);
+        float cos_t = 0.0f;
+        const float transmitted = transmission_probability(&p, fresnel_dielectric(cos_w, p.eta, &cos_t));
+        reflects = u.x - p.diffuse_rate - p.clearcoat_rate >= p.specular_rate * transmitted;
+        o = normalize3(reflects ? sub3(scale3(m, 2.0f * cos_w), w) : sub3(scale3(m, cos_w / p.eta - cos_t), div_scalar3(w, p.eta)));
+    }
+    if (reflects != (o.z > 0.0f)) return sample;
+    const Vec3 value = principled_local(ctx, &p, w, o, &sample.pdf);
+    if (!(sample.pdf > 0.0f && sample.pdf < INFINITY)) return sample;
+    sample.direction = normalize3(scale3(to_world(ctx, o), side));
+    sample.weight = div_scalar3(value, sample.pdf);
+    sample.eta = reflects ? 1.0f : p.eta;
+    return sample;
+}
+#endif

@@ -1,0 +1,102 @@
+// Stage: camera rays for the slots of the pool from first_slot on, one for each sample of the slice from first_sample on.
+// Reads the sample list and the per-pixel counts; writes the path state; clears the sample.
+// path = (sample of the slice, primitive that the ray starts on, index of the sample in its pixel, depth).
+#include "path/path_state.h"
+#include "util/random.h"
+#include "util/math.h"
+
+// Offset of a sample from the pixel's centre along one axis, distributed as the reconstruction filter, so that a sample
+// belongs to one pixel alone. Ernst, Stamminger, Greiner, "Filter Importance Sampling", 2006.
+INLINE float filter_offset(float u, float radius, __global const float* inverse_cdf, uint cells)
+{
+#if FEATURE_FILTER_TABLE
+    const float at = u * cells;
+    const uint cell = MIN((uint)at, cells - 1u);
+    return inverse_cdf[cell] + (at - cell) * (inverse_cdf[cell + 1u] - inverse_cdf[cell]);
+#else
+    return (2.0f * u - 1.0f) * radius;
+#endif
+}
+
+__kernel void generate(uint count_new, uint plane_stride, uint first_slot, uint first_sample, uint2 seed,
+                       __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
+                       __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
+                       __global const uint* rejected, __global float* ray_origin, __global float* ray_direction,
+                       __global float* throughput, __global uint* path, __global float* samples
+#if FEATURE_INSTANCES
+                       , __global uint* instance
+#endif
+#if FEATURE_VOLPATH
+                       , __global uint* crossing
+#endif
+#if FEATURE_MEDIA
+                       , __global uint* medium, uint sensor_medium
+#endif
+#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
+                       , __global float* mis_normal
+#endif
+                       )
+{
+    const size_t begin = get_global_id(0) * LANES;
+    FOR_LANES(k, LANES) {
+        const size_t i = begin + k;
+        if (i >= count_new) continue;
+        const size_t slot = first_slot + i;
+        const uint sample = first_sample + (uint)i;
+        const uint pixel = sample_pixel[sample];
+        const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel]);
+
+        const Vec4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
+        const uint width = camera->crop_size[0], row = pixel / width;
+        const Vec2 corner = vec2((float)(camera->crop_offset[0] + pixel - row * width), (float)(camera->crop_offset[1] + row));
+        const float radius = camera->filter_radius;
+        const Vec2 offset = vec2(filter_offset(u.x, radius, inverse_cdf, inverse_cdf_cells),
+                                 filter_offset(u.y, radius, inverse_cdf, inverse_cdf_cells));
+        const float film_x = (corner.x + 0.5f + offset.x) / (float)camera->film_size[0];
+        const float film_y = (corner.y + 0.5f + offset.y) / (float)camera->film_size[1];
+        const Vec2 on_film = vec2((1.0f - 2.0f * (film_x + camera->principal_point[0])) * camera->tan_half_fov[0],
+                                  (1.0f - 2.0f * (film_y + camera->principal_point[1])) * camera->tan_half_fov[1]);
+        float m[12];
+        load_matrix(camera->to_world, m);
+        Vec3 ahead = vec3_from(on_film, 1.0f), center = vec3(m[3], m[7], m[11]);
+#if FEATURE_THIN_LENS
+        if (camera->kind == CAMERA_THIN_LENS) {  // towards the point in focus, from a point of the lens
+            const Vec2 lens = scale2(square_to_disk(vec2(u.z, u.w)), camera->aperture_radius);
+            const float focus = camera->focus_distance;
+            ahead = vec3(ahead.x - lens.x / focus, ahead.y - lens.y / focus, ahead.z);
+            center = add3(center, transform_direction(m, vec3_from(lens, 0.0f)));
+        }
+#endif
+        ahead = normalize3(ahead);
+        Vec3 direction = normalize3(transform_direction(m, ahead));
+        Vec3 origin = add3(center, scale3(direction, camera->near_clip / ahead.z));
+        float reach = (camera->far_clip - camera->near_clip) / ahead.z;
+#if FEATURE_ORTHOGRAPHIC
+        if (camera->kind == CAMERA_ORTHOGRAPHIC) {
+            direction = normalize3(vec3(m[2], m[6], m[10]));
+            origin = transform_point(m, vec3_from(on_film, camera->near_clip));
+            reach = camera->far_clip - camera->near_clip;
+        }
+#endif
+        store_planes4(vec4_from(origin, reach), ray_origin, slot, plane_stride);
+        store_planes4(vec4_from(direction, -1.0f), ray_direction, slot, plane_stride);
+        store_planes4(vec4(1.0f, 1.0f, 1.0f, 1.0f), throughput, slot, plane_stride);
+        PLANE(PATH_SAMPLE, path, plane_stride)[slot] = sample;
+        PLANE(PATH_START_PRIMITIVE, path, plane_stride)[slot] = NONE;
+        PLANE(PATH_SAMPLE_INDEX, path, plane_stride)[slot] = index;
+        PLANE(PATH_DEPTH, path, plane_stride)[slot] = 0u;
+#if FEATURE_INSTANCES
+        instance[slot] = NONE;
+#endif
+#if FEATURE_VOLPATH
+        crossing[slot] = PLANE(1, crossing, plane_stride)[slot] = 0u;
+#endif
+#if FEATURE_MEDIA
+        medium[slot] = sensor_medium;
+#endif
+#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
+        store_planes4(vec4(0.0f, 0.0f, 0.0f, 0.0f), mis_normal, slot, plane_stride);
+#endif
+        STORE3(splat3(0.0f), sample, samples);
+    }
+}

@@ -1,0 +1,51 @@
+// Stage: the shadow rays that shade has left; what arrives unblocked is added to the path's sample.
+// Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
+// shadow_radiance, hit (the primitive it starts on); adds to samples.
+#include "geometry/traverse.h"
+
+INLINE bool blocked(Traversal* traversal, ulong* stack, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
+                    __global const Analytic* analytics, float t_max)
+{
+    for (uint leaf; (leaf = next_leaf(traversal, stack, nodes, blocks, t_max, false)) != NO_LEAF;) {
+#if FEATURE_TRIANGLES
+        float8 t, u, v;
+        if (leaf < first_analytic && intersect_triangle_block(blocks + leaf, &traversal->ray, traversal->skip, t_max, &t, &u, &v))
+            return true;
+#endif
+#if FEATURE_ANALYTICS
+        if (leaf >= first_analytic && intersect_analytic_leaf(traversal, analytics, leaf - first_analytic, t_max) < t_max) return true;
+#endif
+    }
+    return false;
+}
+
+__kernel void shadow(uint path_count, uint plane_stride, uint rays_per_item, __global const float8* nodes, __global const float8* blocks,
+                     uint first_analytic,
+                     __global const Analytic* analytics, __global const float* shadow_origin,
+                     __global const float* shadow_direction,
+                     __global const float* shadow_radiance, __global const float* hit, __global const uint* path,
+                     __global float* samples
+#if FEATURE_INSTANCES
+                     , __global const Instance* instances, uint first_instance, __global const uint* instance
+#endif
+                     )
+{
+    const uint first = get_global_id(0) * rays_per_item, end = MIN(first + rays_per_item, path_count);
+    for (uint i = first; i < end; ++i) {
+        const Vec4 direction = load_planes4(shadow_direction, i, plane_stride);
+        const float t_max = direction.w;
+        if (t_max == 0.0f) continue;
+        const Vec4 origin = load_planes4(shadow_origin, i, plane_stride);
+        Traversal traversal;
+#if FEATURE_INSTANCES
+        traversal.instances = instances;
+        traversal.first_instance = first_instance;
+        traversal.start_instance = instance[i];
+#endif
+        ulong stack[STACK_SIZE];
+        begin_traversal(&traversal, stack, xyz(origin), xyz(direction), (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(origin.w)));
+        if (blocked(&traversal, stack, nodes, blocks, first_analytic, analytics, t_max)) continue;
+        const uint sample = PLANE(PATH_SAMPLE, path, plane_stride)[i];
+        ADD3(load_planes3(shadow_radiance, i, plane_stride), sample, samples);
+    }
+}

@@ -1,0 +1,42 @@
+// Sums of two floats (high, low) that carry 48 bits. Built without contraction and without fast-math.
+// Knuth, TAOCP vol. 2, 4.2.2 (two_sum); Dekker, "A floating-point technique for extending the available precision", 1971.
+#pragma once
+#include "util/vec.h"
+
+typedef struct {
+    float high, low;
+} Compensated;
+
+// a + b exactly, as the rounded sum and its error. An overflow stays an infinity instead of becoming NaN.
+INLINE Compensated two_sum(float a, float b)
+{
+    const float sum = a + b;
+    const float b_part = sum - a;
+    const float error = (a - (sum - b_part)) + (b - b_part);
+    const Compensated result = {sum, !is_finite(sum) ? 0.0f : error};
+    return result;
+}
+
+// The same where |a| >= |b| or a = 0.
+INLINE Compensated quick_two_sum(float a, float b)
+{
+    const float sum = a + b;
+    const Compensated result = {sum, !is_finite(sum) ? 0.0f : b - (sum - a)};
+    return result;
+}
+
+INLINE Compensated add_compensated(Compensated a, float b)
+{
+    const Compensated sum = two_sum(a.high, b);
+    return quick_two_sum(sum.high, sum.low + a.low);
+}
+
+// a / n for a whole number n that no float may hold exactly.
+INLINE Compensated divide_compensated(Compensated a, uint n)
+{
+    const float n_high = (float)(n & 0xFFFFF000u), n_low = (float)(n & 0xFFFu);
+    const float inverse = 1.0f / (n_high + n_low);
+    const float quotient = a.high * inverse;
+    const float remainder = FMA(-quotient, n_low, FMA(-quotient, n_high, a.high)) + a.low;
+    return quick_two_sum(quotient, remainder * inverse);
+}
