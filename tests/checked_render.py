@@ -19,7 +19,7 @@ from small_scene import lamp_over_floor
 import isonoise.renderer
 from isonoise.device import program
 from isonoise.device.opencl import Device
-from isonoise.device.program_cache import VARIABLE
+from isonoise.device.program_cache import FOLDER_VARIABLE
 from isonoise.renderer import Renderer
 
 COMMAND = ["oclgrind", "--data-races", "--uniform-writes", "--uninitialized", "--check-api", "--max-errors", "100000"]
@@ -171,7 +171,7 @@ def main(arguments: list[str]) -> None:
         if not shutil.which(COMMAND[0]):
             sys.exit("there is no oclgrind: apt install oclgrind")
         command = under_oclgrind(*arguments)
-        os.execvpe(command[0], command, os.environ | {VARIABLE: "off"})
+        os.execvpe(command[0], command, os.environ | {FOLDER_VARIABLE: "off"})
     case, *faults = arguments
     for fault in faults:
         spoil(fault)

@@ -14,9 +14,9 @@ CHECKOUT = Path(__file__).resolve().parent.parent
 def program_cache_of_session(tmp_path_factory):
     """Compiled programs are kept for the session: nothing of the user's is read or written."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(program_cache.VARIABLE, str(tmp_path_factory.mktemp("programs")))
+        patch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("programs")))
         yield
-    os.environ[program_cache.VARIABLE] = "off"  # at its end the process has nothing to keep
+    os.environ[program_cache.FOLDER_VARIABLE] = "off"  # at its end the process has nothing to keep
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.light import light_list
 from isonoise.scene.light.envmap import ENVIRONMENT
 from isonoise.scene.material import textures
-from isonoise.statistics import NOTHING_MORE, Needs
+from isonoise.statistics import BASIC_NEEDS, Needs
 
 STAGES = sorted(file.name for file in resources.files("isonoise.kernels").iterdir() if file.name.endswith(".cl"))
 TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in BRUTE_FORCE_KERNELS.values()})
@@ -251,7 +251,7 @@ def test_what_is_off_leaves_no_code(lanes):
 
 
 def allocated(
-    monkeypatch, scene, needs: Needs = NOTHING_MORE, feature_override=None
+    monkeypatch, scene, needs: Needs = BASIC_NEEDS, feature_override=None
 ) -> tuple[dict[str, int], Wavefront]:
     """Bytes of every buffer that a scene's kernels get, by the names of the arguments; nothing is compiled for it."""
     with monkeypatch.context() as patch:

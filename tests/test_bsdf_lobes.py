@@ -23,7 +23,8 @@ from isonoise.scene.material.rough_transmittance import NODES, inner_reflectance
 KERNEL = """
 #include "bsdf/bsdf.h"
 
-BsdfContext shading(__global const Bsdf* bsdf, __global const float* rough_transmittances, __global const float* frame, Vec3 wi)
+BsdfContext shading(__global const Bsdf* bsdf, __global const float* rough_transmittances, __global const float* frame,
+                    Vec3 wi)
 {
     BsdfContext ctx;
     ctx.bsdfs = bsdf;
@@ -41,8 +42,9 @@ BsdfContext shading(__global const Bsdf* bsdf, __global const float* rough_trans
     return ctx;
 }
 
-__kernel void evaluate(__global const Bsdf* bsdf, __global const float* rough_transmittances, __global const float* frame,
-                       __global const float* wi, __global const float* wo, __global float* out, uint n)
+__kernel void evaluate(__global const Bsdf* bsdf, __global const float* rough_transmittances,
+                       __global const float* frame, __global const float* wi, __global const float* wo,
+                       __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;

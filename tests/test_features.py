@@ -19,7 +19,7 @@ from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light import light_list
 from isonoise.scene.material import textures
-from isonoise.statistics import NOTHING_MORE, Needs, Statistics
+from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
 EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
@@ -34,7 +34,7 @@ def device():
 
 
 def rendered(
-    device: Device, scene: CompiledScene, spp: int, needs: Needs = NOTHING_MORE, feature_override=None
+    device: Device, scene: CompiledScene, spp: int, needs: Needs = BASIC_NEEDS, feature_override=None
 ) -> Statistics:
     """The statistics of a uniform wave; every kernel has been launched on nothing before."""
     pool_size = min(2**17, scene.width * scene.height * spp)

@@ -11,7 +11,7 @@ import pytest
 
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_header, read_reference, write_exr
-from isonoise.film.files import check_writable, write_whole
+from isonoise.film.files import check_writable, write_atomically
 from isonoise.film.output import check_output, write_image
 
 LIMITED = "import resource, signal; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))"
@@ -139,7 +139,7 @@ def test_a_failed_write_leaves_everything_as_it_was(tmp_path, failure):
         raise failure
 
     with pytest.raises(UserError if isinstance(failure, OSError) else type(failure)):
-        write_whole(target, write)
+        write_atomically(target, write)
     assert entries(tmp_path) == ["a.exr"]
     assert target.read_bytes() == b"old"
 

@@ -13,7 +13,17 @@ import isonoise
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(isonoise.__file__).parents[1])}
 HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex"}
-SHARED = {f"isonoise.strategies.{name}" for name in ("base", "even", "measures", "parameters", "registry", "schedule")}
+SHARED = {
+    f"isonoise.strategies.{name}"
+    for name in (
+        "base",
+        "measures",
+        "parameter_checks",
+        "registry",
+        "schedule",
+        "uniform_allocation",
+    )
+}
 """What all strategies have in common, and the floor of the stated error (`measures`)."""
 MOST_SECONDS = 1.0
 """Of both cores together, to the first program that is to be compiled: 0.55 where this was written."""
@@ -68,7 +78,7 @@ def test_a_uniform_render_has_no_code_of_other_renders(tmp_path):
     modules = render("cornell", "--strategy", "uniform", folder=tmp_path)
     assert strategies(modules) == {"isonoise.strategies.uniform"}
     assert modules.isdisjoint(HEAVY)
-    for package in ("benchmark", "comparison", "selftest", "integrator.surplus", "integrator.costs"):
+    for package in ("benchmark", "comparison", "selftest", "integrator.feature_superset", "integrator.feature_costs"):
         assert not [name for name in modules if name.startswith(f"isonoise.{package}")], package
     assert {
         "isonoise.strategies.uniform_allocation",

@@ -50,7 +50,8 @@ __kernel void sample({GEOMETRY},
     if (i >= n) return;
     const SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
     const Vec4 no_side = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-    const LightSelection pick = select_light(&g, lights, table, count, LOAD3(i, reference), no_side, u[4 * i], u[4 * i + 3]);
+    const LightSelection pick = select_light(&g, lights, table, count, LOAD3(i, reference), no_side, u[4 * i],
+                                             u[4 * i + 3]);
     const LightSample light = sample_light(&g, lights, pick, LOAD3(i, reference), vec2(u[4 * i + 1], u[4 * i + 2]));
     STORE3(light.direction, 0, out + 16 * i);
     STORE3(light.radiance, 1, out + 16 * i);

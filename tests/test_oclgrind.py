@@ -8,11 +8,11 @@ import checked_render
 import pytest
 from checked_render import CASES, FAULTS
 
-from isonoise.device.program_cache import VARIABLE
+from isonoise.device.program_cache import FOLDER_VARIABLE
 from isonoise.integrator.brute_force import use_brute_force
 from isonoise.integrator.features import FEATURES, features, statistics_features
 from isonoise.scene import compile_scene, load
-from isonoise.statistics import NOTHING_MORE
+from isonoise.statistics import BASIC_NEEDS
 from isonoise.strategies import make_strategy
 
 
@@ -24,7 +24,7 @@ def oclgrind() -> None:
 
 def run(*arguments: str) -> list[str]:
     """What Oclgrind finds in a render."""
-    environment = os.environ | {VARIABLE: "off"}
+    environment = os.environ | {FOLDER_VARIABLE: "off"}
     done = subprocess.run(checked_render.under_oclgrind(*arguments), env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-4000:]
     assert f"rendered {arguments[0]}" in done.stdout
@@ -35,7 +35,7 @@ def run(*arguments: str) -> list[str]:
 def test_the_cases_have_every_feature(many, tmp_path):
     without = {"COUNT_TESTS"}
     if many:  # there are no such kernels
-        without |= {"VOLPATH", "MEDIA", "NULL", *statistics_features(NOTHING_MORE)}
+        without |= {"VOLPATH", "MEDIA", "NULL", *statistics_features(BASIC_NEEDS)}
     seen, kinds = set(), set()
     for number, case in enumerate(case for case in CASES.values() if case.many == many):
         scene = compile_scene(load(case.source(tmp_path / str(number))))

@@ -18,7 +18,7 @@ USUAL = 1000
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     """Nothing is kept yet."""
-    monkeypatch.setenv(program_cache.VARIABLE, str(tmp_path / "programs"))
+    monkeypatch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path / "programs"))
     return tmp_path / "programs"
 
 
@@ -34,8 +34,8 @@ def pool_of(**options) -> tuple[int, Renderer]:
 
 def test_what_is_kept_is_used_and_changes_no_image(device):
     usual, before = pool_of()
-    assert usual == pool_size.usual_pool_size(device)
-    assert pool_size.keep_pool_size(device, 4096)
+    assert usual == pool_size.untuned_pool_size(device)
+    assert pool_size.store_tuned_pool_size(device, 4096)
     found, after = pool_of()
     assert found == 4096
     assert pool_of(pool_size=2048)[0] == 2048  # who says how many gets them
@@ -45,11 +45,11 @@ def test_what_is_kept_is_used_and_changes_no_image(device):
 
 
 def test_the_usual_size_is_not_kept(device, folder):
-    assert pool_size.keep_pool_size(device, 4096)
+    assert pool_size.store_tuned_pool_size(device, 4096)
     assert len(list(folder.iterdir())) == 1
-    assert pool_size.keep_pool_size(device, pool_size.usual_pool_size(device))
+    assert pool_size.store_tuned_pool_size(device, pool_size.untuned_pool_size(device))
     assert not list(folder.iterdir())
-    assert pool_size.found_pool_size(device) is None
+    assert pool_size.tuned_pool_size(device) is None
 
 
 @pytest.mark.parametrize(
@@ -69,21 +69,21 @@ def test_the_usual_size_is_not_kept(device, folder):
 )
 def test_what_is_not_sound_counts_as_not_there(device, content):
     program_cache.store(pool_size._key(device), content.encode())
-    assert pool_size.found_pool_size(device) is None
-    assert pool_of()[0] == pool_size.usual_pool_size(device)
+    assert pool_size.tuned_pool_size(device) is None
+    assert pool_of()[0] == pool_size.untuned_pool_size(device)
 
 
 def test_a_broken_file_counts_as_not_there(device, folder):
-    pool_size.keep_pool_size(device, 4096)
+    pool_size.store_tuned_pool_size(device, 4096)
     (file,) = folder.iterdir()
     file.write_bytes(file.read_bytes().replace(b"4096", b"8192"))
-    assert pool_size.found_pool_size(device) is None
+    assert pool_size.tuned_pool_size(device) is None
 
 
 def test_another_driver_has_a_size_of_its_own(device, monkeypatch):
-    pool_size.keep_pool_size(device, 4096)
-    monkeypatch.setattr(pool_size, "driver_of", lambda device: ("another",))
-    assert pool_size.found_pool_size(device) is None
+    pool_size.store_tuned_pool_size(device, 4096)
+    monkeypatch.setattr(pool_size, "driver_identity", lambda device: ("another",))
+    assert pool_size.tuned_pool_size(device) is None
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_the_usual_size_stays_unless_another_wins_every_turn(speeds, chosen):
 
 
 def test_pools_are_measured_in_turn(monkeypatch):
-    monkeypatch.setattr(tune, "usual_pool_size", lambda device: 256)
+    monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
     scene = compile_scene(load(lamp_over_floor()))
     asked = []
     speeds = tune.measure_pools([scene, scene], Settings(repeat=2, spp=4.0), lambda done, what: asked.append(done))
@@ -113,14 +113,14 @@ def test_pools_are_measured_in_turn(monkeypatch):
 
 
 def test_only_pools_for_which_there_is_memory(monkeypatch):
-    monkeypatch.setattr(tune, "usual_pool_size", lambda device: 256)
+    monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
     monkeypatch.setattr(tune, "MEMORY_SHARE", 0.0)
     scene = compile_scene(load(lamp_over_floor()))
     assert list(tune.measure_pools([scene], Settings(repeat=1, spp=1.0), lambda *_: None)) == [256]
 
 
 def test_bench_tune_keeps_and_devices_says_so(device, monkeypatch, capsys):
-    usual = pool_size.usual_pool_size(device)
+    usual = pool_size.untuned_pool_size(device)
     speeds = {usual // 2: [1e6, 1e6], usual: [2e6, 2e6], 2 * usual: [3e6, 2.5e6]}
     monkeypatch.setattr(tune, "measure_pools", lambda *arguments: speeds)
     assert main(["bench", "--tune", "cornell"]) == 0
@@ -136,9 +136,9 @@ def test_bench_tune_keeps_and_devices_says_so(device, monkeypatch, capsys):
 
 
 def test_bench_tune_says_when_it_cannot_keep(device, monkeypatch, capsys):
-    usual = pool_size.usual_pool_size(device)
+    usual = pool_size.untuned_pool_size(device)
     monkeypatch.setattr(tune, "measure_pools", lambda *arguments: {usual: [1.0], 2 * usual: [2.0]})
-    monkeypatch.setenv(program_cache.VARIABLE, "off")
+    monkeypatch.setenv(program_cache.FOLDER_VARIABLE, "off")
     assert main(["bench", "--tune", "cornell"]) == 2
     assert "cannot be kept" in capsys.readouterr().err
     assert main(["bench", "--tune", "--json", "x.json"]) == 2

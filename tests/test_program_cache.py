@@ -28,7 +28,7 @@ COUNT = 1000
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty cache, and a process that has built nothing yet."""
-    monkeypatch.setenv(program_cache.VARIABLE, str(tmp_path / "made" / "when needed"))
+    monkeypatch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path / "made" / "when needed"))
     return begin_anew(monkeypatch, tmp_path / "made" / "when needed")
 
 
@@ -112,14 +112,14 @@ def test_without_a_folder_to_write_to_all_works(tmp_path, compiled, monkeypatch,
         place.mkdir(mode=stat.S_IRUSR | stat.S_IXUSR)
         if os.access(place, os.W_OK):
             pytest.skip("this user may write everywhere")
-    monkeypatch.setenv(program_cache.VARIABLE, str(place / "programs"))
+    monkeypatch.setenv(program_cache.FOLDER_VARIABLE, str(place / "programs"))
     begin_anew(monkeypatch, place)
     assert roots() == later_process(monkeypatch, place)
     assert len(compiled) == 2
 
 
 def test_off_keeps_nothing(monkeypatch, tmp_path, compiled):
-    monkeypatch.setenv(program_cache.VARIABLE, "off")
+    monkeypatch.setenv(program_cache.FOLDER_VARIABLE, "off")
     monkeypatch.chdir(tmp_path)
     begin_anew(monkeypatch, tmp_path)
     assert roots() == later_process(monkeypatch, tmp_path)
@@ -143,7 +143,7 @@ def test_a_render_starts_the_compiler_three_times(folder, compiled):
 
 
 def test_the_usual_folder_is_the_users(monkeypatch, tmp_path):
-    monkeypatch.delenv(program_cache.VARIABLE)
+    monkeypatch.delenv(program_cache.FOLDER_VARIABLE)
     monkeypatch.setattr(program_cache.sys, "platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert program_cache.cache_folder() == tmp_path / "isonoise" / "programs"

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from isonoise.progress import ProgressBar, count, duration, percent
+from isonoise.progress import RenderProgressBar, format_count, format_duration, format_percent
 
 
 class Terminal(io.StringIO):
@@ -26,7 +26,7 @@ class Terminal(io.StringIO):
     ],
 )
 def test_durations(seconds, text):
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text
 
 
 @pytest.mark.parametrize(
@@ -34,11 +34,11 @@ def test_durations(seconds, text):
     [(0, "0"), (999, "999"), (999.6, "1 k"), (1234567, "1.23 M"), (999_600, "1 M"), (4.56e10, "45.6 G"), (2e12, "2 T")],
 )
 def test_counts(number, text):
-    assert count(number) == text
+    assert format_count(number) == text
 
 
 def test_percentages():
-    assert [percent(error) for error in (0.0198, 0.000123, 2.5, math.inf)] == [
+    assert [format_percent(error) for error in (0.0198, 0.000123, 2.5, math.inf)] == [
         "1.98 %",
         "0.0123 %",
         "250 %",
@@ -47,7 +47,7 @@ def test_percentages():
 
 
 def test_nothing_is_shown_where_nobody_looks(capsys):
-    with ProgressBar() as bar:
+    with RenderProgressBar() as bar:
         bar.update(1.0, 1000, 0.5, 2.0)
     assert capsys.readouterr() == ("", "")
 
@@ -57,7 +57,7 @@ def test_a_terminal_sees_time_samples_error_and_time_left(monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
-    with ProgressBar() as bar:
+    with RenderProgressBar() as bar:
         bar.update(0.5, 1000, None, None)
         bar.update(12.0, 1234567, 0.0456, 68.0)
     shown = terminal.getvalue()

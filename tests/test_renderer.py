@@ -304,11 +304,11 @@ def test_stopped_in_the_middle_of_a_wave(thirty_spp):
     entered = []
     renderer = Renderer(lamp_over_floor(), seed=3, strategy="relative-median:warmup=30", pool_size=12)
 
-    def goes_on(samples: int) -> bool:
+    def should_continue(samples: int) -> bool:
         entered.append(samples)
         return samples < 384
 
-    record = renderer.step(goes_on=goes_on)
+    record = renderer.step(should_continue=should_continue)
     assert (record.kind, record.samples, record.planned) == ("uniform", 384, 30 * PIXELS)
     assert entered == sorted(entered)
     statistics = renderer.statistics()

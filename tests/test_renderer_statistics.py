@@ -60,5 +60,5 @@ def test_profile_of_the_kernels():
     device.finish()
     assert device.launches == {"nothing": 3}
     assert 0 < device.seconds["nothing"] < 1
-    device.forget_profile()
+    device.reset_profile()
     assert device.seconds == {}

@@ -6,7 +6,7 @@ from records import slot
 
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.light.alias_table import alias_table, alias_tables, picked
-from isonoise.scene.spectra import LUMINANCE
+from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 
 def _scene(**objects) -> dict:
@@ -158,7 +158,7 @@ def test_the_scale_brings_the_brightest_emitter_near_one():
     for value in (1e-30, 0.3, 1.0, 1.9999, 2.0, 17.0, 1e30):
         scene = compile_scene(_scene(sky={"type": "constant", "radiance": value}))
         assert np.log2(scene.radiance_scale) % 1 == 0
-        assert 1.0 <= scene.lights["radiance"][0].astype(float) @ LUMINANCE * (1 + 1e-6) < 2.0 * (1 + 1e-5)
+        assert 1.0 <= scene.lights["radiance"][0].astype(float) @ MITSUBA_LUMINANCE * (1 + 1e-6) < 2.0 * (1 + 1e-5)
 
 
 def test_a_million_emissive_triangles():

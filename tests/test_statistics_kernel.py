@@ -14,7 +14,7 @@ from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.integrator.accumulator import STRIP
 from isonoise.selftest.synthetic_samples import Reducer, chunk_medians, colour, luminance32
-from isonoise.statistics import NOTHING_MORE, Needs, Statistics
+from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 SLICE = 2**22
 ALL = Needs(median=True, power=1.3, half=True)
@@ -158,7 +158,7 @@ def test_what_is_kept_beside_them_changes_no_bit_of_the_others():
     random = np.random.default_rng(8)
     samples = [random.pareto(1.5, size=(n, 3)) for n in (1, 4, 17, 100, 1234)]
     feature_superset = reduce(samples)
-    for needs in (NOTHING_MORE, Needs(median=True), Needs(power=ALL.power), Needs(half=True)):
+    for needs in (BASIC_NEEDS, Needs(median=True), Needs(power=ALL.power), Needs(half=True)):
         statistics = reduce(samples, needs=needs)
         kept = {name for name, plane in vars(statistics).items() if plane is not None}
         optional = {"median": needs.median, "power": needs.power is not None, "half": needs.half}

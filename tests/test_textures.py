@@ -15,10 +15,10 @@ from isonoise.scene.material.textures import MeshAttributes, Textures
 from isonoise.scene.spectra import srgb_to_linear
 
 KERNEL = """
-__kernel void sample_direct_lane(__global const Texture* records, __global const uchar* bytes, __global const float* floats,
-                   __global const float* srgb, __global const float* attributes, __global const uint* faces,
-                   uint texture, __global const float* points, __global const uint* triangles, __global float* out,
-                   uint n)
+__kernel void sample_direct_lane(__global const Texture* records, __global const uchar* bytes,
+                   __global const float* floats, __global const float* srgb, __global const float* attributes,
+                   __global const uint* faces, uint texture, __global const float* points,
+                   __global const uint* triangles, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isonoise.error.true_error import reference_serves, true_error
+from isonoise.error.true_error import is_reference_accurate, true_error
 from isonoise.luminance import luminance
 from isonoise.statistics import Statistics
 
@@ -104,8 +104,8 @@ def test_coverage_allows_for_rounding_and_leaves_out_pixels_without_interval():
 
 def test_a_reference_serves_at_a_quarter_of_the_smallest_error():
     reference, se = grey(np.ones((10, 10))), grey(np.full((10, 10), 0.01))
-    assert reference_serves([0.0401, 0.2], reference, se)
-    assert not reference_serves([0.0399, 0.2], reference, se)
+    assert is_reference_accurate([0.0401, 0.2], reference, se)
+    assert not is_reference_accurate([0.0399, 0.2], reference, se)
 
 
 def test_unfit_references_are_refused():

@@ -338,8 +338,9 @@ def _bench_epilog() -> str:
             "libLLVM, 19 or newer.",
             "",
             "--specialisation takes turns with programs that hold more than the scene uses: `path` what scenes of that",
-            "integrator may use, `feature_superset` what those of volpath may besides. It compares the images, too. What is",
-            "compiled for the first time is compiled in processes of their own: that takes a minute a scene on a CPU.",
+            "integrator may use, `feature_superset` what those of volpath may besides. It compares the images, too.",
+            "What is compiled for the first time is compiled in processes of their own: that takes",
+            "a minute a scene on a CPU.",
             "",
             "exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C",
         ]

@@ -178,12 +178,12 @@ class _Loop:
     def _wave(self) -> WaveRecord:
         before = self.samples
 
-        def goes_on(entered: int) -> bool:
+        def should_continue(entered: int) -> bool:
             self.samples = before + entered
             self._report()
             return not self.should_stop() and not self._late()
 
-        record = self.renderer.step(self._limit(), goes_on)
+        record = self.renderer.step(self._limit(), should_continue)
         self.samples = before + record.samples
         return record
 

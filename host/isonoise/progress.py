@@ -4,7 +4,7 @@ import math
 import sys
 
 
-class Bar:
+class ProgressBar:
     """A bar on stderr while the `with` block runs; where stderr is no terminal nothing is shown."""
 
     def __enter__(self):
@@ -34,21 +34,21 @@ class Bar:
             self._progress.update(self._task, completed=completed, total=total, description=description)
 
 
-class ProgressBar(Bar):
+class RenderProgressBar(ProgressBar):
     """The bar of a render; call `update` with the render loop's progress."""
 
     def update(self, elapsed_s: float, samples: int, stated_error: float | None, remaining_s: float | None) -> None:
         """Show where the render stands; None is what is not known yet."""
-        parts = [f"{duration(elapsed_s)}", f"{count(samples)} samples"]
+        parts = [f"{format_duration(elapsed_s)}", f"{format_count(samples)} samples"]
         if stated_error is not None:
-            parts.append(f"error {percent(stated_error)}")
+            parts.append(f"error {format_percent(stated_error)}")
         if remaining_s is not None:
-            parts.append(f"{duration(remaining_s)} left")
+            parts.append(f"{format_duration(remaining_s)} left")
         total = None if remaining_s is None else max(elapsed_s + remaining_s, 1e-9)
         self.show(elapsed_s, total, ", ".join(parts))
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A time for people: '0.31 s', '12.3 s', '4:05', '1:02:03'."""
     if seconds < 9.995:
         return f"{seconds:.2f} s"
@@ -59,7 +59,7 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
 
 
-def count(number: float) -> str:
+def format_count(number: float) -> str:
     """A count for people, with three digits: '950', '1.23 M', '45.6 G'."""
     for unit, size in (("T", 1e12), ("G", 1e9), ("M", 1e6), ("k", 1e3)):
         if number >= 0.9995 * size:
@@ -67,6 +67,6 @@ def count(number: float) -> str:
     return f"{number:.0f}"
 
 
-def percent(error: float) -> str:
+def format_percent(error: float) -> str:
     """A relative error for people: '1.98 %', '0.0123 %'; 'unknown' where too few pixels have samples to tell."""
     return f"{100 * error:.3g} %" if math.isfinite(error) else "unknown"

@@ -103,13 +103,15 @@ class Renderer:
         device = self._wavefront.device
         return sum(device.seconds.values()) if device.profile else None
 
-    def step(self, samples: int | None = None, goes_on: Callable[[int], bool] = lambda entered: True) -> WaveRecord:
+    def step(
+        self, samples: int | None = None, should_continue: Callable[[int], bool] = lambda entered: True
+    ) -> WaveRecord:
         """Renders the strategy's next wave, of at most `samples` samples.
 
         What is cut off a uniform wave comes next time.
 
-        `goes_on` is asked after every bounce, with the samples of the wave that have entered the statistics. When it
-        returns False no more paths begin; those in flight still count.
+        `should_continue` is asked after every bounce, with the samples of the wave that have entered the statistics.
+        When it returns False no more paths begin; those in flight still count.
         """
         begun = time.perf_counter()
         wave = self._cut_short or self._planned()
@@ -122,7 +124,7 @@ class Renderer:
         self._most += most
         self._waves += 1
         self._statistics = None
-        entered = self._wavefront.trace(allocation, goes_on)
+        entered = self._wavefront.trace(allocation, should_continue)
         return WaveRecord(wave.kind, entered, planned, time.perf_counter() - begun)
 
     def statistics(self) -> Statistics:

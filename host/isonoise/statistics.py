@@ -36,7 +36,7 @@ class Needs:
             raise UserError(f"the mean of x^{self.power} cannot be kept; the power has to be a finite number above 0")
 
 
-NOTHING_MORE = Needs()
+BASIC_NEEDS = Needs()
 
 
 @dataclass(frozen=True)

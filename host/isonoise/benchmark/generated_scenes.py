@@ -12,7 +12,7 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.exr import write_exr
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 
 MADE_SCENES = {"mesh-82k": (256, 160), "mesh-1.3m": (1024, 640)}
 """Quads around the ring and around its tube: 81,920 and 1,310,720 triangles."""
@@ -66,10 +66,10 @@ _XML = """<?xml version="1.0" encoding="utf-8"?>
 def write_made_scene(name: str, folder: Path) -> Path:
     """Writes one of `MADE_SCENES` with its files into an existing folder; returns the path of its XML file."""
     corners, faces = bumpy_ring(*MADE_SCENES[name])
-    write_whole(folder / f"{name}.ply", lambda path: _write_ply(path, corners, faces))
+    write_atomically(folder / f"{name}.ply", lambda path: _write_ply(path, corners, faces))
     write_exr(folder / f"{name}-sky.exr", {"": sky()}, {})
     xml = _XML.format(name=name, triangles=len(faces))
-    write_whole(folder / f"{name}.xml", lambda path: path.write_text(xml, encoding="utf-8"))
+    write_atomically(folder / f"{name}.xml", lambda path: path.write_text(xml, encoding="utf-8"))
     return folder / f"{name}.xml"
 
 

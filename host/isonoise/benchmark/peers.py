@@ -16,7 +16,7 @@ from isonoise.benchmark.subject import MeasuredDevice, Subject
 from isonoise.comparison.mitsuba_peer import Worker
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
 from isonoise.errors import UserError
-from isonoise.progress import Bar
+from isonoise.progress import ProgressBar
 from isonoise.scene.compiled_scene import CompiledScene
 
 SCHEMA, SCHEMA_VERSION = "isonoise-peers", 1
@@ -42,7 +42,7 @@ def measure_peers(sources: Mapping[str, str], settings: Settings) -> dict[str, o
         "scenes": [],
         "meshes": [],
     }
-    with Bar() as bar:
+    with ProgressBar() as bar:
         for number, (name, source) in enumerate(sources.items()):
 
             def say(done: float, what: str, number=number, name=name) -> None:

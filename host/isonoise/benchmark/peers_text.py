@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from isonoise.benchmark.text import lines, spread, table
-from isonoise.progress import count, duration
+from isonoise.progress import format_count, format_duration
 
 
 def peers_text(result: Mapping) -> str:
@@ -45,8 +45,8 @@ def _scene_table(scenes: list[Mapping]) -> str:
         (
             scene["scene"] + ("" if scene["mitsuba_variant"] == "llvm_ad_rgb" else " *"),
             f"{scene['width']}x{scene['height']}, {scene['max_depth']}, {scene['rr_depth']}",
-            spread(scene["samples_per_s"], count),
-            spread(scene["mitsuba_samples_per_s"], count),
+            spread(scene["samples_per_s"], format_count),
+            spread(scene["mitsuba_samples_per_s"], format_count),
             spread(scene["ratio"], _ratio),
             "" if scene["image_mean_ratio"] is None else f"{scene['image_mean_ratio']:.4f}",
         )
@@ -73,7 +73,8 @@ def _ray_table(meshes: list[Mapping]) -> str:
     ]
     head = ("Mrays/s", "triangles", "rays", "hit", "isonoise", "Embree", "ratio", "same triangle")
     builds = ", ".join(
-        f"{mesh['scene']} {duration(mesh['build_s'])} / {duration(mesh['embree_build_s'])}" for mesh in meshes
+        f"{mesh['scene']} {format_duration(mesh['build_s'])} / {format_duration(mesh['embree_build_s'])}"
+        for mesh in meshes
     )
     return f"{table(head, rows, left=(0, 2))}\nhierarchies built in, isonoise / Embree: {builds}"
 

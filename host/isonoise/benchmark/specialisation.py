@@ -25,9 +25,9 @@ from isonoise.errors import UserError
 from isonoise.integrator.feature_superset import feature_superset
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import path_bytes
-from isonoise.progress import Bar
+from isonoise.progress import ProgressBar
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.statistics import NOTHING_MORE, Needs, Statistics
+from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 SCHEMA, SCHEMA_VERSION = "isonoise-specialisation", 1
 EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
@@ -41,12 +41,12 @@ Build = tuple[Needs, dict[str, bool] | None]
 def builds(scene: CompiledScene) -> dict[str, Build]:
     """The programs that a scene is measured with, by name: needs and features, None for those that it uses.
 
-    `path` has all that scenes for the integrator `path` may use, `feature_superset` what those for `volpath` may besides:
-    there a work-item takes one path. A scene of `path` with surfaces that let paths through looks another way under
-    `volpath`, so it has no such program; one of `volpath` has no other.
+    `path` has all that scenes for the integrator `path` may use, `feature_superset` what those for `volpath` may
+    besides: there a work-item takes one path. A scene of `path` with surfaces that let paths through looks another way
+    under `volpath`, so it has no such program; one of `volpath` has no other.
     """
     used = features(scene)
-    found: dict[str, Build] = {SPECIALISED: (NOTHING_MORE, None)}
+    found: dict[str, Build] = {SPECIALISED: (BASIC_NEEDS, None)}
     if not used["VOLPATH"]:
         found["path"] = (EVERY_STATISTIC, feature_superset(used, volpath=False))
     if used["VOLPATH"] or not (used["NULL"] or used["MASK"]):
@@ -65,7 +65,7 @@ def measure_specialisation(sources: Mapping[str, str], settings: Settings) -> di
         "repeat": settings.repeat,
         "scenes": [],
     }
-    with Bar() as bar:
+    with ProgressBar() as bar:
         for number, (name, source) in enumerate(sources.items()):
 
             def say(done: float, what: str, number=number, name=name) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from isonoise.benchmark.specialisation import SPECIALISED
 from isonoise.benchmark.text import lines, spread, table
-from isonoise.progress import count, duration
+from isonoise.progress import format_count, format_duration
 
 
 def specialisation_text(result: Mapping) -> str:
@@ -26,9 +26,9 @@ def _row(scene: str, build: Mapping) -> tuple[str, ...]:
         scene if first else "",
         build["build"],
         str(build["features"]),
-        spread(build["samples_per_s"], count),
+        spread(build["samples_per_s"], format_count),
         "" if first else spread(build["specialised_ratio"], lambda ratio: f"{ratio:.2f}"),
-        duration(build["compile_s"]),
+        format_duration(build["compile_s"]),
         str(build["state_bytes_per_path"]),
         f"{build['launches']:,}",
         "" if first else _image(build),

@@ -9,11 +9,11 @@ import time
 from pathlib import Path
 
 from isonoise.benchmark.spread import Spread
-from isonoise.device.program_cache import VARIABLE
+from isonoise.device.program_cache import FOLDER_VARIABLE
 from isonoise.errors import UserError
 
 CACHES = {
-    VARIABLE: "programs",
+    FOLDER_VARIABLE: "programs",
     "XDG_CACHE_HOME": "cache",
     "POCL_CACHE_DIR": "pocl",
     "CUDA_CACHE_PATH": "nvidia",

@@ -11,7 +11,7 @@ from isonoise.device.opencl import Device
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.statistics import NOTHING_MORE, Needs
+from isonoise.statistics import BASIC_NEEDS, Needs
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
@@ -57,7 +57,7 @@ class Subject:
         device: MeasuredDevice,
         samples: int,
         pool_size: int | None = None,
-        needs: Needs = NOTHING_MORE,
+        needs: Needs = BASIC_NEEDS,
         feature_override: Mapping[str, bool] | None = None,
     ):
         self.scene, self.device, self.samples = scene, device, samples
@@ -96,6 +96,6 @@ class Subject:
     def begin(self, profile: bool) -> None:
         """As if nothing had been traced yet, with or without a queue that keeps times."""
         self.device.set_profiling(profile)
-        self.device.forget_profile()
+        self.device.reset_profile()
         self.wavefront.accumulator.forget()
         self.device.finish()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from isonoise.benchmark.baseline import Comparison, Ratio
 from isonoise.benchmark.spread import Spread
-from isonoise.progress import count, duration
+from isonoise.progress import format_count, format_duration
 
 WIDTH = 100
 """Letters of a line of text."""
@@ -46,7 +46,9 @@ def summary_text(result: Mapping) -> str:
     for scene in result["scenes"]:
         first = ", ".join(f"{row['kernel']} {100 * row['share']:.0f} %" for row in scene["kernels"][:3])
         start = scene["start"]["cached"]["process_s"]
-        rows.append((scene["scene"], spread(scene["samples_per_s"], count), spread(start, duration), first))
+        rows.append(
+            (scene["scene"], spread(scene["samples_per_s"], format_count), spread(start, format_duration), first)
+        )
     return "\n" + table(("scene", "samples/s", "first image after", "most time in"), rows, left=(0, 3))
 
 
@@ -70,7 +72,7 @@ def pools_text(speeds: Mapping[int, Sequence[float]], usual: int, chosen: int) -
         gain = Spread.of(mine / its for mine, its in zip(turns, speeds[usual], strict=True)).json()
         note = ", ".join(word for word, is_so in (("usual", size == usual), ("chosen", size == chosen)) if is_so)
         shown = "" if size == usual else spread(gain, lambda ratio: f"{ratio:.2f}")
-        rows.append((f"{size:,}", spread(Spread.of(turns).json(), count), shown, note))
+        rows.append((f"{size:,}", spread(Spread.of(turns).json(), format_count), shown, note))
     return table(("paths in flight", "samples/s", "over the usual", ""), rows, left=(3,))
 
 
@@ -111,17 +113,18 @@ def _scene_lines(scene: Mapping) -> str:
     start, uncached = scene["start"]["cached"], scene["start"]["uncached"]
     spp = scene["samples"] / (scene["width"] * scene["height"])
     phases = [
-        f"{name} {duration(start[f'{name}_s']['median'])} / {duration(uncached[f'{name}_s'])}"
+        f"{name} {format_duration(start[f'{name}_s']['median'])} / {format_duration(uncached[f'{name}_s'])}"
         for name in ("load", "build", "compile")
     ]
-    speed = f"{spread(scene['samples_per_s'], count)}, {duration(scene['run_s']['median'])} for {spp:.4g} per pixel"
+    speed = f"{spread(scene['samples_per_s'], format_count)}, "
+    speed += f"{format_duration(scene['run_s']['median'])} for {spp:.4g} per pixel"
     return lines(
         ("scene", scene["scene"]),
         ("", f"{scene['width']}x{scene['height']}, {depth}, roulette from {scene['rr_depth']}; {holds}"),
         *zip(("built in", *[""] * len(features)), features, strict=False),
         ("samples/s", speed),
-        ("start", f"{spread(start['process_s'], duration)} to the first image"),
-        ("", f"{duration(uncached['process_s'])} where nothing was compiled before; with / without a cache:"),
+        ("start", f"{spread(start['process_s'], format_duration)} to the first image"),
+        ("", f"{format_duration(uncached['process_s'])} where nothing was compiled before; with / without a cache:"),
         ("", ", ".join(phases)),
         ("busy", f"{spread(scene['busy_share'], _percent)} of the time, with times kept, the device is at work"),
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from isonoise.benchmark.measure import Settings, samples_of
 from isonoise.benchmark.subject import MeasuredDevice, Subject
 from isonoise.device.opencl import Device
-from isonoise.device.pool_size import usual_pool_size
+from isonoise.device.pool_size import untuned_pool_size
 from isonoise.scene.compiled_scene import CompiledScene
 
 FACTORS = (0.25, 0.5, 1, 2, 4)
@@ -41,7 +41,7 @@ def measure_pools(
 def _subjects(scene: CompiledScene, settings: Settings) -> dict[int, Subject]:
     """The scene with every pool size for which there is memory; the usual one always."""
     device = Device(settings.device)
-    usual, samples = usual_pool_size(device.device), samples_of(scene, settings, device)
+    usual, samples = untuned_pool_size(device.device), samples_of(scene, settings, device)
     subjects = {usual: Subject(scene, MeasuredDevice(settings.device), samples, usual)}
     taken, room = subjects[usual].device.allocated, MEMORY_SHARE * device.device.global_mem_size
     for factor in FACTORS:

@@ -15,8 +15,8 @@ from isonoise.commands import EXIT_DONE
 from isonoise.device import pool_size, program_cache
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
-from isonoise.film.files import check_writable, write_whole
-from isonoise.progress import Bar
+from isonoise.film.files import check_writable, write_atomically
+from isonoise.progress import ProgressBar
 from isonoise.scene.builtin import builtin_scenes, find_scene
 
 EXIT_SLOWER = 1
@@ -66,7 +66,7 @@ def _bench(options: argparse.Namespace, settings: Settings, sources: Mapping[str
     if earlier:
         earlier.check_device(result)
     _say(head_text(result))
-    with Bar() as bar:
+    with ProgressBar() as bar:
         for number, (name, source) in enumerate(sources.items()):
             scene = load_subject(source, settings)
             if earlier:
@@ -88,14 +88,14 @@ def _tune(settings: Settings, sources: Mapping[str, str]) -> int:
 
     device = Device(settings.device).device
     scenes = [load_subject(source, settings) for source in sources.values()]
-    with Bar() as bar:
+    with ProgressBar() as bar:
         speeds = measure_pools(scenes, settings, lambda done, what: bar.show(done, 1, what))
-    usual = pool_size.usual_pool_size(device)
+    usual = pool_size.untuned_pool_size(device)
     chosen = fastest(speeds, usual)
     _say(pools_text(speeds, usual, chosen))
-    if not pool_size.keep_pool_size(device, chosen):
+    if not pool_size.store_tuned_pool_size(device, chosen):
         raise UserError(
-            f"the choice cannot be kept: {program_cache.VARIABLE} is off, or its folder cannot be written to"
+            f"the choice cannot be kept: {program_cache.FOLDER_VARIABLE} is off, or its folder cannot be written to"
         )
     return EXIT_DONE
 
@@ -124,7 +124,7 @@ def _sources(names: list[str], folder: Path) -> dict[str, str]:
 def _write(path: str | None, result: Mapping) -> None:
     if path:
         text = json.dumps(result, indent=1, allow_nan=False) + "\n"
-        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _say(text: str) -> None:

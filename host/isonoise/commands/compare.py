@@ -11,7 +11,7 @@ from isonoise.comparison.plan import Plan, Request, additions, differences, make
 from isonoise.comparison.presets import PRESETS
 from isonoise.comparison.specs import PEERS, needs_variance, split_specs, with_variance
 from isonoise.errors import UserError
-from isonoise.film.files import check_writable, remove_leftovers
+from isonoise.film.files import check_writable, remove_temporary_files
 
 DEFAULT_TIME = 10.0
 """Seconds of a run."""
@@ -105,7 +105,7 @@ def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:
             )
         added = additions(stored, plan)
         _say(f"going on in {directory}" + (f", with more: {', '.join(added)}" if added else ""))
-    remove_leftovers(directory)
+    remove_temporary_files(directory)
     write_plan(directory, plan)
 
 

@@ -4,7 +4,7 @@ import argparse
 
 from isonoise.commands import EXIT_DONE
 from isonoise.device.opencl import driver_advice, list_devices
-from isonoise.device.pool_size import found_pool_size, pool_size
+from isonoise.device.pool_size import default_pool_size, tuned_pool_size
 from isonoise.errors import DeviceError
 
 
@@ -18,6 +18,6 @@ def run(options: argparse.Namespace) -> int:
         print(f"   platform {device.platform.name.strip()}, {device.version.strip()}, driver {device.driver_version}")
         memory, largest = (size / 2**30 for size in (device.global_mem_size, device.max_mem_alloc_size))
         print(f"   {device.max_compute_units} compute units, {memory:.1f} GiB memory, {largest:.1f} GiB in one buffer")
-        how = "found by `isonoise bench --tune`" if found_pool_size(device) else "as usual"
-        print(f"   {pool_size(device):,} paths in flight, {how}")
+        how = "found by `isonoise bench --tune`" if tuned_pool_size(device) else "as usual"
+        print(f"   {default_pool_size(device):,} paths in flight, {how}")
     return EXIT_DONE

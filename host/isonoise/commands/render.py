@@ -17,7 +17,7 @@ from isonoise.film.exr import read_reference
 from isonoise.film.log import LogRow, LogWriter, row_values
 from isonoise.film.output import check_output, image_layers, write_image
 from isonoise.loop import Outcome, Stops, render_loop
-from isonoise.progress import ProgressBar, duration, percent
+from isonoise.progress import RenderProgressBar, format_duration, format_percent
 from isonoise.renderer import Renderer
 from isonoise.strategies import describe
 
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     _say_what(say, options, renderer)
 
     stops = _stops(options, renderer)
-    with _stop_signals() as received, ProgressBar() as bar:
+    with _stop_signals() as received, RenderProgressBar() as bar:
         outcome = render_loop(
             renderer,
             stops,
@@ -211,22 +211,22 @@ def _say_what(say, options: argparse.Namespace, renderer: Renderer) -> None:
     say("scene", f"{options.scene}, {scene.width}x{scene.height}")
     say("strategy", f"{describe(renderer.strategy)}, seed {options.seed}")
     say("device", renderer.device_name)
-    say("set-up", ", ".join(f"{name} {duration(seconds)}" for name, seconds in renderer.setup_times.items()))
+    say("set-up", ", ".join(f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items()))
 
 
 def _say_result(say, facts: dict[str, object]) -> None:
-    say("rendered", f"{duration(facts['time_s'])}, {facts['samples']:,} samples, {facts['spp']:.4g} per pixel")
+    say("rendered", f"{format_duration(facts['time_s'])}, {facts['samples']:,} samples, {facts['spp']:.4g} per pixel")
     say(
         "stopped",
         {"interrupted": "on request", "full": "as a pixel's count of samples is full"}.get(
             facts["stopped_by"], f"by --{facts['stopped_by']}"
         ),
     )
-    say("error", f"{percent(facts['stated_error'])} (stated, quantile {facts['quantile']:g})")
+    say("error", f"{format_percent(facts['stated_error'])} (stated, quantile {facts['quantile']:g})")
     last = facts["last_wave"] or {}
     if "true_p99" in last:
-        quantiles = ", ".join(f"p{q} {percent(last[f'true_p{q}'])}" for q in (50, 95, 99))
-        stated = ", ".join(f"p{q} {percent(last[f'stated_p{q}'])}" for q in (50, 95, 99))
+        quantiles = ", ".join(f"p{q} {format_percent(last[f'true_p{q}'])}" for q in (50, 95, 99))
+        stated = ", ".join(f"p{q} {format_percent(last[f'stated_p{q}'])}" for q in (50, 95, 99))
         say(
             "",
             f"true    {quantiles}; relMSE {last['true_rel_mse']:.3g}, image mean ratio {last['true_energy_ratio']:.4f}",

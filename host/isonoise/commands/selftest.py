@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from isonoise.commands import EXIT_DONE
 from isonoise.device.opencl import Device
-from isonoise.film.files import check_writable, write_whole
+from isonoise.film.files import check_writable, write_atomically
 from isonoise.selftest.core import PASS, Bench, Case, Group, GroupResult, run_groups
 
 EXIT_FAILED = 1
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if options.json:
         text = json.dumps(document(device, results), indent=1, allow_nan=False) + "\n"
-        write_whole(options.json, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_atomically(options.json, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return EXIT_FAILED if failed else EXIT_DONE
 
 

@@ -11,7 +11,7 @@ from isonoise import __version__
 from isonoise.comparison.specs import describe_spec, title_of
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 from isonoise.scene import compile_scene, load
 from isonoise.scene.builtin import find_scene
 
@@ -20,7 +20,7 @@ SEEDS = 2**63
 """Seeds of runs are below; those from here on belong to references."""
 REFERENCE_SHARE = 20
 """A reference takes this many times what one run takes, unless told otherwise. Its share of the samples alone makes its
-standard error 0.22 of a run's: below the quarter that `reference_serves` asks for."""
+standard error 0.22 of a run's: below the quarter that `is_reference_accurate` asks for."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def read_plan(directory: Path) -> Plan | None:
 def write_plan(directory: Path, plan: Plan) -> None:
     """Raises UserError if the file cannot be written."""
     text = json.dumps(asdict(plan), indent=1) + "\n"
-    write_whole(directory / FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomically(directory / FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def differences(stored: Plan, plan: Plan) -> list[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isonoise.comparison.columns import number, percent
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -196,7 +196,7 @@ def write_figure(path: Path, figure: "Figure") -> None:
         figure.savefig(stream, format="png", facecolor="white")
     picture = Image.open(stream).convert("RGB")
     picture = picture.quantize(256, Image.Quantize.MAXCOVERAGE)  # others merge the rare colours at the end of a scale
-    write_whole(path, lambda temporary: temporary.write_bytes(png_bytes(picture)))
+    write_atomically(path, lambda temporary: temporary.write_bytes(png_bytes(picture)))
 
 
 def inline_svg(figure: "Figure", name: str) -> str:

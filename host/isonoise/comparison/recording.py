@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 from isonoise.film.log import LogRow, row_values
 from isonoise.loop import Stops
 from isonoise.luminance import luminance
@@ -62,7 +62,7 @@ class Recorder:
             "facts": np.array(json.dumps(facts)),
         }
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, lambda temporary: np.savez_compressed(temporary, **arrays))
+        write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
 
     def _snapshot(self, row: LogRow, rgb: np.ndarray) -> tuple[float, int, np.ndarray]:
         off = luminance(rgb) - self._luminance

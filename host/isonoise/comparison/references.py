@@ -13,10 +13,10 @@ import numpy as np
 from isonoise.comparison.plan import REFERENCE_SHARE, SEEDS, SceneEntry
 from isonoise.errors import UserError
 from isonoise.film.exr import write_exr
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 from isonoise.loop import Stops, render_loop
 from isonoise.luminance import luminance
-from isonoise.progress import duration, percent
+from isonoise.progress import format_duration, format_percent
 from isonoise.renderer import Renderer
 from isonoise.statistics import Statistics
 from isonoise.strategies import Strategy, Wave
@@ -107,8 +107,8 @@ def ensure_reference(
         scale = np.maximum(r, floor)
         relative = np.divide(luminance(error), scale, out=np.zeros_like(scale), where=scale > 0)
         say(
-            f"{scene.name}  reference  {duration(sums.seconds)}  {sums.count.mean():.4g} samples per pixel  "
-            f"p99 of its standard error {percent(float(np.quantile(relative, 0.99)))}"
+            f"{scene.name}  reference  {format_duration(sums.seconds)}  {sums.count.mean():.4g} samples per pixel  "
+            f"p99 of its standard error {format_percent(float(np.quantile(relative, 0.99)))}"
         )
 
 
@@ -123,7 +123,10 @@ def ensure_variance(
     if not path.exists():
         sums = _accumulate(make, scene, path, budget, "variance", show)
         _finish(path, {"variance": sums.relative_variance()}, scene, sums)
-        say(f"{scene.name}  variance for oracles  {duration(sums.seconds)}  {sums.count.mean():.4g} samples per pixel")
+        say(
+            f"{scene.name}  variance for oracles  {format_duration(sums.seconds)}  "
+            f"{sums.count.mean():.4g} samples per pixel"
+        )
 
 
 def _accumulate(make: MakeRenderer, scene: SceneEntry, path: Path, budget: Stops, kind: str, show: Show) -> Sums:
@@ -208,7 +211,7 @@ def _load(path: Path) -> Sums:
 
 
 def _save(path: Path, sums: Sums) -> None:
-    write_whole(path, lambda temporary: np.savez(temporary, **vars(sums)))
+    write_atomically(path, lambda temporary: np.savez(temporary, **vars(sums)))
 
 
 def _finish(path: Path, layers: dict[str, np.ndarray], scene: SceneEntry, sums: Sums) -> None:

@@ -15,7 +15,7 @@ from isonoise.comparison.results import Results
 from isonoise.comparison.summary import summarise, write_summary
 from isonoise.comparison.tables import BELOW_REFERENCE, TIME_METRICS, scene_tables, short_table, time_table
 from isonoise.errors import UserError
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 
 LONGEST = 256
 """Pixels of a map's longer side in the page."""
@@ -51,7 +51,7 @@ def write_report(directory: Path) -> None:
         swatches={titles[slug]: _swatch(style) for slug, style in plots.line_styles(summary).items()},
         descriptions={titles[row["strategy"]]: row["description"] for scene in shown for row in scene["rows"]},
     )
-    write_whole(directory / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    write_atomically(directory / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
 
 
 def _template():
@@ -95,7 +95,7 @@ def _scene(results: Results, summary: Mapping, scene: Mapping) -> dict:
     folder = results.directory / "plots"
     planned = next(entry for entry in results.scenes if entry["slug"] == slug)
     picture = Image.fromarray(tone_map(results.reference(planned).rgb))
-    write_whole(folder / f"{slug}-reference.png", lambda temporary: picture.save(temporary, format="PNG"))
+    write_atomically(folder / f"{slug}-reference.png", lambda temporary: picture.save(temporary, format="PNG"))
     curves = []
     for metric in plots.METRICS:
         name = f"{slug}-{metric.replace('_', '-')}"

@@ -11,7 +11,7 @@ from isonoise.comparison.references import ensure_reference, ensure_variance
 from isonoise.comparison.specs import PEERS, needs_variance, with_variance
 from isonoise.film.exr import read_reference
 from isonoise.loop import Stops, render_loop
-from isonoise.progress import Bar, count, duration, percent
+from isonoise.progress import ProgressBar, format_count, format_duration, format_percent
 from isonoise.renderer import Renderer
 from isonoise.strategies import describe
 
@@ -63,7 +63,7 @@ class _Runner:
         """The reference, and the variance where an oracle asks for it."""
         begun = time.perf_counter()
         budget = Stops(time=self.plan.reference_time, spp=self.plan.spp if self.plan.reference_time is None else None)
-        with Bar() as bar:
+        with ProgressBar() as bar:
             ensure_reference(self._renderer, scene, self.directory, budget, self.say, bar.show)
             if any(needs_variance(strategy.spec) for strategy in strategies):
                 ensure_variance(self._renderer, scene, self.directory, budget, self.say, bar.show)
@@ -75,7 +75,7 @@ class _Runner:
 
     def _one(self, scene: SceneEntry, strategy: StrategyEntry, seed: int, reference, peers: Peers) -> None:
         path = run_path(self.directory, scene, strategy, seed)
-        with Bar() as bar:
+        with ProgressBar() as bar:
 
             def progress(elapsed_s: float, samples: int, *_) -> None:
                 where = f"{scene.name}, {strategy.title}, seed {seed}"
@@ -87,8 +87,9 @@ class _Runner:
                 last = self._render(scene, strategy, seed, reference, path, progress)
         self.done += 1
         self.say(
-            f"{scene.name}  {strategy.title}  seed {seed}  {duration(last['elapsed_s'])}  "
-            f"{count(last['samples'])} samples  p99 {percent(last['true_p99'])}  relMSE {last['true_rel_mse']:.3g}  "
+            f"{scene.name}  {strategy.title}  seed {seed}  {format_duration(last['elapsed_s'])}  "
+            f"{format_count(last['samples'])} samples  p99 {format_percent(last['true_p99'])}  "
+            f"relMSE {last['true_rel_mse']:.3g}  "
             f"image mean ratio {last['true_energy_ratio']:.4f}  [{self.done} of {self.total}{self._left()}]"
         )
 
@@ -134,4 +135,4 @@ class _Runner:
         if not self.done or self.done == self.total:
             return ""
         seconds = (time.perf_counter() - self.begun) / self.done * (self.total - self.done)
-        return f", {duration(seconds)} left"
+        return f", {format_duration(seconds)} left"

@@ -13,7 +13,7 @@ import numpy as np
 from isonoise import __version__
 from isonoise.comparison import metrics
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 from isonoise.film.log import columns
 from isonoise.strategies.registry import DEFAULT_STRATEGY
 
@@ -274,4 +274,4 @@ def _plain(value):
 
 
 def _write_text(path: Path, text: str) -> None:
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))

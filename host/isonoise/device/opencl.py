@@ -103,7 +103,7 @@ def is_cpu(device) -> bool:
     return bool(device.type & _opencl().device_type.CPU)
 
 
-def driver_of(device) -> tuple[str, ...]:
+def driver_identity(device) -> tuple[str, ...]:
     """Names and versions that tell a device with its driver from others."""
     platform = device.platform
     return platform.name, platform.version, device.name, device.version, device.driver_version
@@ -163,7 +163,7 @@ class Device:
         self._running: list[tuple] = []  # kernel, items and event of the launches since the last wait
         self._given_up: list[np.ndarray] = []  # memory of the buffers that nobody holds since the last wait
         self._open_queue(profile)
-        self.forget_profile()
+        self.reset_profile()
 
     def _open_queue(self, profile: bool) -> None:
         self.profile = profile
@@ -245,7 +245,7 @@ class Device:
     @functools.cached_property
     def _driver(self) -> tuple[str, ...]:
         """What a compiled program depends on beside its text."""
-        return (*driver_of(self.device), f"{LOCAL_SIZE} {SMALL_LOCAL_SIZE}")
+        return (*driver_identity(self.device), f"{LOCAL_SIZE} {SMALL_LOCAL_SIZE}")
 
     def buffer(self, size: int | np.ndarray, what: str):
         """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in errors."""
@@ -312,7 +312,7 @@ class Device:
         self.queue.finish()
         self._after_wait()
 
-    def forget_profile(self) -> None:
+    def reset_profile(self) -> None:
         """Begins to count launches and seconds anew."""
         self._running.clear()
         self.launches: Counter[str] = Counter()

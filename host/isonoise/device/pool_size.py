@@ -6,14 +6,14 @@ What was found is kept beside the compiled programs, for one device with its dri
 import json
 
 from isonoise.device import program_cache
-from isonoise.device.opencl import driver_of, is_cpu
+from isonoise.device.opencl import driver_identity, is_cpu
 
 MOST_USUAL = 2**20
 LEAST, MOST = 2**10, 2**26
 """Bounds for what is read from a file."""
 
 
-def usual_pool_size(device) -> int:
+def untuned_pool_size(device) -> int:
     """Paths in flight where nothing else was found. `device`: of OpenCL, here and below.
 
     Enough that launches, which take some 0.2 ms each on a CPU, are few, and that no core waits long for the last one
@@ -25,8 +25,8 @@ def usual_pool_size(device) -> int:
     return min(2**18 << (device.max_compute_units.bit_length() - 1), MOST_USUAL)
 
 
-def found_pool_size(device) -> int | None:
-    """What `keep_pool_size` kept for the device; None if there is nothing, or nothing sound."""
+def tuned_pool_size(device) -> int | None:
+    """What `store_tuned_pool_size` kept for the device; None if there is nothing, or nothing sound."""
     content = program_cache.load(_key(device))
     try:
         size = json.loads(content or b"{}")["pool_size"]
@@ -37,12 +37,12 @@ def found_pool_size(device) -> int | None:
 
 def default_pool_size(device) -> int:
     """Paths in flight on the device, unless it is said how many."""
-    return found_pool_size(device) or usual_pool_size(device)
+    return tuned_pool_size(device) or untuned_pool_size(device)
 
 
-def keep_pool_size(device, size: int) -> bool:
+def store_tuned_pool_size(device, size: int) -> bool:
     """From now on this is the device's pool size. Returns whether it could be kept."""
-    if size == usual_pool_size(device):
+    if size == untuned_pool_size(device):
         program_cache.forget(_key(device))
     else:
         program_cache.store(_key(device), json.dumps({"pool_size": size}).encode())
@@ -50,4 +50,4 @@ def keep_pool_size(device, size: int) -> bool:
 
 
 def _key(device) -> str:
-    return program_cache.program_key("pool size", (), driver_of(device))
+    return program_cache.program_key("pool size", (), driver_identity(device))

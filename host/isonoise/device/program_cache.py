@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-VARIABLE = "ISONOISE_PROGRAM_CACHE"
+FOLDER_VARIABLE = "ISONOISE_PROGRAM_CACHE"
 """Environment variable with the folder in place of the usual one, or `off`."""
 SIZE_LIMIT = 256 * 2**20
 """Bytes of all files together; a program has 50 to 500 thousand. What was not used for longest goes first."""
@@ -24,7 +24,7 @@ _HASH_SIZE = hashlib.sha256().digest_size
 
 def cache_folder() -> Path | None:
     """Where the files are, whether or not it is there already; None if programs shall not be kept."""
-    chosen = os.environ.get(VARIABLE)
+    chosen = os.environ.get(FOLDER_VARIABLE)
     if chosen:
         return None if chosen.lower() == "off" else Path(chosen)
     try:

@@ -26,7 +26,7 @@ STRUCTURE = 1e3  # scatter of means over their noise above which more of it make
 SAME_MEAN = 4.0  # a group whose means scatter more than this many times their noise tells nothing about skewness
 
 
-def freed_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.ndarray, floor: float) -> np.ndarray:
+def denoised_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.ndarray, floor: float) -> np.ndarray:
     """(sigma_i / max(mean_i, floor))^2, sigma_i the standard error of the pixel's mean, both freed of their noise.
 
     `count`, `mean`, `variance`: shape (height, width), as in `Statistics`; `floor` > 0. Returns float64, flat, in no

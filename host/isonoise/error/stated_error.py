@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from isonoise.error.shrinkage import BLOCK, freed_relative_variance
+from isonoise.error.shrinkage import BLOCK, denoised_relative_variance
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import confidence, image_floor, relative_mean
 
@@ -70,7 +70,9 @@ def _histogram(statistics: Statistics, floor: float) -> tuple[int, np.ndarray]:
     noiseless = 0
     for top in range(0, height, rows):
         part = np.s_[top : top + rows]
-        freed = freed_relative_variance(statistics.count[part], statistics.mean[part], statistics.variance[part], floor)
+        freed = denoised_relative_variance(
+            statistics.count[part], statistics.mean[part], statistics.variance[part], floor
+        )
         noisy = freed[freed > 0]
         noiseless += freed.size - noisy.size
         at = np.log2(noisy, out=noisy)

@@ -100,7 +100,7 @@ def true_error(
     )
 
 
-def reference_serves(p99_compared: Sequence[float], reference: np.ndarray, reference_se: np.ndarray) -> bool:
+def is_reference_accurate(p99_compared: Sequence[float], reference: np.ndarray, reference_se: np.ndarray) -> bool:
     """Whether the reference can tell the compared images apart: its own p99 over the pixels of se / max(r, floor) is at
     most a quarter of the smallest p99 compared."""
     r = luminance(reference)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import UserError
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 
 _DENSEST = 1 << 14  # pixels that a byte of a file can stand for
 
@@ -42,7 +42,7 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
         except RuntimeError as error:  # the library's word for a full disk or a file it cannot open
             raise OSError(str(error)) from error
 
-    write_whole(path, write)
+    write_atomically(path, write)
 
 
 def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, object]]:

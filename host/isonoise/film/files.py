@@ -39,7 +39,7 @@ def check_writable(path: str | os.PathLike) -> Path:
     return target
 
 
-def write_whole(path: str | os.PathLike, write: Callable[[Path], None]) -> None:
+def write_atomically(path: str | os.PathLike, write: Callable[[Path], None]) -> None:
     """Call `write(temporary)`, which makes a file at `temporary`, then move that file to `path`.
 
     The temporary file lies in the same folder, so the move is one atomic step; it is on the disk before it gets its
@@ -60,8 +60,8 @@ def write_whole(path: str | os.PathLike, write: Callable[[Path], None]) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Remove what `write_whole` could not, below `folder`, when its process was killed."""
+def remove_temporary_files(folder: Path) -> None:
+    """Remove what `write_atomically` could not, below `folder`, when its process was killed."""
     for path in folder.rglob(".*.tmp*"):
         if re.fullmatch(r"\.[0-9a-f]{12}\.tmp(\.\w+)?", path.name):
             path.unlink(missing_ok=True)

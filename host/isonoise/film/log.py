@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Literal
 
 from isonoise.errors import UserError
-from isonoise.film.files import check_writable, write_whole
+from isonoise.film.files import check_writable, write_atomically
 
 if TYPE_CHECKING:
     from isonoise.error.true_error import TrueError
@@ -83,7 +83,7 @@ class LogWriter:
         line = (",".join(_text(value) for value in row_values(row).values()) + "\n").encode()
         if not self._begun:
             header = (",".join(self._columns) + "\n").encode()
-            write_whole(self._path, lambda temporary: temporary.write_bytes(header + line))
+            write_atomically(self._path, lambda temporary: temporary.write_bytes(header + line))
             self._begun = True
             return
         try:

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from isonoise.film.files import write_whole
+from isonoise.film.files import write_atomically
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
@@ -48,7 +48,7 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray) -> None:
     from PIL import Image
 
     picture = Image.fromarray(tone_map(rgb))
-    write_whole(path, lambda temporary: picture.save(temporary, format="PNG"))
+    write_atomically(path, lambda temporary: picture.save(temporary, format="PNG"))
 
 
 def _exposure(brightness: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""Scenes of so few primitives that a ray meets them all sooner than it walks through a hierarchy: kernels/geometry/brute_force.h."""
+"""Scenes of so few primitives that testing them all is faster than a hierarchy: kernels/geometry/brute_force.h."""
 
 import numpy as np
 

@@ -18,7 +18,7 @@ from isonoise.scene.light.light_tree import ROWS, pays
 from isonoise.scene.material import textures
 from isonoise.scene.material.bsdfs import reads_uvs
 from isonoise.scene.material.rough_transmittance import NODES
-from isonoise.statistics import NOTHING_MORE, Needs
+from isonoise.statistics import BASIC_NEEDS, Needs
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ _ROUGH = (structs.BSDF_ROUGH_CONDUCTOR, structs.BSDF_ROUGH_DIELECTRIC, structs.B
 """Materials of which the distribution of normals can be chosen."""
 
 
-def features(scene: CompiledScene, needs: Needs = NOTHING_MORE) -> dict[str, bool]:
+def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool]:
     """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
     analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
     surface_lights = {structs.LIGHT_TRIANGLE, structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER}

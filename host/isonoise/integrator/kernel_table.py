@@ -25,8 +25,8 @@ KERNELS = {
     "list_samples": ("stages/pixel_stages.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
     "generate": (
         "stages/generate.cl",
-        "count_new plane_stride first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel pixel_offset "
-        "count rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
+        "count_new plane_stride first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel "
+        "pixel_offset count rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
         "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium LIGHT_TREE:mis_normal LIGHT_LIST:mis_normal",
     ),
     "intersect": (
@@ -36,8 +36,8 @@ KERNELS = {
     ),
     "shade": (
         "stages/shade.cl",
-        "path_count plane_stride sample_pixel seed max_depth rr_depth triangles faces corner_normals UVS:uvs TEXTURES:textures "
-        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes "
+        "path_count plane_stride sample_pixel seed max_depth rr_depth triangles faces corner_normals UVS:uvs "
+        "TEXTURES:textures TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes "
         "TEXTURES:textured_slots analytics shapes bsdfs ROUGH_PLASTIC:rough_transmittances "
         "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
         "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_aliases environment_light "
@@ -45,18 +45,19 @@ KERNELS = {
         "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:world_triangles "
         "INSTANCES:instance "
         "VOLPATH:crossing MEDIA:media MEDIA:medium "
-        "LIGHT_TREE:light_nodes LIGHT_TREE:light_parents LIGHT_LIST:light_bounds LIGHT_TREE:mis_normal LIGHT_LIST:mis_normal",
+        "LIGHT_TREE:light_nodes LIGHT_TREE:light_parents LIGHT_LIST:light_bounds LIGHT_TREE:mis_normal "
+        "LIGHT_LIST:mis_normal",
     ),
     "shadow": (
         "stages/shadow.cl",
-        "path_count plane_stride rays_per_item nodes blocks first_analytic analytics shadow_origin shadow_direction shadow_radiance "
-        "hit path samples INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
+        "path_count plane_stride rays_per_item nodes blocks first_analytic analytics shadow_origin shadow_direction "
+        "shadow_radiance hit path samples INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "shadow_transmittance": (
         "stages/shadow_transmittance.cl",
-        "path_count plane_stride nodes blocks first_analytic triangles faces corner_normals UVS:uvs TEXTURES:textures "
-        "TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics shapes bsdfs "
-        "shadow_origin shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
+        "path_count plane_stride nodes blocks first_analytic triangles faces corner_normals UVS:uvs "
+        "TEXTURES:textures TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics "
+        "shapes bsdfs shadow_origin shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
         "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
     ),
     "count_alive": ("stages/compact.cl", "alive path_count block_alive"),
@@ -75,20 +76,21 @@ KERNELS = {
     ),
     "summarise": (
         "stages/pixel_stages.cl",
-        "first_pixel pixels stride total_pixels count sums block_sums summary CHUNK_MEDIANS:medians POWER_MEAN:powers HALF_BUFFER:halves",
+        "first_pixel pixels stride total_pixels count sums block_sums summary "
+        "CHUNK_MEDIANS:medians POWER_MEAN:powers HALF_BUFFER:halves",
     ),
 }
 
 BRUTE_FORCE_KERNELS = {
     "intersect": (
         "stages/intersect_brute_force.cl",
-        "path_count plane_stride corners corner_count corner_indices triangle_count analytics analytic_count ray_origin "
-        "ray_direction path hit",
+        "path_count plane_stride corners corner_count corner_indices triangle_count analytics analytic_count "
+        "ray_origin ray_direction path hit",
     ),
     "shadow": (
         "stages/shadow_brute_force.cl",
-        "path_count plane_stride corners corner_count corner_indices triangle_count analytics analytic_count shadow_origin "
-        "shadow_direction shadow_radiance hit path samples",
+        "path_count plane_stride corners corner_count corner_indices triangle_count analytics analytic_count "
+        "shadow_origin shadow_direction shadow_radiance hit path samples",
     ),
 }
 """What takes the place of their rows of `KERNELS` where there are so few primitives that no hierarchy is needed."""

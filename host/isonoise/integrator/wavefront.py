@@ -35,7 +35,7 @@ from isonoise.scene.light import light_list
 from isonoise.scene.light.light_tree import build_light_tree
 from isonoise.scene.material import bsdfs, textures
 from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
-from isonoise.statistics import NOTHING_MORE, Needs
+from isonoise.statistics import BASIC_NEEDS, Needs
 
 PLANE_PADDING = 80
 """Numbers by which a plane of the paths is longer than the pool: else the members of a path, a power of two apart,
@@ -60,9 +60,9 @@ _HELD = {
 class Wavefront:
     """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads.
 
-    `feature_override`: features of the program, to test or to measure what it does with more of them than scene and `needs` ask
-    for; by default those. With COUNT_TESTS the buffer `tests` has, after a bounce, the nodes and blocks of triangles
-    that each ray of `intersect` was tested against.
+    `feature_override`: features of the program, to test or to measure what it does with more of them than scene and
+    `needs` ask for; by default those. With COUNT_TESTS the buffer `tests` has, after a bounce, the nodes and blocks
+    of triangles that each ray of `intersect` was tested against.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Wavefront:
         device: Device,
         scene: CompiledScene,
         bvh: Bvh,
-        needs: Needs = NOTHING_MORE,
+        needs: Needs = BASIC_NEEDS,
         seed: int = 0,
         pool_size: int | None = None,
         feature_override: Mapping[str, bool] | None = None,
@@ -230,29 +230,31 @@ class Wavefront:
             for name in self._stages:
                 self._launch(name, items, **nothing)
         self.device.finish()
-        self.device.forget_profile()
+        self.device.reset_profile()
 
-    def trace(self, allocation: np.ndarray, goes_on: Callable[[int], bool] = lambda entered: True) -> int:
+    def trace(self, allocation: np.ndarray, should_continue: Callable[[int], bool] = lambda entered: True) -> int:
         """Traces the allocation map, uint32 of shape (height, width); returns how many samples entered the statistics.
 
-        `goes_on` is asked after every bounce, with the samples that have entered so far. Once it says no, no path
-        begins any more; those in flight come to their end and count. What has entered is always a first part of the
-        map, in pixel order.
+        `should_continue` is asked after every bounce, with the samples that have entered so far. Once it says no, no
+        path begins any more; those in flight come to their end and count. What has entered is always a first part of
+        the map, in pixel order.
         """
         ends = np.cumsum(allocation.ravel(), dtype=np.int64)
         total, entered = int(ends[-1]), 0
-        while entered < total and goes_on(entered):
+        while entered < total and should_continue(entered):
             end = min(entered + self.slice_samples, total)
             first, last = np.searchsorted(ends, [entered, end - 1], side="right")
             starts = ends[first : last + 1] - allocation.ravel()[first : last + 1]
             offsets = np.maximum(starts - entered, 0).astype(np.uint32)
-            traced = self._trace_slice(int(first), offsets, end - entered, partial(goes_on, entered))
+            traced = self._trace_slice(int(first), offsets, end - entered, partial(should_continue, entered))
             entered += traced
             if entered < end:
                 break
         return entered
 
-    def _trace_slice(self, first_pixel: int, offsets: np.ndarray, samples: int, goes_on: Callable[[], bool]) -> int:
+    def _trace_slice(
+        self, first_pixel: int, offsets: np.ndarray, samples: int, should_continue: Callable[[], bool]
+    ) -> int:
         """One slice: pixels first_pixel... whose samples begin at `offsets` of its `samples`; returns those traced."""
         pixels = len(offsets)
         self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
@@ -261,12 +263,12 @@ class Wavefront:
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
-            samples = self._trace_paths(samples, goes_on)
+            samples = self._trace_paths(samples, should_continue)
         self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **of_slice)
         self.device.finish()
         return samples
 
-    def _trace_paths(self, samples: int, goes_on: Callable[[], bool]) -> int:
+    def _trace_paths(self, samples: int, should_continue: Callable[[], bool]) -> int:
         paths = begun = 0  # in flight; samples whose path has begun
         while paths or begun < samples:
             new = min(self.pool_size - paths, samples - begun)
@@ -275,7 +277,7 @@ class Wavefront:
                 self._launch("generate", new, count_new=np.uint32(new), **places)
             begun += new
             paths = self._bounce(paths + new)
-            if begun < samples and not goes_on():
+            if begun < samples and not should_continue():
                 samples = begun
         return begun
 

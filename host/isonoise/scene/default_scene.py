@@ -7,7 +7,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import transforms
-from isonoise.scene.mesh.mesh import Part, used_vertices
+from isonoise.scene.mesh.mesh import Mesh, Part, used_vertices
 from isonoise.scene.mesh.obj import read_mtl, read_obj
 from isonoise.scene.mesh.ply import read_ply
 from isonoise.scene.parse.elements import exists

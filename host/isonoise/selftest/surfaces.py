@@ -85,8 +85,8 @@ def _convex(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Ca
 
 
 def _closed(bench: Bench, name: str, scale: float, offset: float) -> Iterator[Case]:
-    """None gets out. A ray that starts within some 20 roundings of another triangle's plane ends (kernels/path/path_vertex.h),
-    and far from the world's origin these are wide: the limit of how far from it meshes can stand."""
+    """None gets out. A ray that starts within some 20 roundings of another triangle's plane ends (kernels/path/
+    path_vertex.h), and far from the world's origin these are wide: the limit of how far from it meshes can stand."""
     begun = SIDE * SIDE * SPP // 2
     camera = looking((offset,) * 3, offset + scale * np.array([1.0, 0.4, -0.3]))
     bodies = _bodies(scale, offset)

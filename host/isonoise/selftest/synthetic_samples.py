@@ -7,13 +7,13 @@ from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import statistics_features
 from isonoise.integrator.kernel_table import KERNELS
 from isonoise.integrator.stages import Stages
-from isonoise.statistics import NOTHING_MORE, Needs, Statistics
+from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 
 class Reducer:
     """`reduce` and `summarise` over `pixels` in a row."""
 
-    def __init__(self, device: Device, pixels: int, needs: Needs = NOTHING_MORE):
+    def __init__(self, device: Device, pixels: int, needs: Needs = BASIC_NEEDS):
         self.device = device
         table = {name: KERNELS[name] for name in ("reduce", "summarise")}
         self.stages = Stages(self.device, table, statistics_features(needs), build_constants(needs), {})

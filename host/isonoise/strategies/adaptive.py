@@ -11,7 +11,7 @@ from isonoise.statistics import Needs, Statistics
 from isonoise.strategies import measures
 from isonoise.strategies.allocation import deficit, proportional_to_error
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.parameter_checks import check_range, check_whole
+from isonoise.strategies.parameter_checks import check_integer, check_range
 from isonoise.strategies.schedule import alternating_waves
 
 RULES = ("deficit", "sqrt", "proportional")
@@ -50,7 +50,7 @@ class Adaptive(Strategy):
         check_range("growth", self.growth, 0.01, 4)
         check_range("clip", self.clip, 0.5, 1)
         check_range("cap", self.cap, 2)
-        check_whole("cap", self.cap)
+        check_integer("cap", self.cap)
 
     def waves(self) -> Iterator[Wave]:
         return alternating_waves(self.warmup, self.ratio, self.growth)

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from isonoise.statistics import NOTHING_MORE, Needs, Statistics
+from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Strategy:
     """Base of all strategies. Parameters are keyword arguments of `__init__`, documented in its docstring."""
 
     name: ClassVar[str]
-    needs: Needs = NOTHING_MORE
+    needs: Needs = BASIC_NEEDS
     """Statistics it reads beyond those every render keeps; of the class, or of the instance where parameters decide."""
 
     def waves(self) -> Iterator[Wave]:

@@ -12,7 +12,7 @@ def check_range(name: str, value: float, low: float, high: float = math.inf) -> 
         raise UserError(f"strategy parameter {name} = {value!r} is out of range: it goes from {low:g} {upper}")
 
 
-def check_whole(name: str, value: float) -> None:
+def check_integer(name: str, value: float) -> None:
     """Raises UserError unless the value is a whole number (inf passes)."""
     if value != math.inf and value != int(value):
         raise UserError(f"strategy parameter {name} = {value!r} must be a whole number")

@@ -1,7 +1,8 @@
 """The hierarchy of a scene: a tree over what stands in the world, and one over each group of shapes, in common arrays.
 
 Nodes: the root of the world, the roots of the groups, then the other nodes, tree by tree. Leaves: the blocks of all
-trees, then all analytic primitives, then the instances, which stand in the world's tree alone (kernels/stages/intersect.cl).
+trees, then all analytic primitives, then the instances, which stand in the world's tree alone
+(kernels/stages/intersect.cl).
 """
 
 from dataclasses import replace

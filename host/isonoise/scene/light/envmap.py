@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.luminance import REC709_LUMINANCE
 from isonoise.scene.image.image import Image
 from isonoise.scene.light.alias_table import alias_tables
 
@@ -37,7 +38,6 @@ ENVIRONMENT_ROW = np.dtype(
     ]
 )
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # the weights of kernels/util/math.h: the density is computed with them
 _ROWS = 64  # that are summed at once
 _ORTHOGONAL = 1e-3  # how far the axes of to_world may be off
 
@@ -87,7 +87,7 @@ def make_environment(image: Image, to_world: np.ndarray, scale: float, where: st
 
 def _brightest(pixels: np.ndarray) -> float:
     """The largest luminance."""
-    weights = _LUMINANCE if pixels.shape[2] == 3 else np.ones(1)
+    weights = REC709_LUMINANCE if pixels.shape[2] == 3 else np.ones(1)
     return max(float((pixels[row : row + _ROWS] @ weights).max()) for row in range(0, len(pixels), _ROWS))
 
 
@@ -121,7 +121,7 @@ def _tables(texels: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarr
         last = min(first + _ROWS, height - 1)
         part = texels[first : last + 1, :, :3].astype(np.float64)
         sums[first : last + 1] = part.sum(axis=1)
-        node = (part @ _LUMINANCE) * sines[first : last + 1, None]
+        node = (part @ REC709_LUMINANCE) * sines[first : last + 1, None]
         pair = node + np.roll(node, -1, axis=1)
         cells = 0.25 * (pair[:-1] + pair[1:])
         weights[first:last] = cells.sum(axis=1)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from isonoise.scene import structs
-from isonoise.scene.spectra import LUMINANCE, colour_to_rgb
+from isonoise.scene.spectra import MITSUBA_LUMINANCE, colour_to_rgb
 
 _EXPONENT = 1000  # within float64
 _KINDS = {
@@ -29,7 +29,7 @@ def emitted(emitter: dict) -> np.ndarray:
 
 def radiance_scale(values: list[np.ndarray]) -> float:
     """2^-floor(log2(max luminance)): brings the brightest emitter into [1, 2). 1 without light."""
-    brightest = max((float(value @ LUMINANCE) for value in values), default=0.0)
+    brightest = max((float(value @ MITSUBA_LUMINANCE) for value in values), default=0.0)
     if not brightest > 0:
         return 1.0
     return 2.0 ** min(max(1 - math.frexp(brightest)[1], -_EXPONENT), _EXPONENT)
@@ -91,7 +91,7 @@ def light_selection_pmf(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     factor[np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP))] = (
         4.0 * np.pi**2 * radius**2
     )
-    power = factor * (lights["radiance"].astype(np.float64) @ LUMINANCE)
+    power = factor * (lights["radiance"].astype(np.float64) @ MITSUBA_LUMINANCE)
     largest = power.max()
     if not largest > 0:
         return np.full(len(lights), 1.0 / len(lights))
