@@ -28,7 +28,7 @@ from isonoise.scene import compile_scene, load
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.image.image import read_image
 from isonoise.scene.parse import plugin_tables
-from isonoise.scene.vocabulary import ELSEWHERE, PLUGINS
+from isonoise.scene.vocabulary import PLUGINS, UNSUPPORTED_PLUGINS
 
 SECONDS = 5  # of the processor, for one input
 MEMORY = 2 << 30  # bytes beyond what the process has before; images may take 2 GiB where a file is large enough
@@ -127,7 +127,7 @@ EXTREMES = ["0", "1", "-1", "0.5", "1e-30", "1e30", "1e17", "-1e18", "3e38", "1e
 TAGS = ["float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform", "ref", "include"]
 TAGS += ["alias", "default", "path", "lookat", "matrix", "translate", "rotate", "scale", "scene", *plugin_tables.KINDS]
 NAMES = sorted({parameter.name for plugin in PLUGINS for parameter in plugin.parameters} | {"interior", "exterior", ""})
-TYPES = sorted({plugin.name for plugin in PLUGINS} | {name for names in ELSEWHERE.values() for name in names})
+TYPES = sorted({plugin.name for plugin in PLUGINS} | {name for names in UNSUPPORTED_PLUGINS.values() for name in names})
 NUMBERS = [
     b"0",
     b"-1",

@@ -58,7 +58,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
         pytest.skip("no C preprocessor 'cpp' on PATH")
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
-    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MOST}
+    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     parts = []
     for features_ in sets:
         text, options = stage_source(file, STRUCTS, constants, features_)

@@ -12,7 +12,7 @@ from isonoise.device.program import declare_struct, flatten
 from isonoise.errors import SceneError
 from isonoise.scene.image.image import Image, read_image
 from isonoise.scene.light import envmap
-from isonoise.scene.light.envmap import Environment, make_environment
+from isonoise.scene.light.envmap import EnvironmentMap, build_environment_map
 
 Z = 5.0
 SAMPLES = 1 << 19
@@ -56,7 +56,7 @@ class OnDevice:
         text = ["#pragma OPENCL FP_CONTRACT OFF", record, flatten("light/envmap.h"), KERNEL]
         self._text = "\n".join(text)
 
-    def _run(self, kernel: str, made: Environment, given: np.ndarray, rows: int) -> np.ndarray:
+    def _run(self, kernel: str, made: EnvironmentMap, given: np.ndarray, rows: int) -> np.ndarray:
         n = len(given)
         on = ("-DFEATURE_ENVIRONMENT_MAP=1", "-DFEATURE_NEXT_EVENT=1")
         kernels = self.device.build(self._text, ("-cl-std=CL1.2", "-Werror", *on))
@@ -66,13 +66,13 @@ class OnDevice:
         self.device.launch(kernels[kernel], n, (*buffers, out, np.uint32(n)))
         return self.device.read(out, np.float32, 4 * rows * n).reshape(n, rows, 4).astype(np.float64)
 
-    def sample(self, made: Environment, count: int = SAMPLES, seed: int = 1):
+    def sample(self, made: EnvironmentMap, count: int = SAMPLES, seed: int = 1):
         """Directions (n, 3), pdf (n,) and radiance (n, 3)."""
         u = np.random.default_rng(seed).integers(0, 1 << 24, (count, 2)).astype(np.float32) / (1 << 24)
         out = self._run("sample", made, u, 2)
         return out[:, 0, :3], out[:, 0, 3], out[:, 1, :3]
 
-    def look(self, made: Environment, directions: np.ndarray):
+    def look(self, made: EnvironmentMap, directions: np.ndarray):
         """Radiance (n, 3) and pdf (n,)."""
         out = self._run("look", made, np.ascontiguousarray(directions, np.float32), 1)
         return out[:, 0, :3], out[:, 0, 3]
@@ -119,8 +119,8 @@ def pixels_of(name: str) -> np.ndarray:
 MAPS = ("smallest", "noise", "plain", "sun", "zenith", "lamps", "steep")
 
 
-def make(name: str, to_world=None, scale: float = 1.0) -> Environment:
-    return make_environment(Image(pixels_of(name)), turned(3) if to_world is None else to_world, scale, "envmap")
+def make(name: str, to_world=None, scale: float = 1.0) -> EnvironmentMap:
+    return build_environment_map(Image(pixels_of(name)), turned(3) if to_world is None else to_world, scale, "envmap")
 
 
 def directions_of(place: np.ndarray, to_world: np.ndarray, shape) -> np.ndarray:
@@ -275,7 +275,7 @@ def test_radiance_is_mitsubas(on_device, mirrored):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
     pixels, to_world = pixels_of("noise"), turned(7, mirrored)
-    made = make_environment(Image(pixels), to_world, 1.7, "envmap")
+    made = build_environment_map(Image(pixels), to_world, 1.7, "envmap")
     theirs = {"type": "envmap", "bitmap": mi.Bitmap(pixels), "scale": 1.7, "to_world": mi.ScalarTransform4f(to_world)}
     emitter = mi.load_dict(theirs)
     directions = np.random.default_rng(8).normal(size=(1000, 3))
@@ -316,7 +316,7 @@ def test_directions_that_are_none(on_device):
 
 
 def test_all_dark(on_device):
-    made = make_environment(Image(np.zeros((5, 8, 3), np.float32)), np.eye(4), 1.0, "envmap")
+    made = build_environment_map(Image(np.zeros((5, 8, 3), np.float32)), np.eye(4), 1.0, "envmap")
     _, pdf, radiance = on_device.sample(made, 1000)
     assert (pdf == 0).all()
     assert (radiance == 0).all()
@@ -332,9 +332,9 @@ def test_an_even_scale_does_not_matter(on_device):
 
 def test_images_of_bytes_and_of_one_channel(on_device):
     grey = np.random.default_rng(10).integers(0, 256, (9, 16, 1), dtype=np.uint8)
-    made = make_environment(Image(grey), np.eye(4), 1.0, "envmap")
+    made = build_environment_map(Image(grey), np.eye(4), 1.0, "envmap")
     linear = np.broadcast_to(Image(grey).linear(), (9, 16, 3))
-    same = make_environment(Image(np.ascontiguousarray(linear)), np.eye(4), 1.0, "envmap")
+    same = build_environment_map(Image(np.ascontiguousarray(linear)), np.eye(4), 1.0, "envmap")
     assert (made.texels == same.texels).all()
     assert (made.aliases == same.aliases).all()
 
@@ -352,21 +352,21 @@ def test_images_of_bytes_and_of_one_channel(on_device):
 )
 def test_maps_that_cannot_be(pixels, to_world, message):
     with pytest.raises(SceneError, match=f"envmap 'sky'.*{message}"):
-        make_environment(Image(pixels), to_world, 1.0, "envmap 'sky'")
+        build_environment_map(Image(pixels), to_world, 1.0, "envmap 'sky'")
 
 
 def test_negative_pixels_are_black():
     pixels = np.ones((3, 2, 3), np.float32)
     pixels[1] = -1e-3
     with pytest.warns(UserWarning, match="envmap 'sky'.*negative"):
-        made = make_environment(Image(pixels), np.eye(4), 1.0, "envmap 'sky'")
+        made = build_environment_map(Image(pixels), np.eye(4), 1.0, "envmap 'sky'")
     assert (made.texels[1, :, :3] == 0).all()
     assert (made.texels[[0, 2], :, :3] == 1).all()
 
 
 def test_a_real_sky(on_device, public_scenes):
     """The sun of kloppenheim_05 is 83,000 in one texel for a mean of 1.6: sampling has its density, and no noise."""
-    made = make_environment(read_image(public_scenes / "env" / "kloppenheim_05_1k.hdr"), np.eye(4), 1.0, "envmap")
+    made = build_environment_map(read_image(public_scenes / "env" / "kloppenheim_05_1k.hdr"), np.eye(4), 1.0, "envmap")
     shape = made.texels.shape[:2]
     place, solid = quadrature(shape, 2)
     probability = on_device.look(made, directions_of(place.reshape(-1, 2), np.eye(4), shape))[1].reshape(solid.shape)

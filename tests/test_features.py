@@ -97,7 +97,7 @@ def test_all_build(device, lanes, off):
     """What launches them takes twice as long, and is among the long tests."""
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
-    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MOST}
+    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     for few in (False, True):
         for file in dict.fromkeys(file for file, _ in kernel_table(all_but(*off), few).values()):
             text, options = stage_source(file, STRUCTS, constants, all_but(*off))

@@ -494,7 +494,7 @@ def test_groups_share_primitives_in_the_order_of_their_first_instance():
         "disk": {"type": "disk"},
     }
     compiled = compile_scene(load(scene))
-    assert compiled.group_begins.tolist() == [[0, 1], [2, 1], [14, 2]]
+    assert compiled.group_offsets.tolist() == [[0, 1], [2, 1], [14, 2]]
     assert compiled.instances["root"].tolist() == [1, 2, 2]
     assert compiled.shapes["first_primitive"].tolist() == [0, 0, 1, 2]
     assert compiled.analytics["kind"].tolist() == [structs.ANALYTIC_DISK, structs.ANALYTIC_SPHERE]

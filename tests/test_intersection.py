@@ -12,7 +12,7 @@ from isonoise.device.program import stage_source
 from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import structs
 from isonoise.scene.accel.bounds import analytic_bounds
-from isonoise.scene.accel.bvh import WIDTH, build_bvh
+from isonoise.scene.accel.bvh import BVH_WIDTH, build_bvh
 
 FEATURES = dict.fromkeys(("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"), True)
 FEATURES |= dict.fromkeys(("INSTANCES", "COUNT_TESTS"), False)
@@ -288,6 +288,6 @@ def test_hierarchy_of_degenerate_geometry_holds_every_triangle(corners):
 def test_hierarchy_of_a_fine_mesh_is_full_and_shallow():
     mesh = trimesh.creation.icosphere(subdivisions=6)
     bvh = build_bvh(np.asarray(mesh.triangles, np.float32), *no_analytics())
-    filled = len(mesh.faces) / (WIDTH * len(bvh.blocks))
+    filled = len(mesh.faces) / (BVH_WIDTH * len(bvh.blocks))
     assert filled > 0.6
     assert bvh.depth <= 10

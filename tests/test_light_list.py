@@ -97,7 +97,7 @@ class OnDevice:
         self.kernels = {}
         for lanes in (LANES, 1):
             constants = structs.CONSTANTS | textures.CONSTANTS
-            constants |= {"LANES": lanes, "MAX_LISTED_LIGHTS": light_list.MOST}
+            constants |= {"LANES": lanes, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
             text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, of) for name, of in STRUCTS.items())]
             text += [f"#define {name} {value}u" for name, value in constants.items()]
             text += [flatten("light/light_list.h"), KERNELS]
@@ -263,6 +263,6 @@ def test_points_on_and_in_lights_and_behind_all(device):
 def test_some_lights_are_listed_and_more_make_a_tree():
     floor = {"floor": {"type": "rectangle"}}
     some, more = compiled(**floor, **mixed_lights(12)), compiled(**floor, **mixed_lights(60))
-    assert len(more.lights) > light_list.MOST
+    assert len(more.lights) > light_list.MAX_LISTED_LIGHTS
     for scene, kind in ((some, "LIGHT_LIST"), (more, "LIGHT_TREE")):
         assert [name for name in ("LIGHT_LIST", "LIGHT_TREE") if features(scene)[name]] == [kind]

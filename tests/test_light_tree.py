@@ -19,7 +19,7 @@ from isonoise.device.program import declare_struct, flatten
 from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import structs
 from isonoise.scene.light import light_bounds, light_tree
-from isonoise.scene.light.light_tree import ROWS, WIDTH, build_light_tree
+from isonoise.scene.light.light_tree import BVH_WIDTH, LIGHT_NODE_ROWS, build_light_tree
 from isonoise.scene.material import textures
 
 Z = 5.0
@@ -84,7 +84,7 @@ class OnDevice:
     def run(self, kernel, tree, lights, points, normals, what, row):
         n = len(points)
         points, normals = points.astype(np.float32), normals.astype(np.float32)
-        given = (tree.nodes, tree.places, np.uint32(lights), points, normals, what)
+        given = (tree.nodes, tree.parents, np.uint32(lights), points, normals, what)
         out = self.device.buffer(4 * row * n, "results")
         buffers = [self.device.buffer(a, "arguments") if a.ndim else a for a in given]
         self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
@@ -148,12 +148,12 @@ def test_every_light_with_power_has_one_place(count, beyond):
     inner = references[used & (references >= 0)]
     assert sorted(inner) == list(range(1, len(tree.nodes)))
     for child in np.concatenate([leaves, lights + inner]):
-        node, slot = divmod(int(tree.places[child]), WIDTH)
+        node, slot = divmod(int(tree.parents[child]), BVH_WIDTH)
         assert references[node, slot] == (child - lights if child >= lights else ~child)
-    assert tree.places[lights] == structs.NONE
+    assert tree.parents[lights] == structs.NONE
     dark = np.flatnonzero(scene.lights["selection_pmf"] == 0)
     assert len(dark) == 1
-    assert tree.places[dark].tolist() == [structs.NONE]
+    assert tree.parents[dark].tolist() == [structs.NONE]
 
 
 def _below(tree, node: int) -> list[int]:
@@ -231,7 +231,7 @@ def test_intensity_is_the_largest_that_a_light_has():
         spot={"type": "spot", "intensity": 17.0, "cutoff_angle": 30.0},
     )
     expected = np.array([2 * 3.0, 2 * 3.0, np.pi / 4 * 5.0, np.pi * 7.0, 2 * 0.5 * 2 * 11.0, 13.0, 17.0])
-    intensity = light_bounds.emission_of(scene, scene.lights).intensity
+    intensity = light_bounds.compute_light_bounds(scene, scene.lights).intensity
     np.testing.assert_allclose(intensity / intensity[0], expected / expected[0], rtol=1e-5)
 
 
@@ -367,7 +367,7 @@ def test_pictures_with_and_without_the_tree_agree(monkeypatch):
     """Means of blocks of 3 x 3 pixels over independent renders: z-values of each, and of the image."""
     images = {}
     for fewest in (10**9, 1):
-        monkeypatch.setattr(light_tree, "FEWEST", fewest)
+        monkeypatch.setattr(light_tree, "MIN_TREE_LIGHTS", fewest)
         images[fewest] = np.stack(
             [
                 isonoise.render(room(48), spp=64, strategy="uniform:wave_spp=64", seed=seed).statistics.mean
@@ -392,13 +392,13 @@ def test_less_noise_where_lights_are_spread(monkeypatch):
         scene[f"lamp{index}"] = {"type": "point", "position": [x, y, 1.0], "intensity": 1.0}
     variance = {}
     for fewest in (10**9, 1):
-        monkeypatch.setattr(light_tree, "FEWEST", fewest)
+        monkeypatch.setattr(light_tree, "MIN_TREE_LIGHTS", fewest)
         variance[fewest] = isonoise.render(scene, spp=256, strategy="uniform").statistics.variance.mean()
     assert variance[1] < 0.1 * variance[10**9]
 
 
 def test_against_mitsuba(monkeypatch, tmp_path):
-    monkeypatch.setattr(light_tree, "FEWEST", 1)
+    monkeypatch.setattr(light_tree, "MIN_TREE_LIGHTS", 1)
     scene = room(24)
     for name, shape in scene.items():
         if isinstance(shape, dict) and shape["type"] == "mesh":
@@ -449,10 +449,10 @@ def test_a_million_lights():
     begun = time.perf_counter()
     tree = build_light_tree(scene)
     assert time.perf_counter() - begun < 60
-    assert tree.nodes.shape[1:] == (ROWS, WIDTH)
+    assert tree.nodes.shape[1:] == (LIGHT_NODE_ROWS, BVH_WIDTH)
     lights, depth = len(scene.lights), 0
-    place = tree.places[:lights]
+    place = tree.parents[:lights]
     while (place != structs.NONE).any():
-        place = tree.places[lights + place[place != structs.NONE] // WIDTH]
+        place = tree.parents[lights + place[place != structs.NONE] // BVH_WIDTH]
         depth += 1
     assert depth < 12

@@ -15,7 +15,7 @@ from isonoise.commands import info
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load
 from isonoise.scene.parse import plugin_tables
-from isonoise.scene.vocabulary import ELSEWHERE, PLUGINS, plugins_of
+from isonoise.scene.vocabulary import PLUGINS, UNSUPPORTED_PLUGINS, plugins_of
 from isonoise.scene.vocabulary.plugin import COLOURS, IGNORED, SUPPORTED, UNSUPPORTED, Parameter, Plugin
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -225,12 +225,15 @@ def test_every_parameter_does_what_the_registry_says(plugin, parameter, files):
                 compiled(plugin, thing | {parameter.name: number}, files)
 
 
-@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, names in ELSEWHERE.items() for name in names])
+@pytest.mark.parametrize(
+    ("kind", "name"), [(kind, name) for kind, names in UNSUPPORTED_PLUGINS.items() for name in names]
+)
 def test_what_is_elsewhere_is_said_to_be(kind, name, scene_of):
     assert name not in plugins_of(kind)
-    assert ELSEWHERE[kind][name]
+    assert UNSUPPORTED_PLUGINS[kind][name]
     with pytest.raises(
-        SceneError, match=f"{kind} '{name}' is not supported .Mitsuba 3 has it.: {re.escape(ELSEWHERE[kind][name])}"
+        SceneError,
+        match=f"{kind} '{name}' is not supported .Mitsuba 3 has it.: {re.escape(UNSUPPORTED_PLUGINS[kind][name])}",
     ):
         scene_of(_placed(kind, name))
 
@@ -283,7 +286,9 @@ def test_mitsuba_has_the_same_plugins():
     names = {path.name.split(".")[0] for path in [*folder.glob("*.so"), *folder.glob("*.dylib"), *folder.glob("*.dll")]}
     theirs = {(KINDS[str(manager.plugin_type(name)).split(".")[-1]], name) for name in names}
     ours = {(plugin.kind, plugin.name) for plugin in READ if plugin.name not in OWN}
-    ours |= {(kind, name) for kind, absent in ELSEWHERE.items() for name in absent if not IN_PYTHON.search(name)}
+    ours |= {
+        (kind, name) for kind, absent in UNSUPPORTED_PLUGINS.items() for name in absent if not IN_PYTHON.search(name)
+    }
     assert ours == theirs
 
 
@@ -350,7 +355,7 @@ def test_the_tables_are_those_of_the_registry():
 
 
 def test_the_kinds_are_complete():
-    assert set(plugin_tables.KINDS) == {plugin.kind for plugin in READ} | set(ELSEWHERE)
+    assert set(plugin_tables.KINDS) == {plugin.kind for plugin in READ} | set(UNSUPPORTED_PLUGINS)
     for kind in plugin_tables.KINDS:
         names = [row[0] for row in plugin_tables.overview(kind)]
         assert len(set(names)) == len(names)

@@ -5,7 +5,7 @@ import pytest
 from records import slot
 
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.light.alias_table import alias_table, alias_tables, picked
+from isonoise.scene.light.alias_table import alias_table, alias_tables, selection_probabilities
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 
@@ -28,7 +28,7 @@ def _distributions() -> list[np.ndarray]:
 def test_alias_table_picks_in_proportion(weights):
     probabilities = weights / weights.sum()
     table = alias_table(probabilities)
-    result = picked(table)
+    result = selection_probabilities(table)
     # A threshold rounds by 2^-24 at most: kept parts relatively, passed on parts absolutely, in units of 1/n.
     np.testing.assert_allclose(result, probabilities, rtol=1e-6, atol=0)
     assert np.all(result[probabilities == 0] == 0)
@@ -60,7 +60,7 @@ def test_alias_table_sums_exactly_to_the_stated_probabilities():
             c={"type": "point", "intensity": 0.7},
         )
     )
-    assert np.array_equal(picked(scene.light_alias).astype(np.float32), scene.lights["selection_pmf"])
+    assert np.array_equal(selection_probabilities(scene.light_alias).astype(np.float32), scene.lights["selection_pmf"])
 
 
 def test_lights_of_a_shape_follow_its_primitives():

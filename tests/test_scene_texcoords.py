@@ -6,10 +6,10 @@ from small_scene import lamp_over_floor
 
 import isonoise
 from isonoise.errors import SceneError
+from isonoise.scene.mesh.load_mesh import load_mesh
 from isonoise.scene.mesh.obj import _indexed, read_obj
 from isonoise.scene.mesh.ply import read_ply
 from isonoise.scene.mesh.ply_attributes import attributes_of
-from isonoise.scene.mesh.read import read_shape
 
 TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt .25 .75\nvt .5 .125 9\nvt -3 1e3\nvn 0 0 1\nvn 0 0.6 0.8\n"
 
@@ -69,7 +69,7 @@ def test_obj_flips_unless_told(write):
     path = write("a.obj", TRIANGLES + "f 1/1 2/2 3/3\n")
     shape = {"type": "obj", "filename": str(path)}
     for flip, v in ((True, [0.25, 0.875, -999]), (False, [0.75, 0.125, 1000])):
-        mesh = read_shape({**shape, "flip_tex_coords": flip})
+        mesh = load_mesh({**shape, "flip_tex_coords": flip})
         assert mesh.uvs.dtype == np.float32
         np.testing.assert_array_equal(mesh.uvs, np.stack([[0.25, 0.5, -3], v], axis=1))
 
@@ -168,7 +168,7 @@ def test_ply_against_mitsuba(case, write, mitsuba):
 def test_ply_flips_when_told(write, mitsuba):
     path = write("a.ply", ply(["float u", "float v"], [], ".25 .125", ""))
     theirs = parameters_of(mitsuba, type="ply", filename=str(path), flip_tex_coords=True)
-    mesh = read_shape({"type": "ply", "filename": str(path), "flip_tex_coords": True})
+    mesh = load_mesh({"type": "ply", "filename": str(path), "flip_tex_coords": True})
     np.testing.assert_array_equal(mesh.uvs, theirs["vertex_texcoords"])
     np.testing.assert_array_equal(mesh.uvs, [[0.25, 0.875]] * 3)
 
@@ -209,7 +209,7 @@ def test_grouping_of_names():
 
 
 def test_rectangle(mitsuba):
-    mesh = read_shape({"type": "rectangle"})
+    mesh = load_mesh({"type": "rectangle"})
     rectangle = mitsuba.load_dict({"type": "rectangle"})
     for x, y in ((-0.75, 0.5), (0.25, -0.125), (0.9, 0.7)):
         ray = mitsuba.Ray3f([x, y, 1], [0, 0, -1])
@@ -228,7 +228,7 @@ def interpolated(mesh, point: np.ndarray) -> np.ndarray:
 
 
 def test_cube(mitsuba):
-    mesh = read_shape({"type": "cube"})
+    mesh = load_mesh({"type": "cube"})
     theirs = parameters_of(mitsuba, type="cube")
     np.testing.assert_array_equal(mesh.faces, theirs["faces"])
     np.testing.assert_array_equal(mesh.vertices, theirs["vertex_positions"])

@@ -30,7 +30,7 @@ def sah_cost(bvh: Bvh, scene: CompiledScene) -> float | None:
     of a leaf, which take about as long: the sum of the areas of all boxes, over the root's. A visit to an instance
     costs what its group's tree does. None where the root has no area.
     """
-    roots = [0, *range(1, len(scene.group_begins))] if len(scene.instances) else [0]
+    roots = [0, *range(1, len(scene.group_offsets))] if len(scene.instances) else [0]
     references = bvh.nodes[:, 6].view(np.int32)
     area = _half_areas(bvh.nodes)
     root_area = [_half_area(np.stack([_low(bvh.nodes[root]), _high(bvh.nodes[root])])) for root in roots]

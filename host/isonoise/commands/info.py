@@ -84,7 +84,7 @@ def facts(scene: CompiledScene) -> dict[str, str]:
         "paths": f"max_depth {depth}, russian roulette from depth {scene.rr_depth}",
         "triangles": f"{len(scene.faces):,} with {len(scene.vertices):,} vertices",
         "analytic": _counts(SHAPES, scene.analytics["kind"]),
-        "instances": f"{len(scene.instances):,} of {len(scene.group_begins) - 1} groups"
+        "instances": f"{len(scene.instances):,} of {len(scene.group_offsets) - 1} groups"
         if len(scene.instances)
         else "none",
         "materials": _counts(MATERIALS, scene.bsdfs["kind"]),

@@ -8,8 +8,8 @@ import textwrap
 from isonoise.commands import EXIT_DONE
 from isonoise.errors import UserError
 from isonoise.scene.parse import plugin_tables
-from isonoise.scene.parse.elements import nearest
-from isonoise.scene.vocabulary import ELSEWHERE, kinds_of, plugins_of
+from isonoise.scene.parse.elements import closest_name
+from isonoise.scene.vocabulary import UNSUPPORTED_PLUGINS, kinds_of, plugins_of
 
 
 def run(options: argparse.Namespace) -> int:
@@ -17,7 +17,7 @@ def run(options: argparse.Namespace) -> int:
     name = options.name
     kinds = plugin_tables.KINDS if name is None else (name,) if name in plugin_tables.KINDS else ()
     if name is not None and not kinds and name not in _names():
-        raise UserError(f"'{name}' is neither a kind nor a plugin; did you mean '{nearest(name, _names())}'?")
+        raise UserError(f"'{name}' is neither a kind nor a plugin; did you mean '{closest_name(name, _names())}'?")
     found = [(kind, name) for kind in kinds_of(name) if kind in plugin_tables.KINDS] if not kinds else None
     if options.json:
         listed = found or [(kind, row[0]) for kind in kinds for row in plugin_tables.overview(kind)]
@@ -45,8 +45,8 @@ def _listing(kind: str) -> list[str]:
 
 def _description(kind: str, name: str) -> list[str]:
     """A plugin in full."""
-    if name in ELSEWHERE.get(kind, {}):
-        return [f"{kind} '{name}': not supported (Mitsuba 3 has it): {ELSEWHERE[kind][name]}"]
+    if name in UNSUPPORTED_PLUGINS.get(kind, {}):
+        return [f"{kind} '{name}': not supported (Mitsuba 3 has it): {UNSUPPORTED_PLUGINS[kind][name]}"]
     facts = _facts(kind, name)
     lines = [f"{kind} '{name}' ({facts['status']}): {facts['meaning']}"]
     rows = []

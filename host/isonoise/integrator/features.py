@@ -10,11 +10,11 @@ import numpy as np
 
 from isonoise.integrator.pixel_filter import CELLS
 from isonoise.scene import structs
-from isonoise.scene.accel.bvh import BLOCK_ROWS, WIDTH
+from isonoise.scene.accel.bvh import BLOCK_ROWS, BVH_WIDTH
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light import light_list
 from isonoise.scene.light.envmap import ENVIRONMENT, ENVIRONMENT_ROW
-from isonoise.scene.light.light_tree import ROWS, pays
+from isonoise.scene.light.light_tree import LIGHT_NODE_ROWS, use_light_tree
 from isonoise.scene.material import textures
 from isonoise.scene.material.bsdfs import reads_uvs
 from isonoise.scene.material.rough_transmittance import NODES
@@ -41,7 +41,7 @@ FEATURES = {
         "triangle meshes",
         {
             "triangles": _records(structs.TRIANGLE, "a triangle"),
-            "blocks": f"{4 * BLOCK_ROWS * WIDTH} bytes for up to {WIDTH} triangles",
+            "blocks": f"{4 * BLOCK_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} triangles",
             "corners": "12 bytes a corner, where there is no hierarchy",
             "corner_indices": "12 bytes a triangle, where there is no hierarchy",
         },
@@ -113,7 +113,7 @@ FEATURES = {
     "LIGHT_TREE": Feature(
         "many lights, picked by what they could send to a point",
         {
-            "light_nodes": f"{4 * ROWS * WIDTH} bytes for up to {WIDTH} lights or nodes",
+            "light_nodes": f"{4 * LIGHT_NODE_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} lights or nodes",
             "light_parents": "4 bytes a light and node",
         },
     ),
@@ -158,9 +158,9 @@ def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool
     rough = np.isin(scene.bsdfs["kind"], _ROUGH)
     endless = scene.max_depth < 0
     next_event = bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1)
-    weighs_lights = next_event and pays(scene.lights)
+    weighs_lights = next_event and use_light_tree(scene.lights)
     volpath = len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_PASS_THROUGH).any())
-    lists_lights = light_list.serves(scene.lights) and not volpath  # one by one they take 2 to 5 times as long
+    lists_lights = light_list.use_light_list(scene.lights) and not volpath  # one by one they take 2 to 5 times as long
     return {
         "TRIANGLES": len(scene.faces) > 0,
         "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),

@@ -98,7 +98,7 @@ class Wavefront:
                 "SHADE_LANES": self.shade_lanes,
                 "PATHS_PER_BLOCK": self.block_size,
                 "MAX_CORNERS": MAX_CORNERS,
-                "MAX_LISTED_LIGHTS": light_list.MOST,
+                "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS,
             },
             STRUCTS,
             in_small_groups=(TAKE_MANY | TAKE_LANES if self.lanes > 1 else TAKE_MANY) if device.lanes > 1 else (),
@@ -155,7 +155,7 @@ class Wavefront:
             "analytics": table(scene.analytics, "the analytic shapes"),
             "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
             "instances": table(scene.instances, "the instances"),
-            "world_triangles": np.uint32(scene.group_begins[0, 0]),
+            "world_triangles": np.uint32(scene.group_offsets[0, 0]),
             "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
             "bsdfs": table(scene.bsdfs, "the materials"),
             "media": table(scene.media, "the media"),
@@ -215,7 +215,7 @@ class Wavefront:
         tree = build_light_tree(self.scene)
         return {
             "light_nodes": self.device.buffer(tree.nodes, "the light tree"),
-            "light_parents": self.device.buffer(tree.places, "the light tree"),
+            "light_parents": self.device.buffer(tree.parents, "the light tree"),
         }
 
     def warm_up(self) -> None:

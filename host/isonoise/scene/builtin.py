@@ -5,7 +5,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from isonoise.errors import SceneError
-from isonoise.scene.parse.elements import nearest
+from isonoise.scene.parse.elements import closest_name
 
 
 def builtin_scenes() -> list[str]:
@@ -27,7 +27,7 @@ def find_scene(source: str | os.PathLike) -> Path:
         return Path(str(files("isonoise.scenes").joinpath(f"{name}.xml")))
     if is_folder:
         raise SceneError(f"{name}: is a folder; name a scene file in it")
-    hint = nearest(name, names)
+    hint = closest_name(name, names)
     suggestion = f"; did you mean '{hint}'?" if hint and not path.suffix else ""
     raise SceneError(
         f"{name[:200]}: no such file or built-in scene{suggestion} (built-in: {', '.join(names) or 'none'})"

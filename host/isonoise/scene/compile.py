@@ -10,13 +10,13 @@ from isonoise.scene.accel.bounds import instance_extents
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.image.image import read_image
-from isonoise.scene.instances import instance_records, separate
+from isonoise.scene.instances import instance_records, split_instances
 from isonoise.scene.light import lights as lighting
-from isonoise.scene.light.alias_table import alias_table, picked
-from isonoise.scene.light.envmap import Environment, make_environment
+from isonoise.scene.light.alias_table import alias_table, selection_probabilities
+from isonoise.scene.light.envmap import EnvironmentMap, build_environment_map
 from isonoise.scene.material.bsdfs import Bsdfs, mark_pass_through, reads_uvs
 from isonoise.scene.material.media import Media
-from isonoise.scene.material.textures import MeshAttributes, Textures, attributes_read, is_plain
+from isonoise.scene.material.textures import MeshAttributes, Textures, is_plain, mesh_attributes_used
 from isonoise.scene.mesh.surfaces import Surface, make_surface
 
 _DIFFUSE = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's material of a shape that names none,
@@ -41,7 +41,7 @@ def compile_scene(
     integrator = next(iter(_of_kind(description, "integrator").values()), _PATH)
     depth = _DIRECT_DEPTH if integrator["type"] == "direct" else integrator["max_depth"]
     volumetric = integrator["type"] in ("volpath", "volpathmis")
-    world, groups, placed = separate(_of_kind(description, "shape"))
+    world, groups, placed = split_instances(_of_kind(description, "shape"))
     spaces = [{where: make_surface(shape, where) for where, shape in shapes.items()} for shapes in (world, *groups)]
     for part, surfaces in zip((world, *groups), spaces, strict=True):
         _check_attributes(part, surfaces)
@@ -62,11 +62,11 @@ def compile_scene(
         "analytics": geometry.analytics,
         "shapes": geometry.shapes,
         "instances": instances,
-        "group_begins": _group_begins(spaces),
+        "group_offsets": _group_begins(spaces),
         "bsdfs": geometry.bsdfs,
         "rough_transmittances": geometry.boundaries,
         "media": geometry.media,
-        "rewound": geometry.rewound,
+        "reversed_winding": geometry.reversed_winding,
         "uvs": geometry.uvs,
         "textures": geometry.textures.records,
         "texel_bytes": geometry.textures.bytes,
@@ -91,9 +91,9 @@ def compile_scene(
     return CompiledScene(**arrays, **facts, environment=sky, sample_count=sample_count, hash=_hash(hashed, facts))
 
 
-def _sky(emitter: dict, name: str) -> Environment:
+def _sky(emitter: dict, name: str) -> EnvironmentMap:
     where = f"emitter '{name}'"
-    return make_environment(
+    return build_environment_map(
         read_image(emitter["filename"]), emitter.get("to_world", np.eye(4)), emitter["scale"], where
     )
 
@@ -142,7 +142,7 @@ def _check_attributes(shapes: dict[str, dict], surfaces: dict[str, Surface]) -> 
     for where, shape in shapes.items():
         for part in (shape[name] for name in ("bsdf", "emitter") if name in shape):
             if id(part) not in read:
-                read[id(part)] = attributes_read(part)
+                read[id(part)] = mesh_attributes_used(part)
             for name in sorted(read[id(part)] - surfaces[where].attributes.keys()):
                 having = ", ".join(surfaces[where].attributes) or "none"
                 raise SceneError(
@@ -205,11 +205,11 @@ class _Geometry:
         self.textures = textures.arrays(
             [MeshAttributes(len(mesh.vertices), len(mesh.faces), mesh.attributes) for mesh in meshes]
         )
-        self.uvs, self.rewound = np.zeros((0, 2), np.float32), np.zeros(0, bool)
+        self.uvs, self.reversed_winding = np.zeros((0, 2), np.float32), np.zeros(0, bool)
         textured = any(self.radiance_texture(emitter) != structs.NONE for _, emitter, _ in self.emissive)
         read = textured or reads_uvs(self.bsdfs)
         if read and not all(len(mesh.uvs) for mesh in meshes):
-            self.rewound = np.concatenate([mesh.rewound for mesh in meshes])
+            self.reversed_winding = np.concatenate([mesh.reversed_winding for mesh in meshes])
         if read and any(len(mesh.uvs) for mesh in meshes):
             self.uvs = np.concatenate(
                 [mesh.uvs if len(mesh.uvs) else np.zeros((len(mesh.vertices), 2), np.float32) for mesh in meshes]
@@ -232,7 +232,7 @@ def _stack(arrays: list[np.ndarray], dtype) -> np.ndarray:
 
 
 def _lights(
-    geometry: _Geometry, emitters: list[dict], sky: Environment | None, bounds: np.ndarray
+    geometry: _Geometry, emitters: list[dict], sky: EnvironmentMap | None, bounds: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int, float]:
     """(lights, alias table, index of the light beyond the scene or -1, radiance_scale); enters first_light into the
     shapes, and the scale into the sky."""
@@ -264,7 +264,7 @@ def _lights(
         raise SceneError("the lights are so dim that images in them leave the range of 32-bit floats")
     beyond = np.flatnonzero(np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP)))
     alias = alias_table(lighting.light_selection_pmf(lights, bounds))
-    lights["selection_pmf"] = picked(alias)
+    lights["selection_pmf"] = selection_probabilities(alias)
     if textured.any():
         lights["radiance"][textured] = scale  # times the texture
     return lights, alias, int(beyond[0]) if len(beyond) else -1, scale

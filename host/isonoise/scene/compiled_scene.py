@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isonoise.scene.light.envmap import Environment
+from isonoise.scene.light.envmap import EnvironmentMap
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,13 @@ class CompiledScene:
     analytics: np.ndarray  # (A,) structs.ANALYTIC
     shapes: np.ndarray  # (S,) structs.SHAPE
     instances: np.ndarray  # (I,) structs.INSTANCE
-    group_begins: np.ndarray  # (G + 1, 2) uint32: first triangle, analytic primitive of each group; their numbers
+    group_offsets: np.ndarray  # (G + 1, 2) uint32: first triangle, analytic primitive of each group; their numbers
     bsdfs: np.ndarray  # (B,) structs.BSDF
     media: np.ndarray  # (M,) structs.MEDIUM that paths can be in: none unless the integrator is volumetric
     rough_transmittances: np.ndarray  # (t, boundaries.NODES) float32: transmittances of rough plastics over the cosine
-    rewound: np.ndarray  # (T,) bool: corners in the order opposite to the mesh's; (0,) where all meshes have uvs
+    reversed_winding: (
+        np.ndarray
+    )  # (T,) bool: corners in the order opposite to the mesh's; (0,) where all meshes have uvs
     uvs: np.ndarray  # (V, 2) float32 where a material reads them and some shape has SHAPE_UVS, else (0, 2)
     textures: np.ndarray  # (X,) textures.TEXTURE
     texel_bytes: np.ndarray  # (b, 4) uint8: texels of 8-bit images
@@ -43,7 +45,7 @@ class CompiledScene:
     lights: np.ndarray  # (L,) structs.LIGHT; pick probabilities sum to 1
     light_alias: np.ndarray  # (L,) structs.ALIAS
     environment_light: int  # index of the LIGHT_CONSTANT or LIGHT_ENVIRONMENT_MAP light, -1 if there is none
-    environment: Environment | None  # the map of the latter
+    environment: EnvironmentMap | None  # the map of the latter
     bounds: np.ndarray  # (2, 3) float32: corners of the box around all surfaces; zeros if there are none
     radiance_scale: float  # power of two: device radiance = true radiance * radiance_scale
     hash: str  # hex digest of the description: changes when the picture may

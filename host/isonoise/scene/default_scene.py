@@ -10,7 +10,7 @@ from isonoise.scene import transforms
 from isonoise.scene.mesh.mesh import Mesh, Part, used_vertices
 from isonoise.scene.mesh.obj import read_mtl, read_obj
 from isonoise.scene.mesh.ply import read_ply
-from isonoise.scene.parse.elements import exists
+from isonoise.scene.parse.elements import path_exists
 
 _SIZE, _FOV = 512, 35.0
 _VIEW = (0.55, 0.4, 1.0)  # from the mesh to the camera: three-quarter view from above, y up
@@ -20,7 +20,7 @@ _LIBRARIES = 100  # MTL files of one OBJ
 _DEPTH, _SAMPLES = 8, 64
 
 
-def frame_mesh(path: Path) -> dict:
+def default_scene(path: Path) -> dict:
     """A scene dict for an OBJ, PLY, STL or GLB file. Raises SceneError where it cannot be read."""
     parts = _read(path)
     points = np.concatenate([used_vertices(part.mesh.vertices, part.mesh.faces) for part in parts])
@@ -63,7 +63,7 @@ def _obj_parts(path: Path) -> list[Part]:
         raise SceneError(f"{path}: it names more than {_LIBRARIES} files of materials")
     for library in libraries:
         beside = [path.parent / library, path.parent / Path(library).name]
-        known |= next((read_mtl(file) for file in beside if library and exists(file) and not file.is_dir()), {})
+        known |= next((read_mtl(file) for file in beside if library and path_exists(file) and not file.is_dir()), {})
     parts = []
     order = np.argsort(obj.face_material, kind="stable")
     used, first = np.unique(obj.face_material[order], return_index=True)
@@ -128,10 +128,10 @@ def _sensor(points: np.ndarray, center: np.ndarray, radius: float) -> dict:
 def _key_light(center: np.ndarray, radius: float) -> dict:
     """A soft square light above and to the left, out of the picture, turned to the mesh."""
     towards = np.array(_KEY) / np.linalg.norm(_KEY)
-    place = transforms.look_at(center + 4.0 * radius * towards, center, (0, 0, 1))
+    to_world = transforms.look_at(center + 4.0 * radius * towards, center, (0, 0, 1))
     return {
         "type": "rectangle",
-        "to_world": place @ transforms.scale(1.2 * radius),
+        "to_world": to_world @ transforms.scale(1.2 * radius),
         "bsdf": {"type": "diffuse", "reflectance": 0.0},
         "emitter": {"type": "area", "radiance": 8.0},
     }

@@ -12,7 +12,9 @@ _SHEAREST = 2.0**24
 here on nothing of the point is left in 32-bit floats."""
 
 
-def separate(shapes: Mapping[str, dict]) -> tuple[dict[str, dict], list[dict[str, dict]], dict[str, tuple[dict, int]]]:
+def split_instances(
+    shapes: Mapping[str, dict],
+) -> tuple[dict[str, dict], list[dict[str, dict]], dict[str, tuple[dict, int]]]:
     """(shapes that stand in the world, groups, instances with the number of their group), by the names for errors.
 
     Groups that have no instance are left out: nobody sees them.

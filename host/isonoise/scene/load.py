@@ -26,9 +26,9 @@ def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None 
         return normalise(read_dict(source))
     path = find_scene(source)
     if path.suffix.lower() in MESH_SUFFIXES:
-        from isonoise.scene.default_scene import frame_mesh
+        from isonoise.scene.default_scene import default_scene
 
         if parameters:
             raise SceneError(f"{path}: parameters belong to XML scenes, this is a mesh")
-        return normalise(read_dict(frame_mesh(path)))
+        return normalise(read_dict(default_scene(path)))
     return normalise(read_xml(path, parameters))

@@ -51,7 +51,7 @@ def perpendicular(normal: np.ndarray) -> np.ndarray:
     return np.array([1.0 + sign * x * x * a, sign * x * y * a, -sign * x])
 
 
-def frame(normal: np.ndarray) -> np.ndarray:
+def rotation_from_z(normal: np.ndarray) -> np.ndarray:
     """Rotation that takes +z to a unit vector."""
     tangent = perpendicular(normal)
     matrix = np.eye(4)
@@ -59,19 +59,19 @@ def frame(normal: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def polar_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(Q, S) with matrix[:3, :3] = Q S, Q a rotation and S symmetric; S is negative where the matrix mirrors."""
     u, sigma, vt = np.linalg.svd(matrix[:3, :3])
     sign = 1.0 if np.linalg.det(u @ vt) > 0 else -1.0
     return sign * (u @ vt), sign * (vt.T * sigma) @ vt
 
 
-def points(matrix: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def transform_points(matrix: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Positions (n, 3) taken through an affine transform."""
     return np.einsum("ij,kj->ik", positions, matrix[:3, :3]) + matrix[:3, 3]
 
 
-def normals(matrix: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def transform_normals(matrix: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Normals (n, 3) taken through the inverse transpose; not normalised."""
     return np.einsum("ij,jk->ik", directions, np.linalg.inv(matrix[:3, :3]))
 

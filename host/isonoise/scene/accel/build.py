@@ -30,7 +30,7 @@ def build_scene_bvh(scene: CompiledScene) -> Bvh:
             low, high = np.concatenate([low, more[0]]), np.concatenate([high, more[1]])
         return build_bvh(scene.vertices[scene.faces[triangles]], low, high, STACK_SIZE // 2)
 
-    begins = scene.group_begins.tolist()
+    begins = scene.group_offsets.tolist()
     groups = [tree(begin, end) for begin, end in pairwise(begins)]
     boxes = np.stack([_box(group) for group in groups])[scene.instances["root"] - 1]
     world = tree([0, 0], begins[0], instance_bounds(scene.instances, boxes))
@@ -48,7 +48,7 @@ def _box(tree: Bvh) -> np.ndarray:
 
 def _joined(trees: list[Bvh], scene: CompiledScene) -> Bvh:
     """The trees of the world and of the groups in common arrays; stack and depth are the world's."""
-    begins = np.concatenate([np.zeros((1, 2), int), scene.group_begins.astype(int)])
+    begins = np.concatenate([np.zeros((1, 2), int), scene.group_offsets.astype(int)])
     first_analytic_leaf, total_analytics = sum(tree.first_analytic for tree in trees), len(scene.analytics)
     roots, others, blocks = [], [], []
     first_node, first_block = len(trees), 0

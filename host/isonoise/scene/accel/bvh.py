@@ -15,7 +15,7 @@ import numpy as np
 
 from isonoise.scene.accel.ploc import BinaryTree, build_binary_tree, half_area, morton_order
 
-WIDTH = 8
+BVH_WIDTH = 8
 NODE_ROWS, BLOCK_ROWS = 7, 10
 NODE_COST = 1.0
 """Cost of a node in tests of a block."""
@@ -52,7 +52,7 @@ def build_bvh(
     lower = np.concatenate([by_corner.min(axis=0), analytic_lower.T], axis=1).astype(np.float32)
     upper = np.concatenate([by_corner.max(axis=0), analytic_upper.T], axis=1).astype(np.float32)
     weight = np.ones(triangles + analytics, np.int32)
-    weight[triangles:] = WIDTH + 1  # an analytic primitive never shares a leaf
+    weight[triangles:] = BVH_WIDTH + 1  # an analytic primitive never shares a leaf
     bvh = _collapse(build_binary_tree(lower, upper), weight, corners)
     if bvh.stack > stack_size:
         bvh = _collapse(_halve(lower, upper), weight, corners)
@@ -80,7 +80,7 @@ def _halve(lower: np.ndarray, upper: np.ndarray) -> BinaryTree:
 
 
 def _empty_nodes(n: int) -> np.ndarray:
-    nodes = np.zeros((n, 7, WIDTH), np.float32)
+    nodes = np.zeros((n, 7, BVH_WIDTH), np.float32)
     nodes[:, 0:3] = np.inf
     nodes[:, 3:6] = -np.inf
     return nodes
@@ -90,7 +90,7 @@ def _collapse(tree: BinaryTree, weight: np.ndarray, corners: np.ndarray) -> Bvh:
     """Makes the wide nodes that cost least, level by level from the root."""
     primitives = tree.leaves
     size = np.ones(len(tree.left), np.int32)  # primitives below
-    load = np.empty(len(tree.left), np.int64)  # weight below: at most WIDTH makes a leaf
+    load = np.empty(len(tree.left), np.int64)  # weight below: at most BVH_WIDTH makes a leaf
     load[:primitives] = weight
     for begin, end in tree.rounds():
         left, right = tree.left[begin:end], tree.right[begin:end]
@@ -125,7 +125,8 @@ class _Plan:
     """What becomes of the binary nodes in the wide hierarchy of least cost."""
 
     is_leaf: np.ndarray  # (2n-1,) bool: as one tree it is a leaf
-    # (n-1, WIDTH+1) uint8, by inner node and the number of trees that it may become: how many it becomes, and how many
+    # (n-1, BVH_WIDTH+1) uint8, by inner node and the number of trees that it may become: how many it becomes, and how
+    # many
     # of these are made of its left child
     trees: np.ndarray
     left_trees: np.ndarray
@@ -140,18 +141,18 @@ def _plan(tree: BinaryTree, load: np.ndarray) -> _Plan:
     """
     leaves = tree.leaves
     area = half_area(tree.lower, tree.upper)
-    cost = np.empty((len(area), WIDTH - 1), np.float32)  # [node, i - 1]
+    cost = np.empty((len(area), BVH_WIDTH - 1), np.float32)  # [node, i - 1]
     cost[:leaves] = area[:leaves, None]
     is_leaf = np.ones(len(area), bool)
-    trees = np.ones((leaves - 1, WIDTH + 1), np.uint8)
-    left_trees = np.zeros((leaves - 1, WIDTH + 1), np.uint8)
+    trees = np.ones((leaves - 1, BVH_WIDTH + 1), np.uint8)
+    left_trees = np.zeros((leaves - 1, BVH_WIDTH + 1), np.uint8)
     for first, last in tree.rounds():
         for begin in range(first, last, CHUNK):
             part = slice(begin, min(begin + CHUNK, last))
             inner = slice(part.start - leaves, part.stop - leaves)
             left, right = cost[tree.left[part]].T.copy(), cost[tree.right[part]].T.copy()
             as_children = [None, None]  # cost of both sides as at most j trees in all
-            for j in range(2, WIDTH + 1):
+            for j in range(2, BVH_WIDTH + 1):
                 best, picked = left[0] + right[j - 2], np.ones(left.shape[1], np.uint8)
                 for k in range(2, j):
                     other = left[k - 1] + right[j - k - 1]
@@ -159,11 +160,11 @@ def _plan(tree: BinaryTree, load: np.ndarray) -> _Plan:
                     np.minimum(best, other, out=best)
                 as_children.append(best)
                 left_trees[inner, j] = picked
-            wide = NODE_COST * area[part] + as_children[WIDTH]
-            leaf = np.where(load[part] <= WIDTH, area[part], np.float32(np.inf))
+            wide = NODE_COST * area[part] + as_children[BVH_WIDTH]
+            leaf = np.where(load[part] <= BVH_WIDTH, area[part], np.float32(np.inf))
             is_leaf[part] = leaf <= wide
             cost[part, 0] = np.minimum(leaf, wide)
-            for j in range(2, WIDTH):
+            for j in range(2, BVH_WIDTH):
                 fewer = cost[part, j - 2] <= as_children[j]
                 cost[part, j - 1] = np.minimum(cost[part, j - 2], as_children[j])
                 trees[inner, j] = np.where(fewer, trees[inner, j - 1], j)
@@ -172,14 +173,14 @@ def _plan(tree: BinaryTree, load: np.ndarray) -> _Plan:
 
 
 def _children(tree: BinaryTree, frontier: np.ndarray, plan: _Plan) -> np.ndarray:
-    """Children of the wide nodes that the binary nodes `frontier` become: (len(frontier), WIDTH), -1 where unused."""
-    slots = np.full((len(frontier), WIDTH), -1, np.int32)
+    """Children of the wide nodes that become of the binary nodes `frontier`: (len(frontier), BVH_WIDTH), or -1."""
+    slots = np.full((len(frontier), BVH_WIDTH), -1, np.int32)
     if plan.is_leaf[frontier[0]]:  # only a root can be: one leaf holds the whole scene
         slots[:, 0] = frontier
         return slots
     leaves, parents, nodes = tree.leaves, [], []
-    parent, node, trees = np.arange(len(frontier)), frontier, np.full(len(frontier), WIDTH)
-    of_left = plan.left_trees[frontier - leaves, WIDTH]
+    parent, node, trees = np.arange(len(frontier)), frontier, np.full(len(frontier), BVH_WIDTH)
+    of_left = plan.left_trees[frontier - leaves, BVH_WIDTH]
     while len(node):
         parent, budget = np.concatenate([parent, parent]), np.concatenate([of_left, trees - of_left])
         node = np.concatenate([tree.left[node], tree.right[node]])
@@ -220,8 +221,8 @@ def _lay_out(tree, slots, is_leaf, first, size, order, corners) -> tuple[np.ndar
     references[leaf] = ~leaf_reference
     nodes[:, 6] = references.view(np.float32)
 
-    blocks = np.zeros((len(block_nodes), 10, WIDTH), np.float32)
-    lane = np.arange(WIDTH)
+    blocks = np.zeros((len(block_nodes), 10, BVH_WIDTH), np.float32)
+    lane = np.arange(BVH_WIDTH)
     filled = lane < size[block_nodes][:, None]
     ids = order[first[block_nodes][:, None] + np.where(filled, lane, 0)]
     rows = corners.reshape(-1, 9).take(ids, axis=0)  # (block, lane, coordinate)

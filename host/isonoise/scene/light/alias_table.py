@@ -59,7 +59,7 @@ def alias_table(probabilities: np.ndarray) -> np.ndarray:
     return table
 
 
-def picked(table: np.ndarray) -> np.ndarray:
+def selection_probabilities(table: np.ndarray) -> np.ndarray:
     """Probabilities (n,) float64 with which an alias table, its thresholds rounded as they are, picks each entry."""
     kept = table["threshold"].astype(np.float64)
     return (kept + np.bincount(table["alias"], 1.0 - kept, len(table))) / len(table)

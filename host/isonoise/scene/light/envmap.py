@@ -43,7 +43,7 @@ _ORTHOGONAL = 1e-3  # how far the axes of to_world may be off
 
 
 @dataclass(frozen=True)
-class Environment:
+class EnvironmentMap:
     """An environment map as the device has it. Cell (row, column) lies between four texels, the next row's and, around
     the seam, the next column's."""
 
@@ -56,7 +56,7 @@ class Environment:
     largest: float  # luminance of the brightest texel
 
 
-def make_environment(image: Image, to_world: np.ndarray, scale: float, where: str) -> Environment:
+def build_environment_map(image: Image, to_world: np.ndarray, scale: float, where: str) -> EnvironmentMap:
     """The map of an image. `to_world` is (4, 4); `where` names the emitter in errors.
 
     Whoever scales radiance for the device multiplies the record's `scale`. Raises SceneError where the image is smaller
@@ -82,7 +82,7 @@ def make_environment(image: Image, to_world: np.ndarray, scale: float, where: st
     record["size"] = width, height
     record["scale"] = unit = np.ldexp(scale, -exponent)
     record["density"] = width * (height - 1) / (2 * np.pi**2 * total) if total > 0 else 0.0
-    return Environment(record, texels, rows, aliases, mean * unit, brightest * scale)
+    return EnvironmentMap(record, texels, rows, aliases, mean * unit, brightest * scale)
 
 
 def _brightest(pixels: np.ndarray) -> float:

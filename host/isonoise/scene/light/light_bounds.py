@@ -15,7 +15,7 @@ _FAR = 16.0
 
 
 @dataclass
-class Emission:
+class LightBounds:
     """Of n lights, or nodes of a tree over them. float64 of shape (3, n) up to the axis, then (n,)."""
 
     lower: np.ndarray
@@ -26,15 +26,15 @@ class Emission:
     intensity: np.ndarray
     radius: np.ndarray  # around the middle of the box
 
-    def __setitem__(self, which, other: "Emission") -> None:
+    def __setitem__(self, which, other: "LightBounds") -> None:
         for name, values in vars(self).items():
             values[..., which] = getattr(other, name)
 
-    def __getitem__(self, which) -> "Emission":
-        return Emission(*(values[..., which] for values in vars(self).values()))
+    def __getitem__(self, which) -> "LightBounds":
+        return LightBounds(*(values[..., which] for values in vars(self).values()))
 
 
-def emission_of(scene: CompiledScene, lights: np.ndarray) -> Emission:
+def compute_light_bounds(scene: CompiledScene, lights: np.ndarray) -> LightBounds:
     """Bounds of lights.
 
     What is at infinity stands around the scene, with an intensity that makes its irradiance right: a direction as a
@@ -45,7 +45,7 @@ def emission_of(scene: CompiledScene, lights: np.ndarray) -> Emission:
     axis = np.tile([[0.0], [0.0], [1.0]], n)
     all_around = np.full(n, np.pi)
     power = lights["selection_pmf"].astype(np.float64)
-    made = Emission(
+    made = LightBounds(
         position, position.copy(), axis, all_around, np.full(n, np.pi / 2), power / (4 * np.pi), np.zeros(n)
     )
     is_triangle = kind == structs.LIGHT_TRIANGLE
@@ -87,7 +87,7 @@ def emission_of(scene: CompiledScene, lights: np.ndarray) -> Emission:
     return made
 
 
-def _triangles(scene: CompiledScene, triangles: np.ndarray, power: np.ndarray) -> Emission:
+def _triangles(scene: CompiledScene, triangles: np.ndarray, power: np.ndarray) -> LightBounds:
     """Bounds of triangles that shine: their normals are those by which they are shaded.
 
     Boxes and spheres stand around their centroids: the tight boxes of two that make a rectangle are the same.
@@ -105,7 +105,7 @@ def _triangles(scene: CompiledScene, triangles: np.ndarray, power: np.ndarray) -
         axis[:, smooth] = middle
         spread[smooth] = np.where(angle < np.pi / 2, angle + 1e-6, np.pi)  # what lies between normals is no farther
     edge = np.full(len(triangles), np.pi / 2)
-    return Emission(centroid - half, centroid + half, axis, spread, edge, power / np.pi, radius)
+    return LightBounds(centroid - half, centroid + half, axis, spread, edge, power / np.pi, radius)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
@@ -113,21 +113,21 @@ def _unit(v: np.ndarray) -> np.ndarray:
     return np.divide(v, length, out=np.zeros_like(v, np.float64), where=length > 0)
 
 
-def joined(tree: BinaryTree, leaves: Emission) -> Emission:
+def joined(tree: BinaryTree, leaves: LightBounds) -> LightBounds:
     """Bounds of all nodes of a binary tree."""
     count = len(tree.left)
-    bounds = Emission(*(np.zeros((*values.shape[:-1], count)) for values in vars(leaves).values()))
+    bounds = LightBounds(*(np.zeros((*values.shape[:-1], count)) for values in vars(leaves).values()))
     bounds[: tree.leaves] = leaves
     for begin, end in tree.rounds():
         a, b = bounds[tree.left[begin:end]], bounds[tree.right[begin:end]]
         lower, upper = np.minimum(a.lower, b.lower), np.maximum(a.upper, b.upper)
         axis, spread = _cone_around(a, b)
         edge, radius = np.maximum(a.edge, b.edge), 0.5 * np.linalg.norm(upper - lower, axis=0)
-        bounds[begin:end] = Emission(lower, upper, axis, spread, edge, a.intensity + b.intensity, radius)
+        bounds[begin:end] = LightBounds(lower, upper, axis, spread, edge, a.intensity + b.intensity, radius)
     return bounds
 
 
-def _cone_around(a: Emission, b: Emission) -> tuple[np.ndarray, np.ndarray]:
+def _cone_around(a: LightBounds, b: LightBounds) -> tuple[np.ndarray, np.ndarray]:
     """Axis and half angle of the smallest cones around two (Conty Estevez and Kulla, algorithm 1)."""
     wider = a.spread >= b.spread
     axis, other = np.where(wider, a.axis, b.axis), np.where(wider, b.axis, a.axis)

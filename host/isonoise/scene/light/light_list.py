@@ -7,27 +7,27 @@ import numpy as np
 
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light.light_bounds import emission_of
-from isonoise.scene.light.light_tree import LEAST_SHARE
+from isonoise.scene.light.light_bounds import compute_light_bounds
+from isonoise.scene.light.light_tree import MIN_POWER_SHARE
 
-MOST = 32
+MAX_LISTED_LIGHTS = 32
 """Lights up to which the list is used."""
 _NEAREST = 1e-30
 """Square of the least distance that counts, in sizes of the scene: keeps weights finite."""
 
 
-def serves(lights: np.ndarray) -> bool:
+def use_light_list(lights: np.ndarray) -> bool:
     """Whether these LIGHT records are so few that a list is better than a tree."""
-    return len(lights) <= MOST
+    return len(lights) <= MAX_LISTED_LIGHTS
 
 
 def build_light_list(scene: CompiledScene) -> np.ndarray:
     """structs.LIGHT_BOUND of all lights, (lights,); of those without power all is 0."""
     bright = np.flatnonzero(scene.lights["selection_pmf"])
-    of = emission_of(scene, scene.lights[bright])
+    of = compute_light_bounds(scene, scene.lights[bright])
     center = 0.5 * (of.lower + of.upper)
     size2 = float((np.ptp(scene.bounds.astype(np.float64), axis=0) ** 2).sum()) or 1.0
-    share = np.maximum(of.intensity / of.intensity.sum(), LEAST_SHARE)
+    share = np.maximum(of.intensity / of.intensity.sum(), MIN_POWER_SHARE)
     bounds = np.zeros(len(scene.lights), structs.LIGHT_BOUND)
     entries = {
         "center": center.T,

@@ -11,47 +11,50 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.scene import structs
-from isonoise.scene.accel.bvh import WIDTH
+from isonoise.scene.accel.bvh import BVH_WIDTH
 from isonoise.scene.accel.ploc import BinaryTree, build_binary_tree
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light.light_bounds import Emission, emission_of, joined
+from isonoise.scene.light.light_bounds import LightBounds, compute_light_bounds, joined
 
-FEWEST = 4
+MIN_TREE_LIGHTS = 4
 """Lights from which on they are picked by what they could send. Four lamps that stand apart: half the variance at equal
 time. One panel of four triangles, and a room with 21 lights near each other: as good as the alias table."""
-ROWS = 12
+LIGHT_NODE_ROWS = 12
 """float8 of a node: center x, y, z and radius of the spheres around its children; their shares of the intensity, which
 sum to 1; axes x, y, z of the cones; cosine and sine of their half angles; cosine of the angle up to which light leaves;
 the children (int32 bits): above 0 a node, else ~light. Where there is no child, the share is 0."""
 _NOWHERE = 1e18
 """Radius where there is no child: that is never the nearest."""
-LEAST_SHARE = 1e-30
+MIN_POWER_SHARE = 1e-30
 """So that whatever has power is picked with a probability that 32-bit floats can tell from none."""
 
 
 @dataclass(frozen=True)
 class LightTree:
-    nodes: np.ndarray  # (n, ROWS, WIDTH) float32; the first is the root
-    places: np.ndarray  # (lights + n,) uint32: WIDTH * parent + slot of every light, then of every node; NONE has none
+    nodes: np.ndarray  # (n, LIGHT_NODE_ROWS, BVH_WIDTH) float32; the first is the root
+    places: (
+        np.ndarray
+    )  # (lights + n,) uint32: BVH_WIDTH * parent + slot of every light, then of every node; NONE has none
 
 
-def pays(lights: np.ndarray) -> bool:
+def use_light_tree(lights: np.ndarray) -> bool:
     """Whether a scene with these LIGHT records is better off with a tree than with the alias table."""
-    return np.count_nonzero(lights["selection_pmf"]) >= FEWEST
+    return np.count_nonzero(lights["selection_pmf"]) >= MIN_TREE_LIGHTS
 
 
 def build_light_tree(scene: CompiledScene) -> LightTree:
     """The tree over all lights that have power; there is at least one."""
     bright = np.flatnonzero(scene.lights["selection_pmf"])
-    leaves = emission_of(scene, scene.lights[bright])
+    leaves = compute_light_bounds(scene, scene.lights[bright])
     tree = build_binary_tree(leaves.lower.astype(np.float32), leaves.upper.astype(np.float32))
     bounds = joined(tree, leaves)
     nodes = _records(_collapse(tree, bounds), bounds, bright)
     return LightTree(nodes, _places(nodes, len(scene.lights)))
 
 
-def _collapse(tree: BinaryTree, bounds: Emission) -> np.ndarray:
-    """Binary nodes that are the children of wide ones, (n, WIDTH), -1 where there is none; root first, level by level.
+def _collapse(tree: BinaryTree, bounds: LightBounds) -> np.ndarray:
+    """Binary nodes that are the children of wide ones, (n, BVH_WIDTH), -1 where there is none; root first, level by
+    level.
 
     Opened is the child whose lights could differ most: by diagonal squared, intensity, and the paper's measure of its
     directions. Few lights, that fit in a node, stay together in one of their own.
@@ -65,11 +68,11 @@ def _collapse(tree: BinaryTree, bounds: Emission) -> np.ndarray:
     variety = bounds.radius**2 * bounds.intensity * around
     levels, frontier = [], np.array([len(size) - 1])
     while len(frontier):
-        slots = np.full((len(frontier), WIDTH), -1)
+        slots = np.full((len(frontier), BVH_WIDTH), -1)
         slots[:, 0] = frontier
-        small = size[frontier] <= WIDTH
-        for used in range(1, WIDTH):
-            openable = (slots >= 0) & (size[slots] > np.where(small, 1, WIDTH)[:, None])
+        small = size[frontier] <= BVH_WIDTH
+        for used in range(1, BVH_WIDTH):
+            openable = (slots >= 0) & (size[slots] > np.where(small, 1, BVH_WIDTH)[:, None])
             gain = np.where(openable, variety[slots], -1.0)
             pick = gain.argmax(axis=1)
             rows = np.flatnonzero(gain[np.arange(len(slots)), pick] >= 0)
@@ -81,12 +84,12 @@ def _collapse(tree: BinaryTree, bounds: Emission) -> np.ndarray:
     return np.concatenate(levels)
 
 
-def _records(slots: np.ndarray, bounds: Emission, lights: np.ndarray) -> np.ndarray:
-    """(n, ROWS, WIDTH) float32 of wide nodes; `lights` are the numbers of the leaves."""
+def _records(slots: np.ndarray, bounds: LightBounds, lights: np.ndarray) -> np.ndarray:
+    """(n, LIGHT_NODE_ROWS, BVH_WIDTH) float32 of wide nodes; `lights` are the numbers of the leaves."""
     used = slots >= 0
     of = bounds[slots[used]]
     center = 0.5 * (of.lower + of.upper)
-    nodes = np.zeros((len(slots), ROWS, WIDTH), np.float32)
+    nodes = np.zeros((len(slots), LIGHT_NODE_ROWS, BVH_WIDTH), np.float32)
     nodes[:, 3] = _NOWHERE
 
     def enter(row: int, values: np.ndarray) -> None:
@@ -108,7 +111,7 @@ def _records(slots: np.ndarray, bounds: Emission, lights: np.ndarray) -> np.ndar
     intensity = np.zeros(slots.shape)
     intensity[used] = of.intensity
     shares = intensity / intensity.sum(axis=1, keepdims=True)
-    nodes[:, 4] = np.where(used, np.maximum(shares, LEAST_SHARE), 0.0)
+    nodes[:, 4] = np.where(used, np.maximum(shares, MIN_POWER_SHARE), 0.0)
     return nodes
 
 
@@ -118,5 +121,5 @@ def _places(nodes: np.ndarray, lights: int) -> np.ndarray:
     references = nodes[:, 11].view(np.int32)
     node, slot = np.nonzero(nodes[:, 4] > 0)
     child = references[node, slot]
-    places[np.where(child < 0, ~child, lights + child)] = WIDTH * node + slot
+    places[np.where(child < 0, ~child, lights + child)] = BVH_WIDTH * node + slot
     return places

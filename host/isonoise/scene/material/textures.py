@@ -55,7 +55,7 @@ def plain_colour(value, kind: str) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, float), 3).copy()
 
 
-def attributes_read(part: dict) -> set[str]:
+def mesh_attributes_used(part: dict) -> set[str]:
     """Names of the mesh attributes that the textures inside a part of the description read."""
     names, queue, passed = set(), [part], set()
     while queue:

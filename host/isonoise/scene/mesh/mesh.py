@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isonoise.scene.parse.elements import Place
+from isonoise.scene.parse.elements import SourceLocation
 
 _NO_UVS = np.zeros((0, 2), np.float32)
 
@@ -33,12 +33,12 @@ class Part:
     flat: bool = False
 
 
-def checked(mesh: Mesh, place: Place) -> Mesh:
+def checked(mesh: Mesh, location: SourceLocation) -> Mesh:
     """The mesh of a file. Raises SceneError where a number is not finite or a face names a vertex that is not there."""
     if not (np.isfinite(mesh.vertices).all() and np.isfinite(mesh.normals).all()):
-        place.fail("a vertex or normal is not a finite number")
+        location.raise_error("a vertex or normal is not a finite number")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        place.fail(f"a face names a vertex that does not exist (there are {len(mesh.vertices)})")
+        location.raise_error(f"a face names a vertex that does not exist (there are {len(mesh.vertices)})")
     return mesh
 
 

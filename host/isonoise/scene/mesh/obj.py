@@ -12,7 +12,7 @@ import numpy as np
 
 from isonoise.scene.files import read_bytes
 from isonoise.scene.mesh.mesh import Mesh, parse_numbers, texture_coordinates
-from isonoise.scene.parse.elements import Place
+from isonoise.scene.parse.elements import SourceLocation
 
 _NEWLINE, _SLASH = 10, ord("/")
 
@@ -32,29 +32,29 @@ def read_obj(path: Path, flip_tex_coords: bool = True) -> ObjFile:
 
     Raises SceneError where it is not an OBJ with faces, or its indices or numbers are bad.
     """
-    place = Place(str(path))
+    location = SourceLocation(str(path))
     text = read_bytes(path)
     if b"\0" in text:
-        place.fail("not an OBJ file: it holds binary data")
+        location.raise_error("not an OBJ file: it holds binary data")
     text = text.replace(b"\r", b" ").replace(b"\\ \n", b"  ").replace(b"\\\n", b" ")
     text = re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
     text = re.sub(rb"\n[ \t]+", b"\n", b"\n" + text) + b"\n"
     lines = _Lines(text)
-    vertices = lines.vectors(b"v ", 3, place)
-    normals = lines.vectors(b"vn", 3, place)
-    _check_finite(vertices, place)
-    _check_finite(normals, place)
-    corners, sizes, face_lines = lines.faces(place)
+    vertices = lines.vectors(b"v ", 3, location)
+    normals = lines.vectors(b"vn", 3, location)
+    _check_finite(vertices, location)
+    _check_finite(normals, location)
+    corners, sizes, face_lines = lines.faces(location)
     if not len(sizes):
-        place.fail("there are no faces in it")
+        location.raise_error("there are no faces in it")
     before = [np.searchsorted(lines.of(key), face_lines) for key in (b"v ", b"vt", b"vn")]
     defined = [len(lines.of(key)) for key in (b"v ", b"vt", b"vn")]
     owner = np.repeat(np.arange(len(sizes)), sizes)
     for column, name in enumerate(("vertex", "texture coordinate", "normal")):
-        corners[:, column] = _absolute(corners[:, column], before[column][owner], defined[column], name, place)
+        corners[:, column] = _absolute(corners[:, column], before[column][owner], defined[column], name, location)
     uvs = np.zeros((0, 2), np.float32)
     if np.any(corners[:, 1] >= 0):
-        uvs = texture_coordinates(lines.vectors(b"vt", 2, place), flip_tex_coords)
+        uvs = texture_coordinates(lines.vectors(b"vt", 2, location), flip_tex_coords)
     mesh = _indexed(vertices, normals, uvs, corners, _fans(sizes))
     of_face, names, libraries = lines.materials(face_lines)
     return ObjFile(mesh, np.repeat(of_face, sizes - 2), names, libraries)
@@ -85,7 +85,7 @@ class _Lines:
         steps[self.ends[chosen] + 1] -= 1
         return self.bytes[np.cumsum(steps[:-1], dtype=np.int8).view(bool)].tobytes()
 
-    def vectors(self, key: bytes, size: int, place: Place) -> np.ndarray:
+    def vectors(self, key: bytes, size: int, location: SourceLocation) -> np.ndarray:
         """(n, size) first numbers of the lines of this key; what follows (weights, colours) is dropped."""
         chosen = self.of(key)
         if not len(chosen):
@@ -95,11 +95,11 @@ class _Lines:
         _, sizes = _words(np.frombuffer(text, np.uint8))
         if sizes.min() < size or len(values) != sizes.sum():
             number = {2: "two", 3: "three"}[size]
-            place.fail(f"a line that begins with '{key.decode().strip()}' does not hold {number} numbers")
+            location.raise_error(f"a line that begins with '{key.decode().strip()}' does not hold {number} numbers")
         first = np.cumsum(sizes) - sizes
         return values[first[:, None] + np.arange(size)]
 
-    def faces(self, place: Place) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def faces(self, location: SourceLocation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Corners (c, 3) of (vertex, texture, normal), 0 where left out; number of corners and line of each face."""
         chosen = self.of(b"f ")
         if not len(chosen):
@@ -108,7 +108,7 @@ class _Lines:
         data = np.frombuffer(text, np.uint8)
         begins, sizes = _words(data)
         if sizes.min() < 3:
-            place.fail("a face has fewer than three corners")
+            location.raise_error("a face has fewer than three corners")
         slashes = np.flatnonzero(data == _SLASH)
         per_corner = np.bincount(np.searchsorted(begins, slashes, side="right") - 1, minlength=len(begins))
         double = np.zeros(len(begins), bool)
@@ -123,17 +123,19 @@ class _Lines:
         ):
             these = (per_corner == count) & (double == is_double)
             if these.any():
-                corners[np.ix_(these, columns)] = self._corners(data, begins, these, len(columns), place)
+                corners[np.ix_(these, columns)] = self._corners(data, begins, these, len(columns), location)
         return corners, sizes, chosen
 
     @staticmethod
-    def _corners(data: np.ndarray, begins: np.ndarray, these: np.ndarray, columns: int, place: Place) -> np.ndarray:
+    def _corners(
+        data: np.ndarray, begins: np.ndarray, these: np.ndarray, columns: int, location: SourceLocation
+    ) -> np.ndarray:
         if not these.all():
             owner = np.cumsum(np.bincount(begins, minlength=len(data))) - 1
             data = np.where(these[np.maximum(owner, 0)], data, 32).astype(np.uint8)
         values = parse_numbers(data.tobytes().replace(b"/", b" "))
         if len(values) != columns * these.sum() or np.any(values != np.rint(values)):
-            place.fail("a face is not made of whole numbers such as 'f 1 2 3' or 'f 1/1/1 2/2/2 3/3/3'")
+            location.raise_error("a face is not made of whole numbers such as 'f 1 2 3' or 'f 1/1/1 2/2/2 3/3/3'")
         return np.clip(values, -(2**40), 2**40).astype(np.int64).reshape(-1, columns)
 
     def materials(self, face_lines: np.ndarray) -> tuple[np.ndarray, list[str], list[str]]:
@@ -158,17 +160,17 @@ def _words(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return begins, np.diff(np.searchsorted(begins, np.flatnonzero(data == _NEWLINE)), prepend=0)
 
 
-def _absolute(index: np.ndarray, before: np.ndarray, count: int, name: str, place: Place) -> np.ndarray:
+def _absolute(index: np.ndarray, before: np.ndarray, count: int, name: str, location: SourceLocation) -> np.ndarray:
     """Indices from 0, -1 where left out: the file counts from 1, or backwards from the last one defined so far."""
     result = np.where(index < 0, index + before, index - 1)
     if np.any((result < 0) & (index != 0)) or np.any(result >= count) or (name == "vertex" and np.any(index == 0)):
-        place.fail(f"a face names a {name} that does not exist (there are {count})")
+        location.raise_error(f"a face names a {name} that does not exist (there are {count})")
     return result
 
 
-def _check_finite(vectors: np.ndarray, place: Place):
+def _check_finite(vectors: np.ndarray, location: SourceLocation):
     if not np.isfinite(vectors).all():
-        place.fail("a vertex or normal is not a finite number")
+        location.raise_error("a vertex or normal is not a finite number")
 
 
 def _indexed(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, corners: np.ndarray, fans: np.ndarray) -> Mesh:
@@ -214,6 +216,6 @@ def read_mtl(path: Path) -> dict[str, dict[str, list[float]]]:
         elif key in ("Kd", "Ke"):
             values = parse_numbers(rest.encode())
             if len(values) not in (1, 3) or not np.isfinite(values).all() or min(values) < 0:
-                Place(str(path), element=key).fail(f"not a colour: '{rest.strip()[:40]}'")
+                SourceLocation(str(path), element=key).raise_error(f"not a colour: '{rest.strip()[:40]}'")
             current[key] = np.broadcast_to(values, 3).tolist()
     return materials

@@ -15,7 +15,7 @@ import numpy as np
 from isonoise.scene.files import read_bytes
 from isonoise.scene.mesh.mesh import Mesh, checked, parse_numbers, texture_coordinates
 from isonoise.scene.mesh.ply_attributes import attribute_values, attributes_of
-from isonoise.scene.parse.elements import Place
+from isonoise.scene.parse.elements import SourceLocation
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
@@ -48,14 +48,14 @@ def read_ply(path: Path, flip_tex_coords: bool = False) -> Mesh:
 
     Raises SceneError where it is not a PLY mesh, is cut off, or its indices or numbers are bad.
     """
-    place = Place(str(path))
+    location = SourceLocation(str(path))
     data = read_bytes(path)
-    order, elements, start = _header(data, place)
-    body = _Body(data, start, order, place)
+    order, elements, start = _header(data, location)
+    body = _Body(data, start, order, location)
     vertices = faces = None
     for element in elements:
         if element.name == "vertex":
-            vertices = _vertices(element, body.table(element), flip_tex_coords, place)
+            vertices = _vertices(element, body.table(element), flip_tex_coords, location)
         elif element.name == "face":
             faces = body.triangles(element)
         else:
@@ -63,16 +63,16 @@ def read_ply(path: Path, flip_tex_coords: bool = False) -> Mesh:
         if vertices is not None and faces is not None:
             break
     if vertices is None or faces is None or not len(faces[0]):
-        place.fail("a mesh needs vertices and faces")
+        location.raise_error("a mesh needs vertices and faces")
     vertices.faces = faces[0]
     vertices.attributes |= faces[1]
-    return checked(vertices, place)
+    return checked(vertices, location)
 
 
-def _vertices(element: _Element, columns: dict[str, np.ndarray], flip: bool, place: Place) -> Mesh:
+def _vertices(element: _Element, columns: dict[str, np.ndarray], flip: bool, location: SourceLocation) -> Mesh:
     """A mesh that lacks its faces."""
     if any(axis not in columns for axis in "xyz"):
-        place.fail("its vertices lack x, y or z")
+        location.raise_error("its vertices lack x, y or z")
     mesh = Mesh(_stacked(columns, "xyz", np.float64), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
     if all(f"n{axis}" in columns for axis in "xyz"):
         mesh.normals = _stacked(columns, ("nx", "ny", "nz"), np.float64)
@@ -91,14 +91,14 @@ def _stacked(columns: dict[str, np.ndarray], names, dtype) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=1).astype(dtype)
 
 
-def _header(data: bytes, place: Place) -> tuple[str, list[_Element], int]:
+def _header(data: bytes, location: SourceLocation) -> tuple[str, list[_Element], int]:
     """(byte order '<', '>' or '' for ASCII, elements, where the body begins)."""
     if data[:3] != b"ply":
-        place.fail("not a PLY file")
+        location.raise_error("not a PLY file")
     marker = data.find(b"end_header", 0, _HEADER)
     end = data.find(b"\n", marker)
     if marker < 0 or end < 0:
-        place.fail("its header has no end")
+        location.raise_error("its header has no end")
     order, elements = None, []
     for line in data[:marker].decode("ascii", "replace").splitlines():
         words = line.split()
@@ -108,30 +108,30 @@ def _header(data: bytes, place: Place) -> tuple[str, list[_Element], int]:
             )
         elif words[:1] == ["element"]:
             if len(words) != 3 or not words[2].isdigit() or len(words[2]) > 15:
-                place.fail(f"unreadable header line '{line[:60]}'")
+                location.raise_error(f"unreadable header line '{line[:60]}'")
             elements.append(_Element(words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
             if not elements:
-                place.fail("its header names a property before any element")
-            elements[-1].properties.append(_property(words, line, place))
+                location.raise_error("its header names a property before any element")
+            elements[-1].properties.append(_property(words, line, location))
     if order is None:
-        place.fail("its format is neither ascii nor binary_little_endian nor binary_big_endian")
+        location.raise_error("its format is neither ascii nor binary_little_endian nor binary_big_endian")
     return order, elements, end + 1
 
 
-def _property(words: list[str], line: str, place: Place) -> _Property:
+def _property(words: list[str], line: str, location: SourceLocation) -> _Property:
     is_list = words[1:2] == ["list"]
     types = words[2:4] if is_list else words[1:2]
     if len(words) != (5 if is_list else 3) or any(type_ not in _TYPES for type_ in types):
-        place.fail(f"unreadable header line '{line[:60]}'")
+        location.raise_error(f"unreadable header line '{line[:60]}'")
     return _Property(words[-1], _TYPES[types[-1]], _TYPES[types[0]] if is_list else "")
 
 
 class _Body:
     """The records after the header, read in order. An ASCII body is one of 64-bit floats throughout."""
 
-    def __init__(self, data: bytes, start: int, order: str, place: Place):
-        self.place, self.order = place, order
+    def __init__(self, data: bytes, start: int, order: str, location: SourceLocation):
+        self.location, self.order = location, order
         self.data = memoryview(data)[start:] if order else memoryview(parse_numbers(data[start:]).tobytes())
         self.position = 0
 
@@ -152,7 +152,7 @@ class _Body:
     def table(self, element: _Element) -> dict[str, np.ndarray]:
         """Columns by name of an element without lists."""
         if any(item.count for item in element.properties) or not element.properties:
-            self.place.fail(f"element '{element.name}' has to have properties that are single numbers")
+            self.location.raise_error(f"element '{element.name}' has to have properties that are single numbers")
         layout = self.layout(element, ())
         records = self.view(element, layout, element.count)
         self.position += records.nbytes
@@ -170,7 +170,7 @@ class _Body:
                 continue
             polygons = records[indices]
             with np.errstate(invalid="ignore"):  # what is no number names no vertex
-                faces.append(_fans(polygons.astype(np.int64), self.place))
+                faces.append(_fans(polygons.astype(np.int64), self.location))
             owners.append(np.repeat(numbers, polygons.shape[1] - 2))
             for name, of_group in parts.items():
                 columns = [records[fields[i]] for i in attributes[name]]
@@ -218,7 +218,7 @@ class _Body:
 
     def view(self, element: _Element, layout: np.dtype, count: int) -> np.ndarray:
         if count * layout.itemsize > len(self.data) - self.position:
-            self.fail_cut_off(element)
+            self.raise_cut_off(element)
         return np.frombuffer(self.data, layout, count, self.position)
 
     def steps(self, element: _Element) -> list[tuple[int, struct.Struct, int]]:
@@ -240,23 +240,25 @@ class _Body:
             for before, number, size in steps[:-1]:
                 length = number.unpack_from(self.data, position + before)[0]
                 if not 0 <= length <= _LIST or length != int(length):
-                    self.place.fail(f"a list of element '{element.name}' has {length} entries")
+                    self.location.raise_error(f"a list of element '{element.name}' has {length} entries")
                 lengths.append(int(length))
                 position += before + number.size + int(length) * size
         except struct.error:
-            self.fail_cut_off(element)
+            self.raise_cut_off(element)
         position += steps[-1][0]
         if position > len(self.data):
-            self.fail_cut_off(element)
+            self.raise_cut_off(element)
         return tuple(lengths), position
 
-    def fail_cut_off(self, element: _Element) -> NoReturn:
-        self.place.fail(f"cut off, or its header promises too much: {element.count} of element '{element.name}'")
+    def raise_cut_off(self, element: _Element) -> NoReturn:
+        self.location.raise_error(
+            f"cut off, or its header promises too much: {element.count} of element '{element.name}'"
+        )
 
 
-def _fans(polygons: np.ndarray, place: Place) -> np.ndarray:
+def _fans(polygons: np.ndarray, location: SourceLocation) -> np.ndarray:
     corners = polygons.shape[1]
     if corners < 3:
-        place.fail("a face has fewer than three corners")
+        location.raise_error("a face has fewer than three corners")
     triangles = [polygons[:, [0, i, i + 1]] for i in range(1, corners - 1)]
     return np.stack(triangles, axis=1).reshape(-1, 3)

@@ -13,9 +13,9 @@ from typing import BinaryIO
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.files import regular_file
+from isonoise.scene.files import open_regular_file
 from isonoise.scene.mesh.mesh import Mesh, checked, texture_coordinates
-from isonoise.scene.parse.elements import Place
+from isonoise.scene.parse.elements import SourceLocation
 
 _FORMAT = 0x041C
 _OFFSETS = {3: "I", 4: "Q"}  # versions that are read -> type of an offset in the table
@@ -32,26 +32,26 @@ def read_serialized(path: Path, shape_index: int = 0) -> Mesh:
     As in Mitsuba 3, the flag for face normals counts for nothing. Raises SceneError where it is not such a file, is
     cut off, has no shape of this number, or its indices or numbers are bad.
     """
-    place = Place(str(path), element=f"shape {shape_index}")
+    location = SourceLocation(str(path), element=f"shape {shape_index}")
     try:
-        with regular_file(path) as file:
-            version, start, size = _find(file, shape_index, place)
+        with open_regular_file(path) as file:
+            version, start, size = _find(file, shape_index, location)
             file.seek(start)
             with np.errstate(all="ignore"):  # the check of the mesh tells
-                return _mesh(_Stream(file, size - start, place), version, place)
+                return _mesh(_Stream(file, size - start, location), version, location)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
 
 
-def _find(file: BinaryIO, shape_index: int, place: Place) -> tuple[int, int, int]:
+def _find(file: BinaryIO, shape_index: int, location: SourceLocation) -> tuple[int, int, int]:
     """(version, where the stream of the shape begins, size of the file)."""
     size = os.fstat(file.fileno()).st_size
     head = file.read(4)
     format_, version = struct.unpack("<HH", head) if len(head) == 4 else (0, 0)
     if format_ != _FORMAT:
-        place.fail("not a serialized Mitsuba mesh")
+        location.raise_error("not a serialized Mitsuba mesh")
     if version not in _OFFSETS:
-        place.fail(f"version {version} of the format is not read (3 and 4 are)")
+        location.raise_error(f"version {version} of the format is not read (3 and 4 are)")
     if shape_index == 0:
         return version, 4, size  # as in Mitsuba 3, a file with one mesh needs no table
     entry = struct.calcsize("<" + _OFFSETS[version])
@@ -59,21 +59,21 @@ def _find(file: BinaryIO, shape_index: int, place: Place) -> tuple[int, int, int
     count = struct.unpack("<I", file.read(4))[0]
     table = size - 4 - count * entry
     if table < 4:
-        place.fail("the table at its end is damaged, or the file is cut off")
+        location.raise_error("the table at its end is damaged, or the file is cut off")
     if shape_index >= count:
-        place.fail(f"there is no such shape; the file has {count}, counted from 0")
+        location.raise_error(f"there is no such shape; the file has {count}, counted from 0")
     file.seek(table + shape_index * entry)
     offset = struct.unpack("<" + _OFFSETS[version], file.read(entry))[0]
     if offset + 4 > table:
-        place.fail("the table at its end is damaged")
+        location.raise_error("the table at its end is damaged")
     return version, offset + 4, size
 
 
 class _Stream:
     """A zlib stream, inflated as far as it is read."""
 
-    def __init__(self, file: BinaryIO, size: int, place: Place):
-        self.file, self.place = file, place
+    def __init__(self, file: BinaryIO, size: int, location: SourceLocation):
+        self.file, self.location = file, location
         self.room = _SMALL + _RATIO * size  # bytes that it may reasonably hold
         self.inflater = zlib.decompressobj()
         self.pending = bytearray()
@@ -86,9 +86,9 @@ class _Stream:
             try:
                 piece = self.inflater.decompress(source, most)
             except zlib.error:
-                self.place.fail("its compressed data is damaged")
+                self.location.raise_error("its compressed data is damaged")
             if not piece and (not source or self.inflater.eof):
-                self.place.fail("cut off, or its header promises too much")
+                self.location.raise_error("cut off, or its header promises too much")
         return piece
 
     def read(self, count: int) -> bytearray:
@@ -102,7 +102,7 @@ class _Stream:
         """Pass over a text and the zero at its end."""
         while (end := self.pending.find(0)) < 0:
             if len(self.pending) > _NAME:
-                self.place.fail("its name has no end")
+                self.location.raise_error("its name has no end")
             self.pending += self._inflated(_CHUNK)
         del self.pending[: end + 1]
 
@@ -110,7 +110,7 @@ class _Stream:
         return np.frombuffer(self.read(rows * columns * np.dtype(type_).itemsize), type_).reshape(rows, columns)
 
 
-def _mesh(stream: _Stream, version: int, place: Place) -> Mesh:
+def _mesh(stream: _Stream, version: int, location: SourceLocation) -> Mesh:
     flags = struct.unpack("<I", stream.read(4))[0]
     if version == 4:
         stream.skip_text()
@@ -119,9 +119,11 @@ def _mesh(stream: _Stream, version: int, place: Place) -> Mesh:
     per_vertex = 3 + 3 * bool(flags & _NORMALS) + 2 * bool(flags & _UVS) + 3 * bool(flags & _COLOURS)
     size = vertices * per_vertex * np.dtype(number).itemsize + faces * 3 * np.dtype(index).itemsize
     if size > stream.room:
-        place.fail(f"its header promises {vertices} vertices and {faces} triangles, more than the file can hold")
+        location.raise_error(
+            f"its header promises {vertices} vertices and {faces} triangles, more than the file can hold"
+        )
     if not vertices or not faces:
-        place.fail("a mesh needs vertices and faces")
+        location.raise_error("a mesh needs vertices and faces")
     mesh = Mesh(stream.array(number, vertices, 3).astype(np.float64), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
     if flags & _NORMALS:
         mesh.normals = stream.array(number, vertices, 3).astype(np.float64)
@@ -130,4 +132,4 @@ def _mesh(stream: _Stream, version: int, place: Place) -> Mesh:
     if flags & _COLOURS:
         mesh.attributes["vertex_color"] = stream.array(number, vertices, 3).astype(np.float32)
     mesh.faces = stream.array(index, faces, 3).astype(np.int64)  # what does not fit is negative, and refused
-    return checked(mesh, place)
+    return checked(mesh, location)

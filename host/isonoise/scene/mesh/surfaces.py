@@ -13,8 +13,8 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.scene import structs, transforms
 from isonoise.scene.accel.bounds import analytic_extents
+from isonoise.scene.mesh.load_mesh import load_mesh
 from isonoise.scene.mesh.mesh import lengths, normalize, smooth_normals, used_vertices
-from isonoise.scene.mesh.read import read_shape
 
 _EMPTY_NORMALS = np.zeros((0, 3), np.float32)
 
@@ -30,7 +30,9 @@ class Surface:
     flip: bool = False  # analytic only: the front is the other side
     uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))  # (v, 2) float32, or (0, 2)
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  # 'vertex_...', 'face_...': see `mesh.Mesh`
-    rewound: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # (t,) where the mesh's winding was turned
+    reversed_winding: np.ndarray = field(
+        default_factory=lambda: np.zeros(0, bool)
+    )  # (t,) where the mesh's winding was turned
 
     @property
     def areas(self) -> np.ndarray:
@@ -57,8 +59,8 @@ def make_surface(shape: dict, where: str) -> Surface:
 
 
 def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
-    mesh = read_shape(shape)
-    vertices = transforms.points(to_world, mesh.vertices)
+    mesh = load_mesh(shape)
+    vertices = transforms.transform_points(to_world, mesh.vertices)
     faces = mesh.faces
     mirrors = np.linalg.det(to_world[:3, :3]) < 0
     if shape["type"] in ("rectangle", "cube"):
@@ -67,7 +69,7 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
     elif shape["face_normals"]:
         normals = _EMPTY_NORMALS
     elif len(mesh.normals):
-        normals = normalize(transforms.normals(to_world, mesh.normals))
+        normals = normalize(transforms.transform_normals(to_world, mesh.normals))
         normals = np.where(np.isfinite(normals), normals, 0.0)  # of transforms at the edge of what numbers can be
         faces = _wound_like(vertices, faces, normals)
         absent = ~normals.any(axis=1)
@@ -86,7 +88,7 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
         np.ascontiguousarray(normals, np.float32),
         uvs=mesh.uvs,
         attributes=mesh.attributes,
-        rewound=faces[:, 0] != mesh.faces[:, 0],
+        reversed_winding=faces[:, 0] != mesh.faces[:, 0],
     )
 
 
@@ -114,12 +116,12 @@ def _analytic(kind: int, to_world: np.ndarray, where: str) -> np.ndarray:
 
 
 def _sphere(shape: dict, to_world: np.ndarray, where: str) -> Surface:
-    rotation, stretch = transforms.polar(to_world)
+    rotation, stretch = transforms.polar_decomposition(to_world)
     _warn_if_stretched(stretch, (0, 1, 2), where)
     radius = shape["radius"] * abs(stretch[0, 0])
     placed = np.eye(4)
     placed[:3, :3] = rotation * radius
-    placed[:3, 3] = transforms.points(to_world, np.array([shape["center"]]))[0]
+    placed[:3, 3] = transforms.transform_points(to_world, np.array([shape["center"]]))[0]
     record = _analytic(structs.ANALYTIC_SPHERE, placed, where)
     record["center"], record["radius"] = placed[:3, 3], radius
     return _analytic_surface(record, shape["flip_normals"] != (np.linalg.det(to_world[:3, :3]) < 0))
@@ -132,11 +134,11 @@ def _disk(shape: dict, to_world: np.ndarray, where: str) -> Surface:
 def _cylinder(shape: dict, to_world: np.ndarray, where: str) -> Surface:
     foot, axis = np.array(shape["p0"]), np.subtract(shape["p1"], shape["p0"])
     length, radius = np.linalg.norm(axis), shape["radius"]
-    along = transforms.frame(axis / length)
+    along = transforms.rotation_from_z(axis / length)
     placed = to_world @ transforms.translate(foot) @ along @ transforms.scale((radius, radius, length))
     if not np.isfinite(placed).all():
         raise SceneError(f"{where}: its size leaves the range of numbers")
-    rotation, stretch = transforms.polar(placed)
+    rotation, stretch = transforms.polar_decomposition(placed)
     _warn_if_stretched(stretch, (0, 1), where)
     size = (stretch[0, 0], stretch[0, 0], stretch[2, 2])  # negative if mirrored: the tube goes the mirrored way
     placed[:3, :3] = rotation * size

@@ -24,8 +24,8 @@ def triangle_records(scene: CompiledScene) -> np.ndarray:
         record["normal"] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
     shape = scene.shapes[scene.triangle_shape]
     records["bsdf"], records["flags"] = shape["bsdf"], shape["flags"]
-    if len(scene.rewound):
-        records["flags"] |= structs.TRIANGLE_REWOUND * scene.rewound.astype(np.uint32)
+    if len(scene.reversed_winding):
+        records["flags"] |= structs.TRIANGLE_REWOUND * scene.reversed_winding.astype(np.uint32)
     in_shape = np.arange(len(records), dtype=np.uint32) - shape["first_primitive"]
     shines = shape["first_light"] != structs.NONE
     records["light"] = np.where(shines, shape["first_light"] + in_shape, structs.NONE)

@@ -53,13 +53,13 @@ def _parts(path: Path, loaded) -> list[Part]:
 
 
 def _part(geometry, matrix: np.ndarray) -> Part:
-    vertices = transforms.points(matrix, np.asarray(geometry.vertices, float))
+    vertices = transforms.transform_points(matrix, np.asarray(geometry.vertices, float))
     faces = np.asarray(geometry.faces, np.int64)
     normals = np.zeros((0, 3))
     # Normals that the file brings lie in trimesh's cache; asking for the attribute would make up those it lacks,
     # where STL and glTF mean flat triangles.
     if "vertex_normals" in geometry._cache:
-        normals = transforms.normals(matrix, np.asarray(geometry.vertex_normals, float))
+        normals = transforms.transform_normals(matrix, np.asarray(geometry.vertex_normals, float))
     if np.linalg.det(matrix[:3, :3]) < 0:
         faces = faces[:, ::-1]
     reflectance, radiance = _colours(getattr(geometry.visual, "material", None))

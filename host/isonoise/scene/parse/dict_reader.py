@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from isonoise.scene.parse.elements import Element, Place, Reference
+from isonoise.scene.parse.elements import Element, Reference, SourceLocation
 
 _DEPTH = 64  # nesting nobody needs; a dict that holds itself ends here
 
@@ -16,22 +16,22 @@ def read_dict(source: Mapping) -> Element:
 
 def _element(source: Mapping, path: str, depth: int) -> Element:
     type_ = source.get("type")
-    place = Place(element=path or "scene")
+    location = SourceLocation(element=path or "scene")
     if depth > _DEPTH:
-        place.fail(f"nested more than {_DEPTH} levels deep")
+        location.raise_error(f"nested more than {_DEPTH} levels deep")
     if not isinstance(type_, str):
-        place.fail("a scene object is a dict with a 'type' entry, such as {'type': 'sphere'}")
+        location.raise_error("a scene object is a dict with a 'type' entry, such as {'type': 'sphere'}")
     identifier = source.get("id", path)  # as in Mitsuba 3, what has no id goes by its keys: 'floor.bsdf'
     if not isinstance(identifier, str):
-        place.fail(f"'id' is a string, got {identifier!r}")
-    element = Element(place, "scene" if type_ == "scene" else "", type_, identifier)
+        location.raise_error(f"'id' is a string, got {identifier!r}")
+    element = Element(location, "scene" if type_ == "scene" else "", type_, identifier)
     for name, value in source.items():
         if not isinstance(name, str):
-            place.fail(f"the keys of a scene object are strings, got {name!r}")
+            location.raise_error(f"the keys of a scene object are strings, got {name!r}")
         if name in ("type", "id"):
             continue
         below = f"{path}.{name}" if path else name
-        element.entries.append((name, _value(value, below, depth), Place(element=below)))
+        element.entries.append((name, _value(value, below, depth), SourceLocation(element=below)))
     return element
 
 
@@ -43,7 +43,7 @@ def _value(value, path: str, depth: int):
             return dict(value)
         if kind == "ref":
             if not isinstance(value.get("id"), str):
-                Place(element=path).fail("a reference needs the 'id' of what it refers to")
+                SourceLocation(element=path).raise_error("a reference needs the 'id' of what it refers to")
             return Reference(value["id"])
         return _element(value, path, depth + 1)
     if isinstance(value, (bool, int, float, str)) or value is None:

@@ -12,7 +12,7 @@ _WORD, _CHOICES = 60, 1000  # what is compared to find the nearest name: its tim
 
 
 @dataclass(frozen=True)
-class Place:
+class SourceLocation:
     """A spot in the scene: a file and a line, or a path of keys inside a Python dict."""
 
     file: str = ""
@@ -23,7 +23,7 @@ class Place:
         spot = f"{self.file}:{self.line}" if self.line else self.file
         return ": ".join(part for part in (spot, self.element) if part)
 
-    def fail(self, message: str) -> NoReturn:
+    def raise_error(self, message: str) -> NoReturn:
         """Raise a SceneError that begins with this place."""
         prefix = str(self)
         text = (f"{prefix}: {message}" if prefix else message).replace("\n", " ")
@@ -34,11 +34,11 @@ class Place:
 class Element:
     """One object of the scene as it was read, before any check: XML elements and Python dicts both become this."""
 
-    place: Place
+    location: SourceLocation
     kind: str  # the XML tag ('bsdf', 'shape', ...); '' where it has to follow from the type (Python dicts)
     type: str
     id: str
-    entries: list[tuple[str, object, Place]] = field(default_factory=list)
+    entries: list[tuple[str, object, SourceLocation]] = field(default_factory=list)
     """(name, value, place): nested Elements and References under their name ('' if they have none), else values."""
     aliases: dict[str, str] = field(default_factory=dict)  # root only: further ids, by the id they stand for
 
@@ -50,12 +50,12 @@ class Reference:
     id: str
 
 
-def a(noun: str) -> str:
+def with_article(noun: str) -> str:
     """The noun with its indefinite article."""
     return f"an {noun}" if noun[:1] in "aeiou" else f"a {noun}"
 
 
-def nearest(name: str, choices) -> str:
+def closest_name(name: str, choices) -> str:
     """The one of `choices` that `name` is most likely meant to be ('' if there are none at all, or too many)."""
     ordered = sorted(choices) if len(choices) <= _CHOICES else ()
     lowered = {choice[:_WORD].lower(): choice for choice in ordered}
@@ -63,7 +63,7 @@ def nearest(name: str, choices) -> str:
     return lowered[match[0]] if match else ""
 
 
-def exists(path: Path) -> bool:
+def path_exists(path: Path) -> bool:
     """Whether there is a file or folder of this name; False for names that none can have."""
     try:
         return path.exists()

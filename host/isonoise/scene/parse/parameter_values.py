@@ -6,28 +6,28 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.scene.material.presets import refractive_indices
-from isonoise.scene.parse.elements import Place, nearest
+from isonoise.scene.parse.elements import SourceLocation, closest_name
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter
 
 _LARGEST = float(np.finfo(np.float32).max)
 
 
-def check_value(parameter: Parameter, value, place: Place):
+def check_value(parameter: Parameter, value, location: SourceLocation):
     """The value as the parameter's Python type. Raises SceneError where it is not of that type or out of range."""
     type_ = parameter.type
     if type_ in COLOURS:
-        return _colour(type_, value, place)
+        return _colour(type_, value, location)
     if type_ == "index":
-        return _index(value, place)
+        return _index(value, location)
     check = _CHECKS[type_]
     result = check(value)
     if result is None:
-        place.fail(f"'{parameter.name}' is {_MEANING[type_]}, got {_shown(value)}")
+        location.raise_error(f"'{parameter.name}' is {_MEANING[type_]}, got {_shown(value)}")
     if parameter.interval and not parameter.admits(result):
-        place.fail(f"'{parameter.name}' has to lie in {parameter.interval}, got {_shown(value)}")
+        location.raise_error(f"'{parameter.name}' has to lie in {parameter.interval}, got {_shown(value)}")
     if parameter.choices and result not in parameter.choices:
-        hint = nearest(result, parameter.choices)
-        place.fail(
+        hint = closest_name(result, parameter.choices)
+        location.raise_error(
             f"'{parameter.name}' is one of {', '.join(parameter.choices)}; got '{result}', did you mean '{hint}'?"
         )
     return result
@@ -94,61 +94,63 @@ _MEANING = {
 }
 
 
-def _index(value, place: Place) -> float:
+def _index(value, location: SourceLocation) -> float:
     """An index of refraction, by number or by name."""
     named = refractive_indices()
     if isinstance(value, str):
         if value.lower() not in named:
-            place.fail(f"unknown material '{value}'; did you mean '{nearest(value, named)}'? (or give a number)")
+            location.raise_error(
+                f"unknown material '{value}'; did you mean '{closest_name(value, named)}'? (or give a number)"
+            )
         return named[value.lower()]
     number = _float(value)
     if number is None or number <= 0:
-        place.fail(f"an index of refraction is a positive number or a material's name, got {_shown(value)}")
+        location.raise_error(f"an index of refraction is a positive number or a material's name, got {_shown(value)}")
     return number
 
 
-def _colour(kind: str, value, place: Place):
+def _colour(kind: str, value, location: SourceLocation):
     """A float, or a dict of type 'rgb' (three floats) or 'spectrum' (one float, or pairs of wavelength and value)."""
     if isinstance(value, dict) and value["type"] == "spectrum":
-        return {"type": "spectrum", "value": _spectrum(kind, value, place)}
+        return {"type": "spectrum", "value": _spectrum(kind, value, location)}
     if isinstance(value, dict):
         given = value.get("value")
         given = tuple(np.atleast_1d(np.asarray(given, dtype=object)).tolist()) if given is not None else ()
         channels = given * 3 if len(given) == 1 else given
         if _vector(channels) is None:
-            place.fail(f"an rgb colour is one or three finite numbers, got {_shown(value.get('value'))}")
-        _bounds(kind, channels, place)
+            location.raise_error(f"an rgb colour is one or three finite numbers, got {_shown(value.get('value'))}")
+        _bounds(kind, channels, location)
         return {"type": "rgb", "value": [float(v) for v in channels]}
     number = _float(value)
     if number is None:
-        place.fail(f"a colour is a number, an rgb value or a spectrum, got {_shown(value)}")
-    _bounds(kind, (number,), place)
+        location.raise_error(f"a colour is a number, an rgb value or a spectrum, got {_shown(value)}")
+    _bounds(kind, (number,), location)
     return number
 
 
-def _spectrum(kind: str, value: dict, place: Place):
+def _spectrum(kind: str, value: dict, location: SourceLocation):
     given = value.get("value")
     number = _float(given)
     if number is not None:
-        _bounds(kind, (number,), place)
+        _bounds(kind, (number,), location)
         return number
     try:
         pairs = [(float(w), float(v)) for w, v in given]
     except (TypeError, ValueError):
-        place.fail(f"a spectrum is one number or pairs of wavelength and value, got {_shown(given)}")
+        location.raise_error(f"a spectrum is one number or pairs of wavelength and value, got {_shown(given)}")
     if len(pairs) < 2 or not np.isfinite(pairs).all():
-        place.fail("a spectrum needs two or more pairs of finite numbers")
+        location.raise_error("a spectrum needs two or more pairs of finite numbers")
     if any(b[0] <= a[0] for a, b in pairwise(pairs)):
-        place.fail("the wavelengths of a spectrum have to increase")
-    _bounds("unbounded", [v for _, v in pairs], place)
+        location.raise_error("the wavelengths of a spectrum have to increase")
+    _bounds("unbounded", [v for _, v in pairs], location)
     return pairs
 
 
-def _bounds(kind: str, channels, place: Place):
+def _bounds(kind: str, channels, location: SourceLocation):
     if min(channels) < 0:
-        place.fail(f"a {'colour' if kind == 'unbounded' else kind} is not negative, got {_shown(channels)}")
+        location.raise_error(f"a {'colour' if kind == 'unbounded' else kind} is not negative, got {_shown(channels)}")
     if kind == "reflectance" and max(channels) > 1:
-        place.fail(f"a reflectance is at most 1, got {_shown(channels)}")
+        location.raise_error(f"a reflectance is at most 1, got {_shown(channels)}")
 
 
 def _shown(value) -> str:

@@ -7,7 +7,7 @@ import re
 import sys
 from pathlib import Path
 
-from isonoise.scene.vocabulary import ELSEWHERE, PLUGINS, plugins_of
+from isonoise.scene.vocabulary import PLUGINS, UNSUPPORTED_PLUGINS, plugins_of
 from isonoise.scene.vocabulary.plugin import IGNORED, SUPPORTED, UNSUPPORTED, Child, Parameter, Plugin
 
 KINDS = ("integrator", "sensor", "film", "rfilter", "sampler", "bsdf", "texture", "emitter", "shape")
@@ -34,7 +34,7 @@ _BEGIN, _END = "<!-- plugins: begin -->", "<!-- plugins: end -->"
 def overview(kind: str) -> list[tuple[str, str, str]]:
     """(name, status, meaning) of all plugins of a kind, those that are read first."""
     here = [(plugin.name, STATUS[plugin.status], plugin.meaning) for plugin in plugins_of(kind).values()]
-    return here + [(name, STATUS[UNSUPPORTED], reason) for name, reason in ELSEWHERE.get(kind, {}).items()]
+    return here + [(name, STATUS[UNSUPPORTED], reason) for name, reason in UNSUPPORTED_PLUGINS.get(kind, {}).items()]
 
 
 def facts(plugin: Plugin) -> dict:
@@ -51,7 +51,7 @@ def facts(plugin: Plugin) -> dict:
 
 def absent_facts(kind: str, name: str) -> dict:
     """The same of a plugin that is not supported."""
-    return {"kind": kind, "name": name, "status": STATUS[UNSUPPORTED], "meaning": ELSEWHERE[kind][name]}
+    return {"kind": kind, "name": name, "status": STATUS[UNSUPPORTED], "meaning": UNSUPPORTED_PLUGINS[kind][name]}
 
 
 def parameter_facts(parameter: Parameter) -> dict:
@@ -96,7 +96,7 @@ def markdown() -> str:
     lines += ["", "### Not supported", "", "| kind | plugin | why, or what to do |", "|---|---|---|"]
     for kind in KINDS:
         reasons: dict[str, list[str]] = {}
-        for name, reason in ELSEWHERE.get(kind, {}).items():
+        for name, reason in UNSUPPORTED_PLUGINS.get(kind, {}).items():
             reasons.setdefault(reason, []).append(f"`{name}`")
         lines += [f"| {kind} | {', '.join(names)} | {reason} |" for reason, names in reasons.items()]
     for plugin in PLUGINS:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.parse.elements import Element, Reference, exists, nearest
+from isonoise.scene.parse.elements import Element, Reference, closest_name, path_exists
 from isonoise.scene.parse.xml_tags import DEPTH, Tag, parse_tags
 from isonoise.scene.parse.xml_upgrade import is_old, upgrade_element, upgrade_tags
 from isonoise.scene.parse.xml_values import OPERATIONS, check_attributes, operation, value_of
@@ -24,7 +24,7 @@ _OTHERS = ("transform", "ref", "include", "alias", "default", "path")
 def _meant(name: str, choices: tuple[str, ...]) -> str:
     """What an unknown element probably stands for: <sphere> is <shape type="sphere">."""
     kinds = kinds_of(name)
-    return f'<{kinds[0]} type="{name}">' if kinds else f"<{nearest(name, choices)}>"
+    return f'<{kinds[0]} type="{name}">' if kinds else f"<{closest_name(name, choices)}>"
 
 
 def read_xml(path: Path, parameters: dict[str, str]) -> Element:
@@ -85,8 +85,8 @@ class _Reader:
                 self.used.add(name)
                 return name
         name = re.match(r"\w*", text[start:])[0]
-        hint = nearest(name, self.parameters)
-        tag.place.fail(f"undefined parameter ${name}" + (f"; did you mean ${hint}?" if hint else ""))
+        hint = closest_name(name, self.parameters)
+        tag.location.raise_error(f"undefined parameter ${name}" + (f"; did you mean ${hint}?" if hint else ""))
 
 
 class _File:
@@ -98,17 +98,17 @@ class _File:
     def object(self, tag: Tag, root: bool = False) -> Element:
         self.reader.depth += 1
         if self.reader.depth > DEPTH:
-            tag.place.fail(f"nested more than {DEPTH} levels deep")
+            tag.location.raise_error(f"nested more than {DEPTH} levels deep")
         self.substitute(tag)
         if tag.name not in (*_OBJECTS, "spectrum"):
-            tag.place.fail(f"unknown element; did you mean {_meant(tag.name, _OBJECTS)}?")
+            tag.location.raise_error(f"unknown element; did you mean {_meant(tag.name, _OBJECTS)}?")
         is_scene = root and tag.name == "scene"
         check_attributes(
             tag, () if is_scene else ("type",), ("version", "id", "name", "type") if root else ("id", "name")
         )
         kind = "texture" if tag.name == "spectrum" else tag.name
         type_ = tag.attributes.get("type", "scene")
-        element = Element(tag.place, kind, type_, tag.attributes.get("id", ""))
+        element = Element(tag.location, kind, type_, tag.attributes.get("id", ""))
         for child in tag.children:
             self.entry(element, child, root)
         if self.old:
@@ -121,27 +121,29 @@ class _File:
         self.substitute(tag)
         name = tag.attributes.get("name", "")
         if tag.name in _OBJECTS or (tag.name == "spectrum" and "type" in tag.attributes):
-            parent.entries.append((name, self.object(tag), tag.place))
+            parent.entries.append((name, self.object(tag), tag.location))
         elif tag.name == "transform":
             check_attributes(tag, ("name",))
-            parent.entries.append((name, self.transform(tag), tag.place))
+            parent.entries.append((name, self.transform(tag), tag.location))
         elif tag.name in _VALUES:
             value = value_of(tag)
             if tag.name == "string" and name == "filename":
                 value = str(self.find(tag, value))
-            parent.entries.append((name, value, tag.place))
+            parent.entries.append((name, value, tag.location))
             self.no_children(tag)
         elif tag.name in _OTHERS:
             getattr(self, f"_{tag.name}")(parent, tag, at_root)
             self.no_children(tag)
         elif tag.name in OPERATIONS:
-            tag.place.fail("belongs inside a <transform>")
+            tag.location.raise_error("belongs inside a <transform>")
         else:
-            tag.place.fail(f"unknown element; did you mean {_meant(tag.name, (*_OBJECTS, *_VALUES, *_OTHERS))}?")
+            tag.location.raise_error(
+                f"unknown element; did you mean {_meant(tag.name, (*_OBJECTS, *_VALUES, *_OTHERS))}?"
+            )
 
     def no_children(self, tag: Tag):
         if tag.children:
-            tag.children[0].place.fail(f"cannot stand inside <{tag.name}>")
+            tag.children[0].location.raise_error(f"cannot stand inside <{tag.name}>")
 
     def transform(self, tag: Tag) -> np.ndarray:
         """Operations apply in the order they are written: each is multiplied from the left."""
@@ -155,7 +157,7 @@ class _File:
 
     def _ref(self, parent: Element, tag: Tag, at_root: bool):
         check_attributes(tag, ("id",), ("name",))
-        parent.entries.append((tag.attributes.get("name", ""), Reference(tag.attributes["id"]), tag.place))
+        parent.entries.append((tag.attributes.get("name", ""), Reference(tag.attributes["id"]), tag.location))
 
     def _include(self, parent: Element, tag: Tag, at_root: bool):
         check_attributes(tag, ("filename",), ("name",))
@@ -163,12 +165,12 @@ class _File:
         if included.type == "scene":
             parent.entries.extend(included.entries)
         else:
-            parent.entries.append((tag.attributes.get("name", ""), included, tag.place))
+            parent.entries.append((tag.attributes.get("name", ""), included, tag.location))
 
     def _alias(self, parent: Element, tag: Tag, at_root: bool):
         check_attributes(tag, ("id", "as"))
         if tag.attributes["as"] in self.reader.aliases:
-            tag.place.fail(f"the id '{tag.attributes['as']}' is taken")
+            tag.location.raise_error(f"the id '{tag.attributes['as']}' is taken")
         self.reader.aliases[tag.attributes["as"]] = tag.attributes["id"]
 
     def _default(self, parent: Element, tag: Tag, at_root: bool):
@@ -178,21 +180,21 @@ class _File:
     def _path(self, parent: Element, tag: Tag, at_root: bool):
         check_attributes(tag, ("value",))
         if not at_root:
-            tag.place.fail("stands only directly below the root")
+            tag.location.raise_error("stands only directly below the root")
         folder = self.find(tag, tag.attributes["value"])
         if not folder.is_dir():
-            tag.place.fail(f"'{folder}' is not a folder")
+            tag.location.raise_error(f"'{folder}' is not a folder")
         self.folders.insert(0, folder)
 
     def find(self, tag: Tag, name: str) -> Path:
         """The file or folder of this name in the folders where this file looks."""
         if "\0" in name or not name:
-            tag.place.fail("a file name is needed here")
+            tag.location.raise_error("a file name is needed here")
         for folder in self.folders:
-            if exists(folder / name):
+            if path_exists(folder / name):
                 return folder / name
         looked = ", ".join(str(folder) for folder in self.folders)
-        tag.place.fail(f"there is no '{name}' (looked in {looked})")
+        tag.location.raise_error(f"there is no '{name}' (looked in {looked})")
 
     def substitute(self, tag: Tag):
         """Replace $name in the attributes; \\$ is a plain $."""
@@ -209,5 +211,5 @@ class _File:
             position = dollar + 1 + len(name)
             size += len(pieces[-1])
             if size > _ATTRIBUTE:
-                tag.place.fail("an attribute grows beyond a million characters by its parameters")
+                tag.location.raise_error("an attribute grows beyond a million characters by its parameters")
         return "".join([*pieces, text[position:]])

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from isonoise.errors import SceneError
-from isonoise.scene.files import regular_file
-from isonoise.scene.parse.elements import Place
+from isonoise.scene.files import open_regular_file
+from isonoise.scene.parse.elements import SourceLocation
 
 DEPTH = 64  # nested elements; no scene needs more, and Python's stack holds it
 _CHUNK = 1 << 16  # bytes; a huge file that is not XML ends within the first
@@ -20,10 +20,10 @@ class Tag:
         self.children: list[Tag] = []
 
     @property
-    def place(self) -> Place:
+    def location(self) -> SourceLocation:
         kept = " ".join(f'{k}="{v[:60]}"' for k, v in self.attributes.items() if k in ("type", "name", "id"))
         name = self.name[:60]
-        return Place(self.file, self.line, f"<{name} {kept}>" if kept else f"<{name}>")
+        return SourceLocation(self.file, self.line, f"<{name} {kept}>" if kept else f"<{name}>")
 
 
 class _Builder:
@@ -35,7 +35,7 @@ class _Builder:
     def start(self, name, attributes):
         tag = Tag(name, dict(attributes), self.file, self.expat.CurrentLineNumber)
         if len(self.stack) >= DEPTH:
-            tag.place.fail(f"nested more than {DEPTH} levels deep")
+            tag.location.raise_error(f"nested more than {DEPTH} levels deep")
         if self.stack:
             self.stack[-1].children.append(tag)
         else:
@@ -47,8 +47,8 @@ class _Builder:
 
     def data(self, text):
         if text.strip():
-            place = Place(self.file, self.expat.CurrentLineNumber)
-            place.fail(f"text between elements has no meaning: '{text.strip()[:40]}'")
+            location = SourceLocation(self.file, self.expat.CurrentLineNumber)
+            location.raise_error(f"text between elements has no meaning: '{text.strip()[:40]}'")
 
     def close(self):
         return self.root
@@ -63,7 +63,7 @@ def parse_tags(path: Path) -> Tag:
     parser = DefusedXMLParser(target=builder, forbid_dtd=True)
     builder.expat = parser.parser
     try:
-        with regular_file(path) as file:
+        with open_regular_file(path) as file:
             while chunk := file.read(_CHUNK):
                 parser.feed(chunk)
         return parser.close()
@@ -72,10 +72,12 @@ def parse_tags(path: Path) -> Tag:
         reason = str(error).split(":")[0]
         empty = reason == "no element found" and builder.root is None
         what = "there is no scene in this file" if empty else f"not well-formed XML ({reason})"
-        Place(str(path), line).fail(f"{what}; scenes are Mitsuba 3 XML, meshes OBJ, PLY, STL or GLB")
+        SourceLocation(str(path), line).raise_error(f"{what}; scenes are Mitsuba 3 XML, meshes OBJ, PLY, STL or GLB")
     except DefusedXmlException:
-        Place(str(path)).fail("document type declarations and entities are not read; remove the <!DOCTYPE>")
+        SourceLocation(str(path)).raise_error(
+            "document type declarations and entities are not read; remove the <!DOCTYPE>"
+        )
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, LookupError) as error:  # encodings that Python does not know, or bytes that are not of theirs
-        Place(str(path)).fail(f"not an XML file ({error})")
+        SourceLocation(str(path)).raise_error(f"not an XML file ({error})")

@@ -26,13 +26,13 @@ _GONE = {
 def is_old(root: Tag) -> bool:
     """Whether a file has to be upgraded. Raises SceneError where its version is missing or not known."""
     if "version" not in root.attributes:
-        root.place.fail('the root element lacks its version, such as <scene version="3.0.0">')
+        root.location.raise_error('the root element lacks its version, such as <scene version="3.0.0">')
     version = root.attributes["version"].strip()
     if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,9}){0,2}", version):
-        root.place.fail(f"'{version[:20]}' is not a version; an example is 3.0.0")
+        root.location.raise_error(f"'{version[:20]}' is not a version; an example is 3.0.0")
     major = int(version.split(".")[0])
     if major > _NEWEST:
-        root.place.fail(f"version {version} is not read; isonoise reads files up to version {_NEWEST}")
+        root.location.raise_error(f"version {version} is not read; isonoise reads files up to version {_NEWEST}")
     return major < _FIRST_UNCHANGED
 
 
@@ -42,7 +42,9 @@ def upgrade_tags(root: Tag):
     while queue:
         tag = queue.pop()
         if tag.name in _GONE:
-            tag.place.fail(f"belongs to Mitsuba 0.x, and Mitsuba 3 does not read it either; {_GONE[tag.name]}")
+            tag.location.raise_error(
+                f"belongs to Mitsuba 0.x, and Mitsuba 3 does not read it either; {_GONE[tag.name]}"
+            )
         if tag.name == "lookAt":
             tag.name = "lookat"
         queue.extend(reversed(tag.children))
@@ -51,18 +53,18 @@ def upgrade_tags(root: Tag):
 def upgrade_element(element: Element):
     """Rename and convert the parameters of one object of an old file, in place."""
     entries, moved = [], {}
-    for name, value, place in element.entries:
+    for name, value, location in element.entries:
         name = snake_case(name)
         if name == "diffuse_reflectance" and element.type == "diffuse":
             name = "reflectance"
         if name not in _UV:
-            entries.append((name, value, place))
+            entries.append((name, value, location))
             continue
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            place.fail(f"'{name}' is a number")
+            location.raise_error(f"'{name}' is a number")
         if name in moved:
-            place.fail(f"'{name}' is given twice")
-        moved[name], last = value, place
+            location.raise_error(f"'{name}' is given twice")
+        moved[name], last = value, location
     if moved:
         scale = transforms.scale((moved.get("uscale", 1.0), moved.get("vscale", 1.0), 1.0))
         offset = transforms.translate((moved.get("uoffset", 0.0), moved.get("voffset", 0.0), 0.0))

@@ -15,11 +15,11 @@ def check_attributes(tag: Tag, required: tuple[str, ...], optional: tuple[str, .
     """Complain about attributes that are missing or unknown."""
     for name in required:
         if name not in tag.attributes:
-            tag.place.fail(f"the attribute '{name}' is missing")
+            tag.location.raise_error(f"the attribute '{name}' is missing")
     for name in tag.attributes:
         if name not in required and name not in optional:
             listed = ", ".join((*required, *optional))
-            tag.place.fail(f"unexpected attribute '{name}' (known here: {listed})")
+            tag.location.raise_error(f"unexpected attribute '{name}' (known here: {listed})")
 
 
 def number(tag: Tag, text: str) -> float:
@@ -29,7 +29,7 @@ def number(tag: Tag, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or "_" in text:
-        tag.place.fail(f"'{text[:60]}' is not a finite number (no units, no formulas)")
+        tag.location.raise_error(f"'{text[:60]}' is not a finite number (no units, no formulas)")
     return value
 
 
@@ -44,7 +44,7 @@ def xyz(tag: Tag, default: float | None, *others: str) -> tuple[float, float, fl
         check_attributes(tag, ("value", *others))
         given = numbers(tag, tag.attributes["value"])
         if len(given) not in (1, 3):
-            tag.place.fail(f"'value' is one or three numbers, got {len(given)}")
+            tag.location.raise_error(f"'value' is one or three numbers, got {len(given)}")
         return tuple(given * 3 if len(given) == 1 else given)
     axes = ("x", "y", "z")
     check_attributes(tag, (*others, *axes) if default is None else others, axes)
@@ -54,39 +54,41 @@ def xyz(tag: Tag, default: float | None, *others: str) -> tuple[float, float, fl
 def _integer(tag: Tag) -> int:
     text = tag.attributes["value"].strip()
     if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
-        tag.place.fail(f"'{text[:60]}' is not a whole number")
+        tag.location.raise_error(f"'{text[:60]}' is not a whole number")
     return int(text)
 
 
 def _boolean(tag: Tag) -> bool:
     text = tag.attributes["value"].strip().lower()
     if text not in ("true", "false"):
-        tag.place.fail(f"'{text[:60]}' is neither true nor false")
+        tag.location.raise_error(f"'{text[:60]}' is neither true nor false")
     return text == "true"
 
 
 def _rgb(tag: Tag) -> dict:
     given = numbers(tag, tag.attributes["value"])
     if len(given) not in (1, 3):
-        tag.place.fail(f"an rgb colour is one or three numbers, got {len(given)}")
+        tag.location.raise_error(f"an rgb colour is one or three numbers, got {len(given)}")
     return {"type": "rgb", "value": given}
 
 
 def _spectrum(tag: Tag) -> dict:
     check_attributes(tag, ("name",), ("value", "filename"))
     if "value" not in tag.attributes:
-        tag.place.fail("spectra from files are not supported; write the pairs of wavelength and value into 'value'")
+        tag.location.raise_error(
+            "spectra from files are not supported; write the pairs of wavelength and value into 'value'"
+        )
     text = tag.attributes["value"]
     if ":" not in text:
         given = numbers(tag, text)
         if len(given) != 1:
-            tag.place.fail("a spectrum is one number or pairs such as 400:0.3, 500:0.7")
+            tag.location.raise_error("a spectrum is one number or pairs such as 400:0.3, 500:0.7")
         return {"type": "spectrum", "value": given[0]}
     pairs = []
     for part in re.split(r"[\s,]+", text.strip()):
         wavelength, separator, value = part.partition(":")
         if part and not separator:
-            tag.place.fail(f"'{part[:60]}' is not a pair of wavelength and value such as 400:0.3")
+            tag.location.raise_error(f"'{part[:60]}' is not a pair of wavelength and value such as 400:0.3")
         if part:
             pairs.append((number(tag, wavelength), number(tag, value)))
     return {"type": "spectrum", "value": pairs}
@@ -101,7 +103,7 @@ def operation(tag: Tag) -> np.ndarray:
     if tag.name == "rotate":
         axis = xyz(tag, 0.0, "angle")
         if not any(axis):
-            tag.place.fail("the axis of a rotation cannot be zero")
+            tag.location.raise_error("the axis of a rotation cannot be zero")
         return transforms.rotate(axis, number(tag, tag.attributes["angle"]))
     if tag.name == "lookat":
         return _look_at(tag)
@@ -109,23 +111,23 @@ def operation(tag: Tag) -> np.ndarray:
         check_attributes(tag, ("value",))
         given = numbers(tag, tag.attributes["value"])
         if len(given) not in (9, 16):
-            tag.place.fail(f"a matrix has 16 or 9 numbers, got {len(given)}")
+            tag.location.raise_error(f"a matrix has 16 or 9 numbers, got {len(given)}")
         size = 4 if len(given) == 16 else 3
         matrix = np.eye(4)
         matrix[:size, :size] = np.reshape(given, (size, size))
         return matrix
-    tag.place.fail(f"a transform is made of {', '.join(OPERATIONS)}")
+    tag.location.raise_error(f"a transform is made of {', '.join(OPERATIONS)}")
 
 
 def _look_at(tag: Tag) -> np.ndarray:
     check_attributes(tag, ("origin", "target"), ("up",))
     vectors = [numbers(tag, tag.attributes[name]) for name in ("origin", "target", "up") if name in tag.attributes]
     if any(len(v) != 3 for v in vectors):
-        tag.place.fail("origin, target and up are three numbers each")
+        tag.location.raise_error("origin, target and up are three numbers each")
     try:
         return transforms.look_at(*vectors)
     except ValueError:
-        tag.place.fail("target equals origin, or up is parallel to the line between them")
+        tag.location.raise_error("target equals origin, or up is parallel to the line between them")
 
 
 def value_of(tag: Tag):

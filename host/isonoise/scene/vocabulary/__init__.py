@@ -12,7 +12,7 @@ from isonoise.scene.vocabulary.plugin import Child, Plugin
 from isonoise.scene.vocabulary.sensors import FILMS, INTEGRATORS, SAMPLERS, SENSORS
 from isonoise.scene.vocabulary.shapes import SHAPES
 from isonoise.scene.vocabulary.textures import TEXTURES
-from isonoise.scene.vocabulary.unsupported import ELSEWHERE
+from isonoise.scene.vocabulary.unsupported import UNSUPPORTED_PLUGINS
 
 _SCENE = Plugin(
     "scene",
@@ -54,4 +54,4 @@ def plugins_of(kind: str) -> Mapping[str, Plugin]:
 def kinds_of(name: str) -> tuple[str, ...]:
     """All kinds in which Mitsuba 3 has a plugin with this name."""
     here = tuple(p.kind for p in PLUGINS if p.name == name)
-    return here + tuple(kind for kind, names in ELSEWHERE.items() if name in names)
+    return here + tuple(kind for kind, names in UNSUPPORTED_PLUGINS.items() if name in names)

@@ -8,7 +8,7 @@ _DERIVATIVES = "renders derivatives; isonoise has none"
 _SPECTRAL = "isonoise renders RGB: write <rgb> or a plain <spectrum>"
 _SKY = "needs the fitted tables of the sky model, which come with Mitsuba: bake it to an envmap there"
 
-ELSEWHERE: dict[str, dict[str, str]] = {
+UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
     "sensor": {
         "batch": "one image a render: render its sensors one by one",
         "distant": "measures radiance from infinity; orthographic is close",

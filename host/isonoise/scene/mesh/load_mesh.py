@@ -26,7 +26,7 @@ _CUBE_FACES = (4 * np.arange(6)[:, None, None] + [[0, 1, 2], [3, 0, 2]]).reshape
 _CUBE_UVS = np.tile(_UNIT_SQUARE[[3, 2, 1, 0]], (6, 1))
 
 
-def read_shape(shape: dict) -> Mesh:
+def load_mesh(shape: dict) -> Mesh:
     """The triangles of a shape of the description that is made of them. Raises SceneError where its file is bad."""
     if shape["type"] == "rectangle":
         return Mesh(_RECTANGLE, _RECTANGLE_FACES, _NONE, _UNIT_SQUARE)
