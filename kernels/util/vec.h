@@ -8,7 +8,8 @@
 #define INLINE inline __attribute__((always_inline))
 #endif
 
-// Tables of records that host and kernels share are read by functions that host/isonoise/device/program.py puts here.
+// `<Record>_at(table, index)` functions: host/isonoise/device/program.py, `record_reader`.
+#include "generated/records.h"
 
 // Long functions of many callers stay functions: with textures in a dozen parameters of each of three materials `shade` took
 // PoCL 46 s to compile, and takes 5.

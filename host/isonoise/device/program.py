@@ -4,14 +4,14 @@ One text can be hashed, cached and dumped, and an include path with a space cann
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import resources
 
 import numpy as np
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 _PRAGMA_ONCE = re.compile(r"^\s*#pragma\s+once")
-_READERS = "that host/isonoise/device/program.py puts here."  # in util/vec.h
+_RECORDS = "generated/records.h"  # included by util/vec.h
 _C_TYPES = {"f4": "float", "u4": "uint", "i4": "int"}
 
 
@@ -20,16 +20,27 @@ def kernel_source(name: str) -> str:
     return resources.files("isonoise.kernels").joinpath(name).read_text(encoding="utf-8")
 
 
-def flatten(name: str, seen: set[str] | None = None) -> str:
-    """The file with its includes in place, each once; `#line` lets compiler messages name file and line."""
+def flatten(name: str, headers: Mapping[str, str] | None = None, seen: set[str] | None = None) -> str:
+    """Text of a kernel file with every include in place, each once.
+
+    `#line` directives let compiler messages name file and line.
+
+    Parameters
+    ----------
+    name : file of `kernels/`, or one of `headers`
+    headers : texts of generated headers, by the name under which kernels include them (`generated/NAME.h`); a generated
+        header that is not among them is empty
+    seen : files that are not included again; gets the names of those that are
+    """
     seen = set() if seen is None else seen
     seen.add(name)
+    text = (headers or {}).get(name, "") if name.startswith("generated/") else kernel_source(name)
     lines = [f'#line 1 "{name}"']
-    for number, line in enumerate(kernel_source(name).splitlines(), start=1):
+    for number, line in enumerate(text.splitlines(), start=1):
         include = _INCLUDE.match(line)
         if include:
             if include[1] not in seen:
-                lines.append(flatten(include[1], seen))
+                lines.append(flatten(include[1], headers, seen))
             lines.append(f'#line {number + 1} "{name}"')
         else:
             lines.append("" if _PRAGMA_ONCE.match(line) else line)
@@ -74,24 +85,36 @@ def record_reader(name: str, dtype: np.dtype) -> str:
 
 
 def stage_source(
-    names: str | Iterable[str], structs: dict[str, np.dtype], constants: dict[str, int], features: dict[str, bool]
+    names: str | Iterable[str],
+    structs: Mapping[str, np.dtype],
+    constants: Mapping[str, int],
+    features: Mapping[str, bool],
+    headers: Mapping[str, str] | None = None,
 ) -> tuple[str, tuple[str, ...]]:
-    """Text of a stage, or of several that are one program, and its build options.
+    """Text of a program and its build options.
 
-    A feature is a macro FEATURE_<name> of 0 or 1; only those that the text mentions are set, so that a feature of
-    another stage does not build this one anew.
+    A feature is a macro FEATURE_<name> of 0 or 1. Options set only those that the text mentions, so that a feature of
+    another stage does not rebuild this one.
+
+    Parameters
+    ----------
+    names : file of a stage, or of several that are built as one program
+    structs : C name -> record; those that the text mentions are declared, with their `<name>_at` functions
+    constants : macro -> value; those that the text mentions are defined
+    features : feature -> whether it is on
+    headers : generated headers, see `flatten`
     """
-    seen: set[str] = set()
-    body = "\n".join(flatten(name, seen) for name in ([names] if isinstance(names, str) else names))
-    words = set(re.findall(r"\w+", body))
+    files = [names] if isinstance(names, str) else list(names)
+
+    def flattened(records: str) -> str:
+        seen: set[str] = set()
+        return "\n".join(flatten(name, {**(headers or {}), _RECORDS: records}, seen) for name in files)
+
+    words = set(re.findall(r"\w+", flattened("")))
+    body = flattened("\n".join(record_reader(key, dtype) for key, dtype in structs.items() if f"{key}_at" in words))
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
     prelude += [f"#define {key} {value}u" for key, value in constants.items() if key in words]
     prelude += [declare_struct(key, dtype) for key, dtype in structs.items() if key in words]
-    readers = [record_reader(key, dtype) for key, dtype in structs.items() if f"{key}_at" in words]
-    if readers:
-        before, place, after = body.partition(_READERS)
-        line = kernel_source("util/vec.h").partition(_READERS)[0].count("\n") + 2
-        body = "\n".join([before + place, *readers, f'#line {line} "util/vec.h"' + after])
     mentioned = sorted(word.removeprefix("FEATURE_") for word in words if word.startswith("FEATURE_"))
     options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]
     return "\n".join([*prelude, body]) + "\n", tuple(options)
