@@ -1,10 +1,18 @@
-"""isonoise: an OpenCL path tracer that spends its samples until the noise is the same everywhere."""
+"""isonoise: an OpenCL path tracer that distributes its samples until the noise is the same everywhere.
+
+Examples
+--------
+>>> import isonoise
+>>> outcome = isonoise.render("cornell", error=0.02)
+>>> outcome.rgb.shape, outcome.reason
+((256, 256, 3), 'error')
+"""
 
 import importlib
 
 __version__ = "0.1.0"
 
-_PUBLIC = {
+_PUBLIC_NAMES = {
     "Needs": "isonoise.statistics",
     "Renderer": "isonoise.renderer",
     "Statistics": "isonoise.statistics",
@@ -15,14 +23,14 @@ _PUBLIC = {
     "render": "isonoise.loop",
     "render_loop": "isonoise.loop",
 }
-__all__ = sorted(_PUBLIC)
+__all__ = sorted(_PUBLIC_NAMES)
 
 
 def __getattr__(name: str):
-    """Imports a public name when it is first used, so that `isonoise --help` loads nothing."""
-    if name not in _PUBLIC:
+    """Import a public name on first use, so that `isonoise --help` stays fast."""
+    if name not in _PUBLIC_NAMES:
         raise AttributeError(f"module 'isonoise' has no attribute '{name}'")
-    return getattr(importlib.import_module(_PUBLIC[name]), name)
+    return getattr(importlib.import_module(_PUBLIC_NAMES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""`python -m isonoise` is the same as the command `isonoise`."""
+"""`python -m isonoise` runs the command `isonoise`."""
 
 import sys
 

@@ -1,13 +1,13 @@
-"""Errors that are the user's to mend: the command line prints them without a traceback and exits with 2."""
+"""Errors that the user can fix: the command line prints their message without a traceback and exits with 2."""
 
 
 class UserError(Exception):
-    """Something in the user's input is wrong; the message says what, where, and what to do about it."""
+    """The user's input is wrong. The message says what is wrong, where, and what to do."""
 
 
 class SceneError(UserError):
-    """A scene file or dict is wrong or outside the supported subset; the message names file, element and remedy."""
+    """A scene is wrong or outside the supported subset. The message names file, element and remedy."""
 
 
 class DeviceError(UserError):
-    """No usable OpenCL device, or it cannot hold what the render needs; the message says what to install or change."""
+    """There is no usable OpenCL device, or it lacks memory. The message says what to install or change."""

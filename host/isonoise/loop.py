@@ -1,4 +1,8 @@
-"""The render loop: waves until a stop is reached, with the stated error after each of them."""
+"""The render loop: waves until a limit is reached, with the stated error after each of them.
+
+`render` is the one-call interface, `render_loop` the one with callbacks, which `isonoise render` and `isonoise compare`
+use.
+"""
 
 import math
 import time
@@ -16,23 +20,43 @@ from isonoise.renderer import Renderer, WaveRecord
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
 
-QUANTILES = (0.5, 0.95, 0.99)
-"""Of the stated error in the log."""
-PROGRESS_INTERVAL = 0.2
-"""Seconds between two reports of progress."""
-LAST_WAVE_SHARE = 0.85
-"""Of the time left, what a wave is cut to at most: the speed is known to about a tenth, and a few such cuts home in."""
-FULL = 2**20
-"""Samples of room in a pixel's count below which a render ends."""
-LAST_WAVES = 0.02
-"""Share of the time from which on a wave may take all that is left."""
+LOG_QUANTILES = (0.5, 0.95, 0.99)
+"""Quantiles of the stated error in the log."""
+PROGRESS_INTERVAL_S = 0.2
+"""Shortest time between two calls of `on_progress`."""
+MAX_SHARE_OF_TIME_LEFT = 0.85
+"""A wave is planned for at most this share of the time left: the speed is known to about a tenth."""
+LAST_WAVE_SHARE = 0.02
+"""When less than this share of the time is left, a wave may take all of it."""
+TIME_TOLERANCE = 0.003
+"""A render ends when less than this share of its time is left."""
+ERROR_MARGIN = 1.05
+"""A wave is cut to this multiple of the samples missing to the stated error: the error is an estimate."""
+MIN_WAVE_SHARE = 1 / 16
+"""The stated error cuts no wave below this share of the samples so far."""
+MIN_REMAINING_PIXEL_SAMPLES = 2**20
+"""A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
 
 
 @dataclass(frozen=True)
 class Stops:
-    """Limits of a render; the first one reached ends it. At least one of spp, time and error has to be given.
+    """Limits of a render; the first one reached ends it. At least one of spp, time and error is required.
 
-    spp: mean samples per pixel. time: seconds of rendering. error: the stated error at `quantile`.
+    Attributes
+    ----------
+    spp : float or None
+        Mean samples per pixel.
+    time : float or None
+        Seconds of rendering, without set-up.
+    error : float or None
+        Stated relative error at `quantile`, such as 0.02.
+    quantile : float
+        Quantile over the pixels, between 0 and 1.
+
+    Raises
+    ------
+    UserError
+        If a value is out of range or all limits are missing.
     """
 
     spp: float | None = None
@@ -53,23 +77,78 @@ class Stops:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished render."""
+    """A finished render.
 
-    reason: str  # what ended it: 'spp', 'time', 'error', 'interrupted', or 'full': a pixel's count of samples is
-    rows: list[LogRow]  # one a wave
-    elapsed_s: float  # rendering alone
+    Attributes
+    ----------
+    reason : str
+        Why it ended: 'spp', 'time', 'error', 'interrupted', or 'full' (a pixel's 32-bit sample count is nearly full).
+    rows : list of LogRow
+        The log, one row per wave.
+    elapsed_s : float
+        Seconds of rendering, without set-up, callbacks and true errors.
+    statistics : Statistics
+        Statistics of all samples.
+    floor : float
+        Relative errors divide by max(luminance, floor).
+    """
+
+    reason: str
+    rows: list[LogRow]
+    elapsed_s: float
     statistics: Statistics
-    floor: float  # below it no luminance counts as smaller when errors are relative
+    floor: float
 
     @property
     def rgb(self) -> np.ndarray:
-        """Mean linear RGB, float32 (height, width, 3)."""
+        """Mean linear RGB, (height, width, 3) float32."""
         return self.statistics.rgb
 
     @property
     def error(self) -> np.ndarray:
-        """One relative standard error of every pixel's luminance, float32 (height, width)."""
+        """Relative standard error of every pixel's luminance, (height, width) float32."""
         return relative_standard_error(self.statistics, self.floor)
+
+
+def render(
+    scene,
+    spp: float | None = None,
+    time: float | None = None,
+    error: float | None = None,
+    quantile: float = 0.99,
+    **options,
+) -> Outcome:
+    """Render a scene until a limit is reached.
+
+    Parameters
+    ----------
+    scene : str, path or dict
+        As for `Renderer`.
+    spp, time, error, quantile
+        As for `Stops`. Without spp, time and error the scene's sample_count is the limit.
+    **options
+        Further parameters of `Renderer`, such as `strategy`, `seed` and `size`.
+
+    Returns
+    -------
+    Outcome
+        Image, statistics and log.
+
+    Raises
+    ------
+    UserError
+        As for `Renderer` and `Stops`.
+
+    Examples
+    --------
+    >>> outcome = isonoise.render("cornell", time=10, strategy="pooled")
+    >>> outcome.rgb.dtype, outcome.rows[-1].stated_p99  # doctest: +SKIP
+    (dtype('float32'), 0.0371)
+    """
+    renderer = Renderer(scene, **options)
+    if spp is None and time is None and error is None:
+        spp = float(renderer.scene.sample_count)
+    return render_loop(renderer, Stops(spp, time, error, quantile))
 
 
 def render_loop(
@@ -81,167 +160,164 @@ def render_loop(
     reference: tuple[np.ndarray, np.ndarray | None] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> Outcome:
-    """Renders until one of the stops.
+    """Run waves until a limit is reached.
 
-    `on_wave` gets a row and the statistics after every wave. `on_progress` gets elapsed seconds, samples, the last
-    stated error and seconds left (None: not known) a few times a second. `reference` is RGB and its standard error, or
-    None: with it, rows hold true errors. The clock stands still while these are computed and during `on_wave`.
-    `should_stop` is asked after every bounce.
+    Parameters
+    ----------
+    renderer : Renderer
+        A renderer that has not rendered yet.
+    stops : Stops
+        The limits.
+    on_wave : callable
+        Called after every wave with its log row and the statistics. The clock stands still meanwhile.
+    on_progress : callable
+        Called a few times per second with elapsed seconds, samples, the last stated error and the estimated seconds
+        left; the last two are None while unknown.
+    reference : tuple or None
+        Linear RGB of a converged image and its standard error (or None), both (height, width, 3). With it the log rows
+        hold true errors. The clock stands still while these are computed.
+    should_stop : callable
+        Called after every bounce. If it returns True, the render ends after the paths in flight.
+
+    Returns
+    -------
+    Outcome
+        Image, statistics and log.
     """
-    return _Loop(renderer, stops, on_progress, reference, should_stop).run(on_wave)
+    return _RenderLoop(renderer, stops, on_wave, on_progress, reference, should_stop).run()
 
 
-class _Loop:
-    def __init__(self, renderer, stops, on_progress, reference, should_stop):
-        self.renderer, self.stops, self.on_progress = renderer, stops, on_progress
-        self.reference, self.should_stop = reference, should_stop
+class _RenderLoop:
+    def __init__(self, renderer, stops, on_wave, on_progress, reference, should_stop):
+        self.renderer, self.stops = renderer, stops
+        self.on_wave, self.on_progress, self.should_stop = on_wave, on_progress, should_stop
+        self.reference = reference
         self.reference_floor = None if reference is None else image_floor(luminance(reference[0]))
-        pixels = renderer.scene.width * renderer.scene.height
-        self.budget = None if stops.spp is None else max(1, round(stops.spp * pixels))
-        self.pixels = pixels
+        self.pixels = renderer.scene.width * renderer.scene.height
+        self.max_samples = None if stops.spp is None else max(1, round(stops.spp * self.pixels))
         self.rows: list[LogRow] = []
         self.samples = 0
-        self.speed: float | None = None  # samples a second of the last wave, host work included
-        self.error: float | None = None  # stated, at the stops' quantile
-        self.begun = time.perf_counter()
-        self.reported = 0.0
+        self.samples_per_s: float | None = None  # of the last wave, host work included
+        self.error: float | None = None  # stated, at the quantile of `stops`
+        self.clock_start = time.perf_counter()
+        self.last_progress_s = 0.0
 
-    def elapsed(self) -> float:
-        return time.perf_counter() - self.begun
-
-    def run(self, on_wave) -> Outcome:
+    def run(self) -> Outcome:
         statistics = None
-        while (reason := self._reason()) is None:
-            record = self._wave()
+        while (reason := self._stop_reason()) is None:
+            last_elapsed = self.rows[-1].elapsed_s if self.rows else 0.0
+            record = self._render_wave()
             statistics = self.renderer.statistics()
-            self._row(record, statistics)
-            self.speed = max(record.samples, 1) / max(self.rows[-1].elapsed_s - self._elapsed_before(), 1e-6)
-            on_wave(self.rows[-1], statistics)
-            self.begun += self.elapsed() - self.rows[-1].elapsed_s  # reports are no rendering
+            row = self._add_row(record, statistics)
+            self.samples_per_s = max(record.samples, 1) / max(row.elapsed_s - last_elapsed, 1e-6)
+            self.on_wave(row, statistics)
+            self.clock_start += self._elapsed() - row.elapsed_s  # true errors and `on_wave` do not count
         if statistics is None:
             statistics = self.renderer.statistics()
-        return Outcome(reason, self.rows, self.elapsed(), statistics, self._floor(statistics))
+        return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics))
+
+    def _elapsed(self) -> float:
+        return time.perf_counter() - self.clock_start
+
+    def _time_left(self) -> float:
+        return self.stops.time - self._elapsed()
 
     def _floor(self, statistics: Statistics) -> float:
-        """The reference's where there is one, so that stated and true errors can be compared; else the image's."""
+        """The reference's floor if there is one, so that stated and true errors can be compared; else the image's."""
         return image_floor(statistics.mean) if self.reference_floor is None else self.reference_floor
 
-    def _elapsed_before(self) -> float:
-        return self.rows[-2].elapsed_s if len(self.rows) > 1 else 0.0
-
-    def _reason(self) -> str | None:
-        """Which stop is reached, if any."""
+    def _stop_reason(self) -> str | None:
         if self.should_stop():
             return "interrupted"
         if self.stops.error is not None and self.error is not None and self.error < self.stops.error:
             return "error"
-        if self.renderer.room < FULL:
+        if self.renderer.remaining_pixel_samples < MIN_REMAINING_PIXEL_SAMPLES:
             return "full"
-        if self.budget is not None and self.samples >= self.budget:
+        if self.max_samples is not None and self.samples >= self.max_samples:
             return "spp"
-        if self.stops.time is not None and self.samples and self._time_left() < 0.003 * self.stops.time:
+        if self.stops.time is not None and self.samples and self._time_left() < TIME_TOLERANCE * self.stops.time:
             return "time"
         return None
 
-    def _late(self) -> bool:
-        """Whether a wave has to end for the deadline; the first one, which makes the image whole, may finish."""
+    def _render_wave(self) -> WaveRecord:
+        samples_before = self.samples
+
+        def should_continue(wave_samples: int) -> bool:
+            self.samples = samples_before + wave_samples
+            self._report_progress()
+            return not self.should_stop() and not self._deadline_passed()
+
+        record = self.renderer.step(self._wave_limit(), should_continue)
+        self.samples = samples_before + record.samples
+        return record
+
+    def _deadline_passed(self) -> bool:
+        """Whether the wave has to end. The first one may finish: it makes the image complete."""
         return self.stops.time is not None and bool(self.rows) and self._time_left() <= 0
 
-    def _time_left(self) -> float:
-        return self.stops.time - self.elapsed()
-
-    def _limit(self) -> int:
-        """Most samples that the next wave may bring."""
-        limits = [self.renderer.room]  # however they are spread, no pixel's count can overflow
-        if self.budget is not None:
-            limits.append(self.budget - self.samples)
+    def _wave_limit(self) -> int:
+        """Upper limit for the samples of the next wave."""
+        limits = [self.renderer.remaining_pixel_samples]  # even if all went to one pixel, its count cannot overflow
+        if self.max_samples is not None:
+            limits.append(self.max_samples - self.samples)
         if self.stops.time is not None:
-            limits.append(self._samples_in_time())
-        if self.stops.error is not None and self._samples_to_error() is not None:
-            # a twentieth more than the square root law says, and not in one go: the error is an estimate
-            limits.append(max(int(1.05 * self._samples_to_error()), self.samples // 16, 1))
+            limits.append(self._samples_in_time_left())
+        missing = self._samples_to_error()
+        if missing is not None:
+            limits.append(max(int(ERROR_MARGIN * missing), int(MIN_WAVE_SHARE * self.samples), 1))
         return min(limits)
 
-    def _samples_in_time(self) -> int:
-        if self.speed is None:
-            return self.pixels  # a first pass over the image tells how fast the scene is
+    def _samples_in_time_left(self) -> int:
+        if self.samples_per_s is None:
+            return self.pixels  # one sample per pixel, to measure the speed
         left = self._time_left()
-        share = LAST_WAVE_SHARE if left > LAST_WAVES * self.stops.time else 1.0
-        return max(int(share * self.speed * left), 1)
+        share = MAX_SHARE_OF_TIME_LEFT if left > LAST_WAVE_SHARE * self.stops.time else 1.0
+        return max(int(share * self.samples_per_s * left), 1)
 
     def _samples_to_error(self) -> float | None:
-        """Samples that are missing to the stated error asked for, if it falls with the square root of their number."""
+        """Samples missing to `stops.error`, if the stated error falls with the square root of the sample count."""
         if self.stops.error is None or self.error is None or not math.isfinite(self.error):
             return None
         return self.samples * max((self.error / self.stops.error) ** 2 - 1, 0)
 
-    def _wave(self) -> WaveRecord:
-        before = self.samples
+    def _report_progress(self) -> None:
+        elapsed = self._elapsed()
+        if elapsed - self.last_progress_s >= PROGRESS_INTERVAL_S:
+            self.last_progress_s = elapsed
+            self.on_progress(elapsed, self.samples, self.error, self._remaining_s(elapsed))
 
-        def should_continue(entered: int) -> bool:
-            self.samples = before + entered
-            self._report()
-            return not self.should_stop() and not self._late()
-
-        record = self.renderer.step(self._limit(), should_continue)
-        self.samples = before + record.samples
-        return record
-
-    def _report(self) -> None:
-        now = self.elapsed()
-        if now - self.reported >= PROGRESS_INTERVAL:
-            self.reported = now
-            self.on_progress(now, self.samples, self.error, self._remaining(now))
-
-    def _remaining(self, now: float) -> float | None:
-        """Seconds to the stop that will probably come first."""
-        speed = self.samples / now
-        seconds = []
+    def _remaining_s(self, elapsed: float) -> float | None:
+        """Estimated seconds to the first limit."""
+        samples_per_s = self.samples / elapsed
+        estimates = []
         if self.stops.time is not None:
-            seconds.append(max(self.stops.time - now, 0.0))
-        if self.budget is not None and speed > 0:
-            seconds.append((self.budget - self.samples) / speed)
-        if self._samples_to_error() is not None and speed > 0:
-            seconds.append(self._samples_to_error() / speed)
-        return min(seconds) if seconds else None
+            estimates.append(max(self.stops.time - elapsed, 0.0))
+        if self.max_samples is not None and samples_per_s > 0:
+            estimates.append((self.max_samples - self.samples) / samples_per_s)
+        missing = self._samples_to_error()
+        if missing is not None and samples_per_s > 0:
+            estimates.append(missing / samples_per_s)
+        return min(estimates, default=None)
 
-    def _row(self, record: WaveRecord, statistics: Statistics) -> None:
-        asked = stated_error(statistics, (*QUANTILES, self.stops.quantile), self._floor(statistics))
-        self.error = float(asked[-1])
-        elapsed = self.elapsed()
+    def _add_row(self, record: WaveRecord, statistics: Statistics) -> LogRow:
+        stated = stated_error(statistics, (*LOG_QUANTILES, self.stops.quantile), self._floor(statistics))
+        p50, p95, p99, self.error = (float(error) for error in stated)
+        elapsed = self._elapsed()
         true = None
         if self.reference is not None:
             image, standard_error = self.reference
             true = true_error(statistics.rgb, image, standard_error, statistics)
-        self.rows.append(
-            LogRow(
-                elapsed_s=elapsed,
-                wave=len(self.rows) + 1,
-                kind=record.kind,
-                samples=statistics.samples,
-                spp=statistics.samples / self.pixels,
-                stated_p50=float(asked[0]),
-                stated_p95=float(asked[1]),
-                stated_p99=float(asked[2]),
-                true=true,
-                rejected=int(statistics.rejected.sum(dtype=np.int64)),
-            )
+        row = LogRow(
+            elapsed_s=elapsed,
+            wave=len(self.rows) + 1,
+            kind=record.kind,
+            samples=statistics.samples,
+            spp=statistics.samples / self.pixels,
+            stated_p50=p50,
+            stated_p95=p95,
+            stated_p99=p99,
+            true=true,
+            rejected=int(statistics.rejected.sum(dtype=np.int64)),
         )
-
-
-def render(
-    scene,
-    spp: float | None = None,
-    time: float | None = None,
-    error: float | None = None,
-    quantile: float = 0.99,
-    **options,
-) -> Outcome:
-    """Renders a scene and returns image, statistics and log. `options` are those of `Renderer`.
-
-    Without spp, time and error the scene's sample_count holds.
-    """
-    renderer = Renderer(scene, **options)
-    if spp is None and time is None and error is None:
-        spp = float(renderer.scene.sample_count)
-    return render_loop(renderer, Stops(spp, time, error, quantile))
+        self.rows.append(row)
+        return row

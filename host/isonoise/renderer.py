@@ -1,8 +1,9 @@
-"""A render in progress: a scene on a device and a strategy that decides, wave by wave, where the samples go."""
+"""A render in progress: a scene on a device, and the strategy that distributes the samples wave by wave."""
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,35 +17,78 @@ from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
-from isonoise.strategies.uniform_allocation import uniform_allocation
+from isonoise.strategies.uniform_allocation import MAX_COUNT, uniform_allocation
 
 
 @dataclass(frozen=True)
 class WaveRecord:
-    """What one call of `Renderer.step` did."""
+    """What one call of `Renderer.step` did.
 
-    kind: str  # 'uniform' or 'adaptive'
-    samples: int  # that entered the statistics, rejected ones included
-    planned: int  # that the wave wanted; more than `samples` where it was stopped
+    Attributes
+    ----------
+    kind : str
+        'uniform' or 'adaptive'.
+    samples : int
+        Samples traced, rejected ones included.
+    planned : int
+        Samples in the allocation map; more than `samples` if the wave was stopped early.
+    seconds : float
+        Wall-clock time of the call.
+    """
+
+    kind: str
+    samples: int
+    planned: int
     seconds: float
 
 
 class Renderer:
     """Renders a scene wave by wave.
 
-    Args:
-        scene: path of a scene or mesh file, name of a built-in scene, or a dict in Mitsuba 3's vocabulary.
-        device: number or part of the name of an OpenCL device; None takes the first GPU, else the first CPU.
-        strategy: `NAME[:key=value,...]`, `module:Class`, or a `Strategy`.
-        seed: whole number from 0 to 2^64 - 1; the same seed gives the same samples.
-        size: (width, height) in place of the film's.
-        max_depth: in place of the integrator's.
-        parameters: values for the scene file's `$names`.
-        pool_size: paths in flight, from 1; None takes the device's (`device.pool`). It changes no pixel.
-        profile: whether `device_seconds` are kept.
+    Parameters
+    ----------
+    scene : str, path or dict
+        A scene or mesh file, the name of a built-in scene, or a dict in Mitsuba 3's vocabulary (`isonoise.load`).
+    device : str, int or None
+        Number or part of the name of an OpenCL device. None: the first GPU, else the first CPU.
+    strategy : str or Strategy
+        `NAME[:key=value,...]`, `module:Class[:key=value,...]`, or an object.
+    seed : int
+        0 to 2^64 - 1. The same seed gives the same samples.
+    size : (width, height) or None
+        Image size in pixels. None: the scene's.
+    max_depth : int or None
+        Longest path in segments: 1 is emitters only, -1 has no limit. None: the scene's.
+    parameters : dict or None
+        Values for the `$name` placeholders of an XML scene.
+    pool_size : int or None
+        Paths in flight, 1 or more. None: the device's default (`isonoise.device.pool_size`). Affects speed only, not
+        the image.
+    profile : bool
+        Measure `device_seconds`.
 
-    Raises:
-        SceneError, DeviceError, UserError: with a message for the user.
+    Attributes
+    ----------
+    scene : CompiledScene
+        The scene as arrays.
+    strategy : Strategy
+        The strategy in use.
+    device_name : str
+        Name of the OpenCL device and its platform.
+    setup_times : dict of str to float
+        Seconds to `load` the scene, `build` its BVH and `compile` the kernels.
+
+    Raises
+    ------
+    UserError
+        If a parameter is wrong; SceneError if the scene is, DeviceError if the device is missing or too small.
+
+    Examples
+    --------
+    >>> renderer = isonoise.Renderer("cornell", size=(64, 64), strategy="pooled:window=5")
+    >>> record = renderer.step()  # the first wave
+    >>> renderer.image().shape
+    (64, 64, 3)
     """
 
     def __init__(
@@ -60,122 +104,141 @@ class Renderer:
         profile: bool = False,
     ):
         if not 0 <= seed < 2**64:
-            raise UserError(f"seed {seed} is outside 0 to 2^64 - 1")
+            raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
         if pool_size is not None and pool_size < 1:
-            raise UserError(f"a pool of {pool_size} paths cannot render; pool_size has to be 1 or more")
+            raise UserError(f"pool_size = {pool_size} is out of range: it must be 1 or more")
         self.strategy = make_strategy(strategy)
         self.setup_times: dict[str, float] = {}
-        clock = time.perf_counter()
-
-        def lap(name: str) -> None:
-            nonlocal clock
-            clock, begun = time.perf_counter(), clock
-            self.setup_times[name] = clock - begun
-
-        self.scene: CompiledScene = compile_scene(load(scene, parameters), size=size, max_depth=max_depth)
-        lap("load")
-        bvh = build_scene_bvh(self.scene)
-        lap("build")
-        on_device = Device(device, profile)
-        self.device_name = on_device.name
-        self._wavefront = Wavefront(on_device, self.scene, bvh, self.strategy.needs, seed, pool_size)
-        self._wavefront.warm_up()
-        lap("compile")
+        with self._measured("load"):
+            self.scene: CompiledScene = compile_scene(load(scene, parameters), size=size, max_depth=max_depth)
+        with self._measured("build"):
+            bvh = build_scene_bvh(self.scene)
+        with self._measured("compile"):
+            opencl_device = Device(device, profile)
+            self.device_name = opencl_device.name
+            self._wavefront = Wavefront(opencl_device, self.scene, bvh, self.strategy.needs, seed, pool_size)
+            self._wavefront.warm_up()
         self._schedule = self.strategy.waves()
-        self._cut_short: Wave | None = None
-        self._statistics: Statistics | None = None  # until the next wave is traced
-        self._waves = 0
-        self._most = 0  # samples that any pixel can have by now
+        self._unfinished_wave: Wave | None = None  # what was cut off a uniform wave
+        self._statistics: Statistics | None = None  # None: out of date
+        self._wave_index = 0
+        self._max_pixel_samples = 0  # upper bound of the samples that any pixel has
+
+    @contextmanager
+    def _measured(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.setup_times[name] = time.perf_counter() - start
 
     @property
     def features(self) -> dict[str, bool]:
-        """The feature set of scene and strategy: name -> whether it is built in."""
+        """Feature name -> whether the kernels are compiled with it."""
         return self._wavefront.features
 
     @property
-    def room(self) -> int:
-        """Samples that one pixel can still get: the device counts them in 32 bits."""
-        return 2**32 - 1 - self._most
+    def remaining_pixel_samples(self) -> int:
+        """Samples that one pixel can still take: the device counts them in 32 bits."""
+        return MAX_COUNT - self._max_pixel_samples
 
     @property
     def device_seconds(self) -> float | None:
-        """Seconds that the device has worked on kernels since the set-up; None unless they are kept (`profile`)."""
+        """Seconds that kernels ran on the device, without set-up; None unless `profile` is set."""
         device = self._wavefront.device
         return sum(device.seconds.values()) if device.profile else None
 
     def step(
-        self, samples: int | None = None, should_continue: Callable[[int], bool] = lambda entered: True
+        self, samples: int | None = None, should_continue: Callable[[int], bool] = lambda samples_so_far: True
     ) -> WaveRecord:
-        """Renders the strategy's next wave, of at most `samples` samples.
+        """Render the strategy's next wave.
 
-        What is cut off a uniform wave comes next time.
+        Parameters
+        ----------
+        samples : int or None
+            Upper limit for the samples of the wave. The rest of a uniform wave comes with the next step; the rest of an
+            adaptive one is dropped.
+        should_continue : callable
+            Called after every bounce with the wave's samples that have entered the statistics. If it returns False, no
+            new paths start; those in flight are finished and counted.
 
-        `should_continue` is asked after every bounce, with the samples of the wave that have entered the statistics.
-        When it returns False no more paths begin; those in flight still count.
+        Returns
+        -------
+        WaveRecord
+
+        Raises
+        ------
+        UserError
+            If the strategy returns an invalid wave or allocation map.
         """
-        begun = time.perf_counter()
-        wave = self._cut_short or self._planned()
-        self._cut_short = None
-        allocation = self._allocation(wave, samples)
+        start = time.perf_counter()
+        wave = self._unfinished_wave or self._next_wave()
+        self._unfinished_wave = None
+        allocation = self._allocate(wave, samples)
         planned = int(allocation.sum(dtype=np.int64))
-        most = int(allocation.max())
-        if most > self.room:
-            raise UserError(f"a wave asks for {most} samples in one pixel, which has room for {self.room}")
-        self._most += most
-        self._waves += 1
+        max_allocation = int(allocation.max())
+        if max_allocation > self.remaining_pixel_samples:
+            raise UserError(
+                f"strategy '{self.strategy.name}' asks for {max_allocation} samples in one pixel, "
+                f"which can take only {self.remaining_pixel_samples} more"
+            )
+        self._max_pixel_samples += max_allocation
+        self._wave_index += 1
         self._statistics = None
-        entered = self._wavefront.trace(allocation, should_continue)
-        return WaveRecord(wave.kind, entered, planned, time.perf_counter() - begun)
+        traced = self._wavefront.trace(allocation, should_continue)
+        return WaveRecord(wave.kind, traced, planned, time.perf_counter() - start)
 
     def statistics(self) -> Statistics:
-        """The statistics of every pixel so far, as numpy arrays in the scene's units. Waits for the device."""
+        """Return the statistics of all samples so far, in the scene's units. Waits for the device."""
         if self._statistics is None:
             self._statistics = self._wavefront.accumulator.statistics(self.scene.radiance_scale)
         return self._statistics
 
     def image(self) -> np.ndarray:
-        """Mean linear RGB, float32 (height, width, 3)."""
+        """Return the mean linear RGB, (height, width, 3) float32. Waits for the device."""
         return self.statistics().rgb
 
-    def _planned(self) -> Wave:
-        """The schedule's next wave. A strategy may be anybody's: what it plans and returns is checked."""
+    def _next_wave(self) -> Wave:
+        """The schedule's next wave, checked: strategies may come from anybody."""
         wave = next(self._schedule, None)
         if wave is None:
             raise UserError(f"strategy '{self.strategy.name}' plans no more waves; its schedule has to be endless")
-        its_own = wave.kind == "adaptive" and wave.spp is None
-        if wave.kind not in ("uniform", "adaptive") or not (its_own or (wave.spp and 0 < wave.spp < math.inf)):
+        unlimited = wave.kind == "adaptive" and wave.spp is None
+        if wave.kind not in ("uniform", "adaptive") or not (unlimited or (wave.spp and 0 < wave.spp < math.inf)):
             raise UserError(
                 f"strategy '{self.strategy.name}' planned {wave}; "
-                "a wave is 'uniform' or 'adaptive' and has a finite spp above 0, or none if it is adaptive"
+                "kind must be 'uniform' or 'adaptive', spp a finite number above 0 (or None if adaptive)"
             )
         return wave
 
-    def _allocation(self, wave: Wave, samples: int | None) -> np.ndarray:
-        """The wave's map, of at most `samples` samples; what is cut off a uniform wave is kept for the next step."""
+    def _allocate(self, wave: Wave, max_samples: int | None) -> np.ndarray:
+        """The wave's allocation map, limited to `max_samples`."""
+        shape = (self.scene.height, self.scene.width)
         if wave.spp is None:
-            allocation = self._checked(self.strategy.allocate(self.statistics(), None), None)
-            if samples is None or int(allocation.sum(dtype=np.int64)) <= samples:
-                return allocation
-            from isonoise.strategies.allocation import proportional  # what uniform waves do without
-
-            return proportional(allocation, samples, self._waves)
+            return self._limit(self._checked(self.strategy.allocate(self.statistics(), None), None), max_samples)
         pixels = self.scene.width * self.scene.height
         budget = max(1, round(wave.spp * pixels))
-        if samples is not None and samples < budget:
+        if max_samples is not None and max_samples < budget:
             if wave.kind == "uniform":
-                self._cut_short = replace(wave, spp=wave.spp - samples / pixels)
-            budget = samples
+                self._unfinished_wave = replace(wave, spp=wave.spp - max_samples / pixels)
+            budget = max_samples
         if wave.kind == "uniform":
-            return uniform_allocation((self.scene.height, self.scene.width), budget, self._waves)
+            return uniform_allocation(shape, budget, self._wave_index)
         return self._checked(self.strategy.allocate(self.statistics(), budget), budget)
 
+    def _limit(self, allocation: np.ndarray, max_samples: int | None) -> np.ndarray:
+        """The map, scaled down in proportion to at most `max_samples`."""
+        if max_samples is None or int(allocation.sum(dtype=np.int64)) <= max_samples:
+            return allocation
+        from isonoise.strategies.allocation import proportional  # uniform renders never need it
+
+        return proportional(allocation, max_samples, self._wave_index)
+
     def _checked(self, allocation: np.ndarray, budget: int | None) -> np.ndarray:
-        """The map, if it is one that the device can take."""
+        """The map of a strategy, after checking type, shape and sum."""
         allocation = np.asarray(allocation)
         shape = (self.scene.height, self.scene.width)
         total = int(allocation.sum(dtype=np.int64)) if allocation.shape == shape else None
-        sound = allocation.dtype == np.uint32 and total is not None
-        if not sound or (total < 1 if budget is None else total != budget):
+        valid = allocation.dtype == np.uint32 and total is not None
+        if not valid or (total < 1 if budget is None else total != budget):
             raise UserError(
                 f"strategy '{self.strategy.name}' returned an allocation map of {allocation.dtype}, "
                 f"shape {allocation.shape}, sum {total}; it has to be uint32, shape {shape}, "

@@ -1,4 +1,4 @@
-"""The per-pixel statistics as the host sees them."""
+"""Per-pixel sample statistics: which of them a strategy needs, and the arrays that the host reads from the device."""
 
 import math
 from dataclasses import dataclass
@@ -10,15 +10,28 @@ from isonoise.errors import UserError
 
 @dataclass(frozen=True)
 class Needs:
-    """Statistics that a strategy reads beyond those every render keeps; only these are kept on the device.
+    """Optional statistics that a strategy reads. The device keeps only those that are needed.
 
-    - `median`: M_x, the running mean of the medians of chunks of `chunk` entries (odd, 1 to 31); an entry is the mean
-      of `batch` consecutive samples (1 to 65536).
-    - `power`: q, above 0, of the mean of x^q (of x ln x for q = 1); None for none. The device takes it as a float32.
-      For q = 2, mean and variance say as much and cost nothing.
-    - `half`: the mean of every second sample.
+    Count, mean and variance are always kept.
 
-    Raises UserError where a parameter is out of range.
+    Attributes
+    ----------
+    median : bool
+        Keep M_x, the running mean of chunk medians.
+    chunk : int
+        Entries per chunk, odd, 1 to 31. An entry is the mean of `batch` consecutive samples.
+    batch : int
+        Samples per entry, 1 to 65536.
+    power : float or None
+        Keep the mean of x^q for this q > 0 (of x ln x for q = 1), in float32. Not needed for q = 2: mean and variance
+        hold the same information.
+    half : bool
+        Keep the mean of every second sample.
+
+    Raises
+    ------
+    UserError
+        If a value is out of range.
     """
 
     median: bool = False
@@ -29,36 +42,57 @@ class Needs:
 
     def __post_init__(self):
         if self.chunk not in range(1, 32, 2):
-            raise UserError(f"a chunk of {self.chunk} entries has no median to keep; an odd number from 1 to 31 has")
+            raise UserError(f"Needs: chunk = {self.chunk} must be an odd number from 1 to 31, so that it has a median")
         if self.batch not in range(1, 65537):
-            raise UserError(f"a batch of {self.batch} samples cannot be averaged; a whole number from 1 to 65536 can")
+            raise UserError(f"Needs: batch = {self.batch} must be a whole number from 1 to 65536")
         if self.power is not None and not 0 < self.power < math.inf:
-            raise UserError(f"the mean of x^{self.power} cannot be kept; the power has to be a finite number above 0")
+            raise UserError(f"Needs: power = {self.power} must be a finite number above 0")
 
 
 BASIC_NEEDS = Needs()
+"""Only the statistics that are always kept."""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the samples of every pixel, arrays of shape (height, width), in the scene's units.
+    """Statistics of the samples of every pixel, in the scene's units.
 
-    Before the first full chunk M_x is the median of the entries there are, before the first entry the mean of the
-    samples. A renderer's arrays cannot be written to: whoever asks before the next wave gets the same ones.
-    `x` is a sample's luminance (Rec. 709). Samples that were negative or not finite are in `rejected` alone.
+    x is a sample's luminance (Rec. 709), n the pixel's sample count. Samples that are negative or not finite count
+    in `rejected` alone. A renderer returns read-only arrays, the same ones until its next wave.
+
+    Attributes
+    ----------
+    count : (height, width) uint32
+        n, samples that entered.
+    rejected : (height, width) uint32
+        Samples that were negative or not finite.
+    rgb : (height, width, 3) float32
+        Mean linear RGB; 0 where n = 0.
+    mean : (height, width) float64
+        Mean of x; 0 where n = 0.
+    variance : (height, width) float64
+        Sample variance s^2 of x, with n - 1; 0 where n < 2.
+    median : (height, width) float64 or None
+        M_x, the running mean of the chunk medians; None unless needed. Before the first full chunk it is the median of
+        the entries so far, before the first entry the mean of the samples.
+    power : (height, width) float64 or None
+        Mean of max(x, 0)^q, or of x ln x for q = 1; None unless needed.
+    half : (height, width, 3) float32 or None
+        Mean RGB of samples 2, 4, 6, ...; None unless needed.
     """
 
-    count: np.ndarray  # uint32: n, samples that entered
-    rejected: np.ndarray  # uint32: samples that were negative or not finite
-    rgb: np.ndarray  # float32 (height, width, 3): mean linear RGB, 0 where n = 0
-    mean: np.ndarray  # float64: mean of x, 0 where n = 0
-    variance: np.ndarray  # float64: s^2 of x with n - 1, 0 where n < 2
-    median: np.ndarray | None  # float64: M_x, running mean of the chunk medians; None unless needed
-    power: np.ndarray | None = None  # float64: mean of max(x, 0)^q, for q = 1 of x ln x; None unless needed
-    half: np.ndarray | None = None  # float32 (height, width, 3): mean RGB of samples 2, 4, 6, ...; None unless needed
+    count: np.ndarray
+    rejected: np.ndarray
+    rgb: np.ndarray
+    mean: np.ndarray
+    variance: np.ndarray
+    median: np.ndarray | None
+    power: np.ndarray | None = None
+    half: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
+        """(height, width)."""
         return self.count.shape
 
     @property

@@ -20,7 +20,7 @@ from isonoise.comparison.specs import PEERS
 from isonoise.error.true_error import true_error
 from isonoise.errors import UserError
 from isonoise.film.log import LogRow
-from isonoise.loop import LAST_WAVE_SHARE, LAST_WAVES, Stops
+from isonoise.loop import LAST_WAVE_SHARE, MAX_SHARE_OF_TIME_LEFT, Stops
 
 VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Tried in this order: the first needs a libLLVM that DRJIT_LIBLLVM_PATH may have to name."""
@@ -110,7 +110,7 @@ def _wanted(stops: Stops, growth: float, spp: int, elapsed: float, speed: float 
     if speed is None:
         return wanted
     left = stops.time - elapsed
-    share = LAST_WAVE_SHARE if left > LAST_WAVES * stops.time else 1.0
+    share = MAX_SHARE_OF_TIME_LEFT if left > LAST_WAVE_SHARE * stops.time else 1.0
     return min(wanted, share * speed * left)
 
 

@@ -13,11 +13,31 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 
 
 def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None) -> dict:
-    """The normalised description of a scene: a plain dict in Mitsuba 3's vocabulary.
+    """Read a scene and return its normalised description.
 
-    `source` is a Mitsuba 3 XML file, a mesh (OBJ, PLY, STL, GLB), the name of a built-in scene, or a dict as for
-    Mitsuba's load_dict; `parameters` replace `$name` in XML. Defaults are filled in, references replaced by what they
-    refer to, transforms are (4, 4) float64, file names absolute. Raises SceneError where it is none of these.
+    Parameters
+    ----------
+    source : str, path or dict
+        A Mitsuba 3 XML file, a mesh (OBJ, PLY, STL, GLB), the name of a built-in scene, or a dict as for Mitsuba's
+        `load_dict`.
+    parameters : dict or None
+        Values for the `$name` placeholders of an XML file.
+
+    Returns
+    -------
+    dict
+        Plain data in Mitsuba 3's vocabulary: defaults are filled in, references resolved, transforms (4, 4) float64,
+        file names absolute.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot be read or uses something unsupported.
+
+    Examples
+    --------
+    >>> isonoise.load("cornell")["integrator"]["type"]
+    'path'
     """
     parameters = {name: str(value) for name, value in (parameters or {}).items()}
     if isinstance(source, Mapping):

@@ -1,4 +1,4 @@
-"""What a strategy is: a schedule of waves, the statistics it reads, and a rule that makes allocation maps of them."""
+"""The interface of all strategies: a schedule of waves, the statistics they read, and allocation maps."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,9 +11,14 @@ from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 @dataclass(frozen=True)
 class Wave:
-    """One wave as the strategy plans it; the renderer cuts the last one to the sample budget or the deadline.
+    """One planned wave. The renderer may shorten it to meet a sample budget or a deadline.
 
-    - `spp`: mean samples per pixel. None, in an adaptive wave alone: as many as the map that `allocate` returns.
+    Attributes
+    ----------
+    kind : 'uniform' or 'adaptive'
+        Whether every pixel gets the same count, or `Strategy.allocate` decides.
+    spp : float or None
+        Mean samples per pixel. None (adaptive waves only): as many as the map that `Strategy.allocate` returns.
     """
 
     kind: Literal["uniform", "adaptive"]
@@ -21,20 +26,57 @@ class Wave:
 
 
 class Strategy:
-    """Base of all strategies. Parameters are keyword arguments of `__init__`, documented in its docstring."""
+    """Base class of all strategies.
+
+    Parameters of a strategy are keyword arguments of its `__init__`. Users set them as `NAME:key=value,key=value`; the
+    annotation (bool, int or float) says how the text is converted.
+
+    Attributes
+    ----------
+    name : str
+        The name in messages and, for registered strategies, on the command line.
+    needs : Needs
+        Optional statistics that `allocate` reads. A class attribute, or a property if it depends on parameters.
+
+    Examples
+    --------
+    Samples in proportion to the standard deviation, after 16 uniform samples per pixel:
+
+    >>> import isonoise, numpy as np
+    >>> from isonoise.strategies.allocation import proportional
+    >>> class ByDeviation(isonoise.Strategy):
+    ...     name = "by-deviation"
+    ...
+    ...     def waves(self):
+    ...         yield isonoise.Wave("uniform", 16)
+    ...         while True:
+    ...             yield isonoise.Wave("adaptive", 16)
+    ...
+    ...     def allocate(self, statistics, budget):
+    ...         return proportional(np.sqrt(statistics.variance), budget, statistics.samples)
+    """
 
     name: ClassVar[str]
     needs: Needs = BASIC_NEEDS
-    """Statistics it reads beyond those every render keeps; of the class, or of the instance where parameters decide."""
 
     def waves(self) -> Iterator[Wave]:
-        """The schedule: an endless iterator; the renderer stops drawing from it when the render is done."""
+        """Return the schedule, an endless iterator. The renderer takes from it until the render ends."""
         raise NotImplementedError
 
     def allocate(self, statistics: Statistics, budget: int | None) -> np.ndarray:
-        """Samples per pixel of the next adaptive wave: uint32, shape (height, width).
+        """Return the samples per pixel of the next adaptive wave.
 
-        With a `budget` they sum to it exactly. It is None where the wave's spp is: then they are any that sum to 1 or
-        more, and where that is more than may be taken the renderer scales them down in proportion.
+        Parameters
+        ----------
+        statistics : Statistics
+            Statistics of all samples so far.
+        budget : int or None
+            Samples to distribute; None if the wave's spp is None.
+
+        Returns
+        -------
+        (height, width) uint32
+            The allocation map. It sums to `budget` exactly; without a budget, to 1 or more. If a map without a budget
+            exceeds what the renderer may take, the renderer scales it down in proportion.
         """
         raise NotImplementedError
