@@ -8,7 +8,6 @@ import shutil
 import subprocess
 from collections import defaultdict
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -21,7 +20,8 @@ from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.feature_costs import cost, stages_with
 from isonoise.integrator.feature_superset import DUMMY_BYTES
 from isonoise.integrator.features import FEATURES, features
-from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, PATH_STATE, STRUCTS, TAKE_LANES, path_bytes
+from isonoise.integrator.generated_headers import generated_headers
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, LANE_KERNELS, PATH_STATE, STRUCTS, path_bytes
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene import builtin_scenes, compile_scene, load, structs
 from isonoise.scene.accel.build import build_scene_bvh
@@ -30,8 +30,8 @@ from isonoise.scene.light.envmap import ENVIRONMENT
 from isonoise.scene.material import textures
 from isonoise.statistics import BASIC_NEEDS, Needs
 
-STAGES = sorted(file.name for file in resources.files("isonoise.kernels").iterdir() if file.name.endswith(".cl"))
-TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in BRUTE_FORCE_KERNELS.values()})
+STAGES = sorted({row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values()})
+TAKE_MANY = sorted({row.file for row in (*(KERNELS[name] for name in LANE_KERNELS), *BRUTE_FORCE_KERNELS.values())})
 """Stages of which a work-item may take many paths: kernels/path/path_state.h."""
 CHECKOUT = Path(__file__).resolve().parent.parent
 EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
@@ -44,10 +44,10 @@ ORDINARY = ("TRIANGLES", "DIFFUSE")
 GENERAL = {"util/vec.h", "util/math.h", "path/path_state.h", "util/random.h"}
 """Arithmetic, and access to what all programs have: headers that belong to no feature."""
 RECORDS = set(STRUCTS) | {f"{name}_at" for name in STRUCTS}  # declared with their readers where a text names them
-ONE_BY_ONE = {"bsdf_eval", "bsdf_sample", "sample_light", "pick_from_list", "straight_on"}
+ONE_BY_ONE = {"bsdf_eval", "bsdf_sample", "sample_light", "select_from_list", "null_bsdf_sample"}
 """What only work-items that take one path call."""
-READERS = {"shown_rgb", "shown_number", "rgb_parameter", "number_parameter"}
-READERS |= {"texture_rgb", "texture_rgb0", "texture_number", "texture_luminance"}
+READERS = {"lookup_rgb", "lookup_float", "bsdf_rgb", "bsdf_float"}
+READERS |= {"texture_rgb", "texture_rgb_vec4", "texture_float", "texture_luminance"}
 """Read a material's parameter; which of them its kind asks for is nobody's feature."""
 
 
@@ -61,7 +61,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     parts = []
     for features_ in sets:
-        text, options = stage_source(file, STRUCTS, constants, features_)
+        text, options = stage_source(file, STRUCTS, constants, features_, generated_headers())
         macros = dict(option.removeprefix("-D").split("=") for option in options if option.startswith("-D"))
         own = set(re.findall(r"^\s*#\s*define\s+(\w+)", text, re.MULTILINE))
         parts += [f"#define {name} {value}" for name, value in macros.items()]
@@ -85,42 +85,42 @@ MARKERS = {  # functions and variables that belong to one feature
         "CONDUCTOR": "conductor_sample",
         "AREA_LIGHTS": "sample_surface",
         "SPHERE_LIGHTS": "sample_sphere",
-        "INSTANCES": "instanced_surface_at",
-        "ENVIRONMENT_MAP": "environment_radiance",
-        "VOLPATH": "(of->|restrict )crossing",
-        "MEDIA": "fly",
-        "NEXT_EVENT": "direct_light",
-        "LIGHT_LIST": "pick_from_list",
+        "INSTANCES": "instanced_surface_of_hit",
+        "ENVIRONMENT_MAP": "envmap_radiance",
+        "VOLPATH": "paths->null_bounces",
+        "MEDIA": "sample_medium",
+        "NEXT_EVENT": "direct_lighting",
+        "LIGHT_LIST": "select_from_list",
         "RUSSIAN_ROULETTE": "survival",
     },
     "stages/intersect.cl": {
-        "TRIANGLES": "triangles_met",
+        "TRIANGLES": "intersect_triangle_block",
         "SPHERES": "sphere_distance",
         "DISKS": "disk_distance",
         "CYLINDERS": "cylinder_distance",
         "INSTANCES": "ray_to_object",
     },
     "stages/shadow.cl": {
-        "TRIANGLES": "triangles_met",
+        "TRIANGLES": "intersect_triangle_block",
         "SPHERES": "sphere_distance",
         "DISKS": "disk_distance",
         "CYLINDERS": "cylinder_distance",
         "INSTANCES": "ray_to_object",
     },
     "stages/shadow_transmittance.cl": {
-        "TRIANGLES": "triangles_met",
+        "TRIANGLES": "intersect_triangle_block",
         "SPHERES": "sphere_distance",
         "INSTANCES": "ray_to_object",
-        "MEDIA": "transmittance",
+        "MEDIA": "medium_transmittance",
         "THIN_DIELECTRIC": "thin_dielectric_reflectance",
     },
     "stages/generate.cl": {
         "THIN_LENS": "lens",
         "INSTANCES": "instance",
-        "VOLPATH": "crossing",
+        "VOLPATH": "null_bounces",
         "MEDIA": "sensor_medium",
     },
-    "stages/compact.cl": {"INSTANCES": "instance", "VOLPATH": "crossing", "MEDIA": "medium"},
+    "stages/compact.cl": {"INSTANCES": "instance", "VOLPATH": "null_bounces", "MEDIA": "medium"},
     "stages/reduce.cl": {
         "CHUNK_MEDIANS": "medians",
         "BATCH_MEANS": "batch_sum",
@@ -140,7 +140,7 @@ MARKERS = {  # functions and variables that belong to one feature
 )
 def test_every_feature_of_a_stage_makes_a_difference_there(file, lanes, never):
     """Among all others or alone: some share their code. And what marks a feature's own code is gone without it."""
-    names = sorted(set(re.findall(r"\bFEATURE_(\w+)", flatten(file))) - set(never))
+    names = sorted(set(re.findall(r"\bFEATURE_(\w+)", flatten(file, generated_headers()))) - set(never))
     sets = [all_but(*never), only()]
     sets += [set_ for name in names for set_ in (all_but(*never, name), only(name))]
     full, nothing, *each = preprocessed(file, sets, lanes)
@@ -220,15 +220,15 @@ def test_what_is_off_leaves_no_code(lanes):
     sets |= {f"{name} alone": only(*ORDINARY, name) for name in names}
     there: dict[str, set] = {label: set() for label in sets}
     used: dict[str, set] = {label: set() for label in sets}
-    files = dict.fromkeys(file for table in (KERNELS, BRUTE_FORCE_KERNELS) for file, _ in table.values())
+    files = STAGES
     for file in files:
         if file == "stages/shadow_transmittance.cl" and lanes > 1:
             continue  # with VOLPATH alone
-        mentioned = set(re.findall(r"FEATURE_(\w+)", flatten(file)))
+        mentioned = set(re.findall(r"FEATURE_(\w+)", flatten(file, generated_headers())))
         labels = defaultdict(list)
         for label, set_ in sets.items():
             labels[frozenset(name for name in mentioned if set_[name])].append(label)
-        kind = (file, lanes if re.search(r"\bLANES\b", flatten(file)) else None)
+        kind = (file, lanes if re.search(r"\bLANES\b", flatten(file, generated_headers())) else None)
         new = {key: sets[of[0]] for key, of in labels.items() if (kind, key) not in looked_at}
         for key, text in zip(new, preprocessed(file, list(new.values()), lanes), strict=True):
             found = definitions(text)
@@ -274,7 +274,7 @@ def test_no_buffer_without_a_feature_that_reads_it(monkeypatch, name):
     assert not (for_features - for_used) & set(sizes)
     assert {each for each in path_bytes(dict.fromkeys(FEATURES, True)) if each not in paths}.isdisjoint(sizes)
     # and what no feature has claimed is there in every scene: nothing else is ever absent
-    buffers = {argument.rpartition(":")[2] for _, names in KERNELS.values() for argument in names.split()}
+    buffers = {argument for row in KERNELS.values() for argument in row.arguments}
     never = {each for each, value in wavefront.stages.arguments.items() if value is None}
     assert never & buffers <= (for_features - for_used) | set(path_bytes(dict.fromkeys(FEATURES, True)))
 
@@ -288,7 +288,7 @@ def test_the_state_of_a_path_is_the_sum_of_what_its_features_state(monkeypatch, 
         each: size * planes for each, size in path_bytes(wavefront.features).items()
     }
     bare = sum(path_bytes(only()).values())
-    assert bare == 2 * sum(size for each, size in PATH_STATE.items() if ":" not in each) + 16 + 4
+    assert bare == 2 * sum(4 * field.planes for field in PATH_STATE.values() if not field.features) + 16 + 4
     stated = sum(cost(each, wavefront.features).path_bytes for each, on in wavefront.features.items() if on)
     assert sum(path_bytes(wavefront.features).values()) == bare + stated
 
@@ -311,7 +311,7 @@ def test_a_feature_more_takes_the_bytes_that_it_states(monkeypatch, name):
     of_statistics = {"CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER"}
     for feature in (each for each, on in used.items() if not on and each not in of_statistics | {"FILTER_TABLE"}):
         more, of_more = allocated(monkeypatch, scene, feature_override=used | {feature: True})
-        gone = () if of_more.few else ("corners", "corner_indices")  # it does not do without a hierarchy
+        gone = () if of_more.brute_force else ("corners", "corner_indices")  # it does not do without a hierarchy
         bare = {each: size for each, size in without.items() if each not in gone}
         new = {each: size for each, size in more.items() if each not in bare}
         grown = {each: more[each] - size for each, size in bare.items() if more[each] != size}
@@ -415,7 +415,10 @@ def test_stages_named_for_a_feature_have_its_code():
         named = stages_with(feature)
         assert named
         for stage in named:
-            assert re.search(rf"\bFEATURE_{feature}\b", flatten(f"{stage}.cl")), (feature, stage)
+            assert re.search(rf"\bFEATURE_{feature}\b", flatten(f"stages/{stage}.cl", generated_headers())), (
+                feature,
+                stage,
+            )
     assert cost("NEXT_EVENT", only("POINT_LIGHTS")).stages == ("shadow",)
     assert cost("VOLPATH", only("NEXT_EVENT")).stages == ("shadow_transmittance",)
     assert cost("VOLPATH", only("POINT_LIGHTS")).stages == ()

@@ -174,7 +174,7 @@ def test_tests_are_those_of_the_rays_of_a_run():
 
 def test_where_there_is_no_hierarchy_every_ray_meets_all_triangles():
     measured = small_subject()
-    measured.wavefront.few = True
+    measured.wavefront.brute_force = True
     assert [(bounce.nodes, bounce.triangles) for bounce in count_tests(measured, [400, 100])] == [(0, 1600), (0, 400)]
 
 

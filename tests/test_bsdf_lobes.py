@@ -14,6 +14,7 @@ import pytest
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
+from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import load, structs
 from isonoise.scene.material.bsdfs import Bsdfs
@@ -204,7 +205,9 @@ def build(device: Device, off: tuple[str, ...] = ()) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lobes.cl" else source(name))
         features = {name: name in on and name not in off for name in FEATURES}
-        return device.build(*program.stage_source("lobes.cl", STRUCTS, structs.CONSTANTS, features))
+        return device.build(
+            *program.stage_source("lobes.cl", STRUCTS, structs.CONSTANTS, features, generated_headers())
+        )
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.feature_superset import feature_superset
 from isonoise.integrator.features import FEATURES, features
+from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import STRUCTS, kernel_table
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene import builtin_scenes, compile_scene, load, structs
@@ -99,8 +100,8 @@ def test_all_build(device, lanes, off):
     constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     for few in (False, True):
-        for file in dict.fromkeys(file for file, _ in kernel_table(all_but(*off), few).values()):
-            text, options = stage_source(file, STRUCTS, constants, all_but(*off))
+        for file in dict.fromkeys(row.file for row in kernel_table(all_but(*off), few).values()):
+            text, options = stage_source(file, STRUCTS, constants, all_but(*off), generated_headers())
             device.build(text, (*options, "-Werror"))
 
 

@@ -14,7 +14,9 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
-from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.integrator.generated_headers import generated_headers
+from isonoise.integrator.kernel_table import KERNELS, STRUCTS
+from isonoise.integrator.stages import Stages
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.loop import render
 from isonoise.scene import compile_scene, load, structs
@@ -48,7 +50,8 @@ __kernel void probe(uint n, __global const float* triangles, __global const uint
     if (primitive == NONE) return;
     const Vec3 origin = load_planes3(ray_origin, i, n), direction = load_planes3(ray_direction, i, n);
 #if FEATURE_INSTANCES
-    const Surface s = instanced_surface_of_hit(&g, instances, instance[i], primitive, origin, direction, hit.x, hit.y,
+    g.instances = instances;
+    const Surface s = instanced_surface_of_hit(&g, instance[i], primitive, origin, direction, hit.x, hit.y,
                                            hit.z);
 #else
     const Surface s = surface_of_hit(&g, primitive, origin, direction, hit.x, hit.y, hit.z);
@@ -73,24 +76,29 @@ class Traced:
         self.features = features(scene)
         bvh = build_scene_bvh(scene)
 
-        def built(name: str):
-            return device.build(*program.stage_source(f"{name}.cl", STRUCTS, structs.CONSTANTS, self.features))[name]
-
-        self.intersect = built("intersect")
+        self.stages = Stages(device, {"intersect": KERNELS["intersect"]}, self.features, structs.CONSTANTS, STRUCTS)
         source = program.kernel_source
         monkeypatch.setattr(program, "kernel_source", lambda name: PROBE if name == "probe.cl" else source(name))
-        self.probe = built("probe")
+        self.probe = device.build(
+            *program.stage_source("probe.cl", STRUCTS, structs.CONSTANTS, self.features, generated_headers())
+        )["probe"]
         monkeypatch.setattr(program, "kernel_source", source)
 
         def table(array):
             return device.buffer(array, "table") if array.size else None
 
-        self.nodes, self.blocks, self.analytics = table(bvh.nodes), table(bvh.blocks), table(scene.analytics)
-        self.instances = table(scene.instances)
-        self.counts = np.uint32(bvh.first_analytic), np.uint32(bvh.first_analytic + len(scene.analytics))
+        analytics, instances = table(scene.analytics), table(scene.instances)
+        self.stages.arguments.update(
+            nodes=table(bvh.nodes),
+            blocks=table(bvh.blocks),
+            analytics=analytics,
+            instances=instances,
+            first_analytic=np.uint32(bvh.first_analytic),
+            first_instance=np.uint32(bvh.first_analytic + len(scene.analytics)),
+        )
         self.surfaces = (
             *map(table, (triangle_records(scene), scene.faces, corner_normals(scene))),
-            *(self.analytics, table(scene.shapes), self.instances),
+            *(analytics, table(scene.shapes), instances),
         )
 
     def __call__(self, origins, directions, skip=NONE, start=NONE, towards=None) -> dict[str, np.ndarray]:
@@ -104,12 +112,17 @@ class Traced:
         path[1] = skip
         origin, direction, leaving, hit = (device.buffer(as_planes(ray), "rays") for ray in rays)
         instance = device.buffer(np.full(n, start, np.uint32), "instance")
-        more = (self.instances, self.counts[1], instance) if self.features["INSTANCES"] else ()
-        arguments = (
-            *(np.uint32(n), np.uint32(n), np.uint32(1), self.nodes, self.blocks, self.counts[0], self.analytics),
-            *(origin, direction, device.buffer(path, "path"), hit, *more),
+        self.stages.launch(
+            "intersect",
+            n,
+            **dict.fromkeys(("path_count", "plane_stride"), np.uint32(n)),
+            rays_per_item=np.uint32(1),
+            ray_origin=origin,
+            ray_direction=direction,
+            path=device.buffer(path, "path"),
+            hit=hit,
+            instance=instance,
         )
-        device.launch(self.intersect, n, arguments)
         out = device.buffer(60 * n, "surfaces")
         device.launch(self.probe, n, (np.uint32(n), *self.surfaces, instance, origin, direction, hit, leaving, out))
         found = read_rows(device, hit, n, 4)

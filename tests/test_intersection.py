@@ -8,8 +8,8 @@ import trimesh
 from planes import as_planes, read_rows
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import stage_source
-from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.integrator.kernel_table import KERNELS, STRUCTS
+from isonoise.integrator.stages import Stages
 from isonoise.scene import structs
 from isonoise.scene.accel.bounds import analytic_bounds
 from isonoise.scene.accel.bvh import BVH_WIDTH, build_bvh
@@ -28,41 +28,24 @@ def traced(bvh, origins, directions, analytics=None, t_max=np.inf, count_tests=F
     """The same, and the nodes and blocks that each ray was tested against, (n, 2), where they are to be counted."""
     device = Device()
     features = FEATURES | {"COUNT_TESTS": count_tests}
-    source, options = stage_source("stages/intersect.cl", STRUCTS, structs.CONSTANTS, features)
-    kernel = device.build(source, options)["intersect"]
+    stages = Stages(device, {"intersect": KERNELS["intersect"]}, features, structs.CONSTANTS, STRUCTS)
     n = len(origins)
     rays = np.empty((2, n, 4), np.float32)
     rays[0, :, :3], rays[0, :, 3] = origins, t_max
     rays[1, :, :3], rays[1, :, 3] = directions, 0
-    path = np.full((4, n), structs.NONE, np.uint32)  # no ray starts on a primitive
     buffers = {
         "nodes": bvh.nodes,
         "blocks": bvh.blocks,
         "analytics": np.zeros(0, structs.ANALYTIC) if analytics is None else analytics,
-        "origin": as_planes(rays[0]),
-        "direction": as_planes(rays[1]),
-        "path": path,
+        "ray_origin": as_planes(rays[0]),
+        "ray_direction": as_planes(rays[1]),
+        "path": np.full((4, n), structs.NONE, np.uint32),  # no ray starts on a primitive
         "hit": np.zeros((4, n), np.float32),
         "tests": np.zeros((n, 2), np.uint32),
     }
     b = {name: device.buffer(array, name) if array.size else None for name, array in buffers.items()}
-    device.launch(
-        kernel,
-        n,
-        (
-            *(
-                np.uint32(n),
-                np.uint32(n),
-                np.uint32(7),
-                b["nodes"],
-                b["blocks"],
-                np.uint32(bvh.first_analytic),
-                b["analytics"],
-            ),
-            *(b["origin"], b["direction"], b["path"], b["hit"]),
-            *((b["tests"],) if count_tests else ()),
-        ),
-    )
+    counts = {"path_count": n, "plane_stride": n, "rays_per_item": 7, "first_analytic": bvh.first_analytic}
+    stages.launch("intersect", n, **b, **{name: np.uint32(value) for name, value in counts.items()})
     found = read_rows(device, b["hit"], n, 4)
     return found[:, 0], found[:, 3].copy().view(np.uint32), device.read(b["tests"], np.uint32, 2 * n).reshape(n, 2)
 

@@ -13,6 +13,7 @@ from test_environment import normal_deviate
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
+from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.material import textures
@@ -37,6 +38,7 @@ SceneView scene({GEOMETRY})
     g.uvs = uvs;
     g.analytics = analytics;
     g.shapes = shapes;
+    g.lights = lights;
     const Textures all = {{textures, bytes, NULL, srgb, NULL, faces}};
     g.textures = all;
     return g;
@@ -48,11 +50,12 @@ __kernel void sample({GEOMETRY},
 {{
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    g.light_alias = table;
+    g.light_count = count;
     const Vec4 no_side = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-    const LightSelection pick = select_light(&g, lights, table, count, LOAD3(i, reference), no_side, u[4 * i],
-                                             u[4 * i + 3]);
-    const LightSample light = sample_light(&g, lights, pick, LOAD3(i, reference), vec2(u[4 * i + 1], u[4 * i + 2]));
+    const LightSelection pick = select_light(&g, LOAD3(i, reference), no_side, u[4 * i], u[4 * i + 3]);
+    const LightSample light = sample_light(&g, pick, LOAD3(i, reference), vec2(u[4 * i + 1], u[4 * i + 2]));
     STORE3(light.direction, 0, out + 16 * i);
     STORE3(light.radiance, 1, out + 16 * i);
     STORE3(light.position, 2, out + 16 * i);
@@ -168,7 +171,7 @@ def lit():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
         constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}
-        kernels = device.build(*program.stage_source("lights.cl", STRUCTS, constants, features))
+        kernels = device.build(*program.stage_source("lights.cl", STRUCTS, constants, features, generated_headers()))
     return lambda **objects: Lit(device, kernels, **objects)
 
 

@@ -78,7 +78,8 @@ class OnDevice:
         text += [f"#define {name} {value}u" for name, value in constants.items()]
         text += [flatten("light/light_tree.h"), KERNELS]
         self.kernels = self.device.build(
-            "\n".join(text), ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=1", "-DFEATURE_LIGHT_LIST=0")
+            "\n".join(text),
+            ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=1", "-DFEATURE_LIGHT_LIST=0", "-DFEATURE_AREA_LIGHTS=1"),
         )
 
     def run(self, kernel, tree, lights, points, normals, what, row):

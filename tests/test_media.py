@@ -16,6 +16,7 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES, features
+from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import PATH_STATE, STRUCTS
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.material.bsdfs import Bsdfs
@@ -84,7 +85,7 @@ def phase():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lobes.cl" else source(name))
         on = {name: name in ("MEDIA", "VOLPATH", "NEXT_EVENT") for name in FEATURES}
-        kernels = device.build(*program.stage_source("lobes.cl", STRUCTS, structs.CONSTANTS, on))
+        kernels = device.build(*program.stage_source("lobes.cl", STRUCTS, structs.CONSTANTS, on, generated_headers()))
     return lambda g, lit=True: Phase(kernels, device, g, lit)
 
 
@@ -726,4 +727,4 @@ def test_masks_pay_for_no_media(scene_of):
     on = features(compile_scene(load(sheets([HALF]))))
     assert on["VOLPATH"]
     assert not on["MEDIA"]
-    assert PATH_STATE["MEDIA:medium"] == 4
+    assert PATH_STATE["medium"].planes == 1

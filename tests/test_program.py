@@ -19,15 +19,17 @@ from isonoise.errors import DeviceError
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.features import FEATURES
-from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, STRUCTS, TAKE_LANES
+from isonoise.integrator.generated_headers import generated_headers
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, LANE_KERNELS, STRUCTS
 from isonoise.renderer import Renderer
 from isonoise.scene import structs
 from isonoise.scene.material import textures
 from isonoise.statistics import Needs
 
-FOLDER = resources.files("isonoise.kernels")
-FILES = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith((".cl", ".h")))
+FOLDER = Path(str(resources.files("isonoise.kernels")))
+FILES = sorted(str(file.relative_to(FOLDER)) for file in FOLDER.rglob("*") if file.suffix in (".cl", ".h"))
 STAGES = [name for name in FILES if name.endswith(".cl")]
+HEADERS = generated_headers()
 CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
 CONSTANTS |= {
     "LANES": 1,
@@ -38,11 +40,18 @@ CONSTANTS |= {
 }
 MANY = CONSTANTS | {"LANES": 64, "SHADE_LANES": 256}
 """For work-items that take many paths: kernels/path/path_state.h. There are none in scenes of the feature VOLPATH."""
-TAKE_MANY = sorted({KERNELS[name][0] for name in TAKE_LANES} | {file for file, _ in BRUTE_FORCE_KERNELS.values()})
+TAKE_MANY = sorted({row.file for row in (*(KERNELS[name] for name in LANE_KERNELS), *BRUTE_FORCE_KERNELS.values())})
 
 
 def mentioned(text: str) -> set[str]:
     return set(re.findall(r"\bFEATURE_(\w+)", text))
+
+
+def source_of(name: str) -> str:
+    """Text of a file or of a generated header; that of the records depends on the program and is empty here."""
+    if name.startswith("generated/"):
+        return HEADERS.get(name, "")
+    return (FOLDER / name).read_text()
 
 
 # Flattening.
@@ -50,14 +59,14 @@ def mentioned(text: str) -> set[str]:
 
 @pytest.mark.parametrize("name", FILES)
 def test_every_include_stands_in_the_text_once(name):
-    text = flatten(name)
+    text = flatten(name, HEADERS)
     assert not re.search(r"^\s*#\s*(include|pragma\s+once)", text, re.MULTILINE)
     reached, todo = set(), [name]
     while todo:
         current = todo.pop()
         if current not in reached:
             reached.add(current)
-            todo += re.findall(r'#include "(.*?)"', (FOLDER / current).read_text())
+            todo += re.findall(r'#include "(.*?)"', source_of(current))
     assert sorted(re.findall(r'^#line 1 "(.*?)"', text, re.MULTILINE)) == sorted(reached)
 
 
@@ -65,12 +74,12 @@ def test_every_include_stands_in_the_text_once(name):
 def test_every_line_says_where_it_is_from(name):
     """Followed by its `#line` directives, the text is the files, line by line."""
     file, number = None, None
-    for line in flatten(name).splitlines():
+    for line in flatten(name, HEADERS).splitlines():
         directive = re.match(r'#line (\d+) "(.*)"', line)
         if directive:
             number, file = int(directive[1]), directive[2]
             continue
-        original = (FOLDER / file).read_text().splitlines()[number - 1]
+        original = source_of(file).splitlines()[number - 1]
         assert line == ("" if original.startswith("#pragma once") else original), f"{file}:{number}"
         number += 1
 
@@ -85,18 +94,18 @@ def test_a_compiler_error_names_file_and_line(name, monkeypatch):
     monkeypatch.setattr(program, "kernel_source", spoiled)
     line = source(name).count("\n") + 1
     with pytest.raises(DeviceError, match=rf"{re.escape(name)}\D{{1,3}}{line}\b"):
-        Device().build(*stage_source("stages/compact.cl", STRUCTS, CONSTANTS, only()))
+        Device().build(*stage_source("stages/compact.cl", STRUCTS, CONSTANTS, only(), HEADERS))
 
 
 def test_a_path_with_spaces(tmp_path, monkeypatch):
     """No path gets to the compiler: the text and the options are the same wherever the package lies."""
     folder = tmp_path / "a folder, with spaces" / "kernels"
-    shutil.copytree(Path(str(FOLDER)), folder)
-    expected = {name: stage_source(name, STRUCTS, CONSTANTS, all_but()) for name in STAGES}
+    shutil.copytree(FOLDER, folder)
+    expected = {name: stage_source(name, STRUCTS, CONSTANTS, all_but(), HEADERS) for name in STAGES}
     monkeypatch.setattr(program.resources, "files", lambda package: folder)
-    assert {name: stage_source(name, STRUCTS, CONSTANTS, all_but()) for name in STAGES} == expected
+    assert {name: stage_source(name, STRUCTS, CONSTANTS, all_but(), HEADERS) for name in STAGES} == expected
     for text, options in expected.values():
-        assert str(Path(str(FOLDER)).parent) not in text + " ".join(options)
+        assert str(FOLDER.parent) not in text + " ".join(options)
         assert not any(option.startswith("-I") for option in options)
 
 
@@ -124,15 +133,15 @@ def test_features_are_tested_by_value(name):
 
 def test_a_feature_that_nobody_set_is_an_error():
     with pytest.raises(KeyError, match="BATCH_MEANS"):
-        stage_source("stages/reduce.cl", STRUCTS, CONSTANTS, {})
+        stage_source("stages/reduce.cl", STRUCTS, CONSTANTS, {}, HEADERS)
 
 
 @pytest.mark.parametrize("name", STAGES)
 def test_options_are_the_mentioned_features_alone(name):
     """A feature of another stage must not make this one be compiled anew."""
-    text, options = stage_source(name, STRUCTS, CONSTANTS, all_but())
+    text, options = stage_source(name, STRUCTS, CONSTANTS, all_but(), HEADERS)
     assert set(options) == {"-cl-std=CL1.2"} | {f"-DFEATURE_{feature}=1" for feature in mentioned(text)}
-    off, options = stage_source(name, STRUCTS, CONSTANTS, only())
+    off, options = stage_source(name, STRUCTS, CONSTANTS, only(), HEADERS)
     assert off == text
     assert all(option.endswith("=0") for option in options[1:])
 
@@ -187,20 +196,14 @@ def test_records_as_pyopencl_declares_them(device):
         assert ours == theirs
 
 
-def test_every_argument_of_a_kernel_has_a_name():
-    """The host's table has as many arguments as the kernel has parameters, and every kernel is in it."""
-    joined = dict.fromkeys(
-        re.findall(r'#include "(.*?)"', (FOLDER / "stages/pixel_stages.cl").read_text()), "stages/pixel_stages.cl"
-    )
-    found = {}
-    for file in STAGES:
-        for kernel, parameters in re.findall(
-            r"__kernel void (\w+)\((.*?)\)\s*\{", (FOLDER / file).read_text(), re.DOTALL
-        ):
-            found[joined.get(file, file), kernel] = len(parameters.split(","))
-    tables = (*KERNELS.items(), *BRUTE_FORCE_KERNELS.items())
-    named = {(file, kernel): {name.rpartition(":")[2] for name in names.split()} for kernel, (file, names) in tables}
-    assert found == {kernel: len(names) for kernel, names in named.items()}
+def test_every_kernel_is_in_the_table():
+    found = {(file, kernel) for file in STAGES for kernel in re.findall(r"__kernel void (\w+)\(", source_of(file))}
+    assert found == {(row.file, name) for table in (KERNELS, BRUTE_FORCE_KERNELS) for name, row in table.items()}
+
+
+def test_every_generated_header_is_included():
+    included = {name for file in FILES for name in re.findall(r'#include "(generated/.*?)"', source_of(file))}
+    assert included == {*HEADERS, "generated/records.h"}
 
 
 # Stages.

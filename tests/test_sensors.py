@@ -7,9 +7,9 @@ from scalar_mitsuba import as_mitsuba, assert_same_picture, import_mitsuba
 from test_random import philox_4x32
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import stage_source
 from isonoise.integrator.features import features
-from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.integrator.kernel_table import KERNELS, STRUCTS
+from isonoise.integrator.stages import Stages
 from isonoise.loop import render
 from isonoise.scene import compile_scene, load, structs
 
@@ -44,19 +44,29 @@ def generated(description: dict) -> tuple[np.ndarray, np.ndarray]:
     scene = compile_scene(load(description))
     device = Device()
     constants = structs.CONSTANTS | {"LANES": device.lanes}
-    kernel = device.build(*stage_source("stages/generate.cl", STRUCTS, constants, features(scene)))["generate"]
+    stages = Stages(device, {"generate": KERNELS["generate"]}, features(scene), constants, STRUCTS)
     pixels = scene.width * scene.height
     n = pixels * SAMPLES
-    sample_pixel = np.repeat(np.arange(pixels, dtype=np.uint32), SAMPLES)
-    out = {name: device.buffer(size * n, name) for name, size in zip("odtps", (16, 16, 16, 16, 12), strict=True)}
+    out = {name: device.buffer(16 * n, name) for name in ("ray_origin", "ray_direction", "throughput", "path")}
     zeros = device.buffer(4 * pixels, "counts")
-    arguments = (
-        *(np.uint32(n), np.uint32(n), np.uint32(0), np.uint32(0), np.array(SEED, np.uint32)),
-        *(device.buffer(scene.camera, "camera"), None, np.uint32(0), device.buffer(sample_pixel, "list")),
-        *(device.buffer(np.arange(0, n, SAMPLES, dtype=np.uint32), "offsets"), zeros, zeros, *out.values()),
+    stages.launch(
+        "generate",
+        n,
+        device.lanes,
+        **dict.fromkeys(("first_slot", "first_sample", "inverse_cdf_cells"), np.uint32(0)),
+        **dict.fromkeys(("count_new", "plane_stride"), np.uint32(n)),
+        **dict.fromkeys(("count", "rejected"), zeros),
+        **out,
+        seed=np.array(SEED, np.uint32),
+        camera=device.buffer(scene.camera, "camera"),
+        inverse_cdf=None,
+        sample_pixel=device.buffer(np.repeat(np.arange(pixels, dtype=np.uint32), SAMPLES), "list"),
+        pixel_offset=device.buffer(np.arange(0, n, SAMPLES, dtype=np.uint32), "offsets"),
+        samples=device.buffer(12 * n, "samples"),
     )
-    device.launch(kernel, -(-n // device.lanes), arguments)
-    return tuple(read_rows(device, out[name], n, 4).reshape(pixels, SAMPLES, 4) for name in "od")
+    return tuple(
+        read_rows(device, out[name], n, 4).reshape(pixels, SAMPLES, 4) for name in ("ray_origin", "ray_direction")
+    )
 
 
 @pytest.mark.parametrize("film", FILMS)

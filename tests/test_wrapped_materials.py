@@ -16,6 +16,7 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES
+from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import structs
 from isonoise.scene.material import textures
@@ -203,7 +204,9 @@ def scatter():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "wrapped.cl" else source(name))
         constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}
-        kernel = device.build(*program.stage_source("wrapped.cl", STRUCTS, constants, features))["scatter"]
+        kernel = device.build(*program.stage_source("wrapped.cl", STRUCTS, constants, features, generated_headers()))[
+            "scatter"
+        ]
 
     def run(bsdf: dict, surface, wi, wo, u) -> np.ndarray:
         images, n = Textures(), len(wi)

@@ -2,6 +2,8 @@
 #pragma once
 #include "geometry/surface.h"
 
+#define HAS_ENVIRONMENT_LIGHT (FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP)
+
 #if FEATURE_NEXT_EVENT
 typedef struct {
     Vec3 position, error, normal;  // normal is zero where the light has no surface
@@ -40,6 +42,7 @@ INLINE bool samples_visible_cone(const SceneView* scene, const Analytic* sphere,
 }
 #endif
 
+#if HAS_ENVIRONMENT_LIGHT || FEATURE_AREA_LIGHTS
 // Probability with which `sample_light` would have picked a light for a point and the side that is lit there (see `light_sampling_normal`).
 // `pdf`: of the direction that found it; after a delta function, when it is negative, it is not asked for.
 INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 mis_normal, float pdf)
@@ -54,6 +57,7 @@ INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 mis_
     return 1.0f;
 #endif
 }
+#endif
 
 #if FEATURE_AREA_LIGHTS
 // Density with which `sample_light` would have found the point at `distance` along `direction` on this light, had it picked it.
@@ -179,7 +183,7 @@ INLINE float spot_falloff(const Light* light, Vec3 direction)
 }
 #endif
 
-#if FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
+#if HAS_ENVIRONMENT_LIGHT
 // Radiance that arrives from beyond the scene, and the density with which `sample_light` would have found it, had it picked it.
 INLINE Vec3 environment_radiance(const SceneView* scene, const Light* sky, Vec3 direction, float* pdf)
 {

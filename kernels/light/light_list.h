@@ -103,6 +103,7 @@ INLINE void advance_light_draw(LightDraw* d, uint light, float probability)
     d->probability = takes ? probability : d->probability;
 }
 
+#if FEATURE_AREA_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 // Probability with which a light is picked for a point.
 INLINE float light_list_pmf(const LightList* list, uint light, Vec3 point, Vec4 normal)
 {
@@ -114,6 +115,7 @@ INLINE float light_list_pmf(const LightList* list, uint light, Vec3 point, Vec4 
     }
     return mixture_pmf(make_importance_mixture(total), of_light, list->bounds[light].share);
 }
+#endif
 
 // Picks a light by a random number in [0, 1), given as `u` and what lies below its last bit.
 INLINE uint select_from_list(const LightList* list, Vec3 point, Vec4 normal, float u, float u_low, float* probability)

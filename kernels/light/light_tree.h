@@ -121,6 +121,7 @@ INLINE uint select_from_tree(const LightTree* tree, Vec3 point, Vec4 normal, flo
     return (uint)~node_index;
 }
 
+#if FEATURE_AREA_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 // Probability with which `select_from_tree` would have picked this light.
 INLINE float light_tree_pmf(const LightTree* tree, uint light, Vec3 point, Vec4 normal)
 {
@@ -136,4 +137,5 @@ INLINE float light_tree_pmf(const LightTree* tree, uint light, Vec3 point, Vec4 
     }
     return probability;
 }
+#endif
 #endif

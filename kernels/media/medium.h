@@ -10,7 +10,7 @@ INLINE uint medium_towards(const Surface* s, Vec3 direction, uint medium)
     return dot3(direction, s->geometric_normal) > 0.0f ? s->media >> 16 : s->media & 0xFFFFu;
 }
 
-INLINE Vec3 transmittance(__global const Medium* medium, float distance)
+INLINE Vec3 medium_transmittance(__global const Medium* medium, float distance)
 {
     const float finite = MIN(distance, FLT_MAX);  // where sigma_t is 0, infinity would make no number
     return vec3(exp(-medium->sigma_t[0] * finite), exp(-medium->sigma_t[1] * finite), exp(-medium->sigma_t[2] * finite));
@@ -30,7 +30,7 @@ INLINE bool sample_medium(__global const Medium* medium, Vec4 u, float* distance
     const float reached = depth / sigma;
     const bool scatters = sigma > 0.0f && reached < *distance;
     if (scatters) *distance = reached;
-    const Vec3 transmitted = transmittance(medium, *distance);
+    const Vec3 transmitted = medium_transmittance(medium, *distance);
     const Vec3 density = scatters ? mul3(div3(sigma_t, splat3(sigma)), transmitted) : transmitted;
     const float all = dot3(share, density);
     const Vec3 albedo = scatters ? LOAD3(0, medium->albedo) : splat3(1.0f);

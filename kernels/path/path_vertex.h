@@ -7,54 +7,38 @@
 #include "path/path_state.h"
 #include "util/random.h"
 
-#define HAS_ENVIRONMENT_LIGHT (FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP)
-
-// The buffers of the paths, and of what they bring.
+// Buffers of the paths in flight, one plane a member: host/isonoise/integrator/kernel_table.py.
 typedef struct {
-    uint plane_stride;
-    __global const uint* sample_pixel;
-    __global float* hit;
-    __global float* ray_origin;
-    __global float* ray_direction;
-    __global float* throughput;
-    __global uint* path;
-    __global uint* crossing;
-    __global uint* medium;
-    __global const uint* instance;
-    __global float* mis_normal;
-    __global float* shadow_origin;
-    __global float* shadow_direction;
-    __global float* shadow_radiance;
-    __global float* samples;
-    __global uint* alive;
+#include "generated/path_state_members.h"
 } PathState;
 
 // A path at the end of its ray.
 typedef struct {
     Vec3 origin, direction, throughput;
-    float direction_pdf, eta;  // the index of refraction that roulette reckons with
+    float direction_pdf;       // negative if a delta lobe was sampled
+    float eta;                 // relative index of refraction so far, for Russian roulette
     float distance, u, v;      // of the hit
-    uint primitive, start_primitive;     // that it met, that it started on
+    uint primitive;            // that was hit, NONE if the ray escaped
+    uint start_primitive;      // that the ray starts on
     uint sample, pixel, index, depth;
-    uint null_bounces;        // surfaces that let it through since it began
-    float mis_distance;  // distance from the last vertex
-    Vec3 mis_origin;
-    Vec4 mis_normal;  // at the last vertex: `light_sampling_normal`
-    uint medium;   // the medium that it comes through
-    bool in_volume;
+    Vec3 mis_origin;           // the vertex that the direction was sampled at
+    bool in_volume;            // scattered in the medium before the hit
+    // null_bounces: pass-through surfaces so far; mis_distance: distance from mis_origin to the hit;
+    // medium: that the ray runs through; mis_normal: `light_sampling_normal` at mis_origin
+#include "generated/path_members.h"
 } Path;
 
 INLINE Path load_path(const PathState* paths, size_t i)
 {
     const uint plane_stride = paths->plane_stride;
-    const Vec4 hit = load_planes4(paths->hit, i, plane_stride), carried = load_planes4(paths->throughput, i, plane_stride);
-    const Vec4 incoming = load_planes4(paths->ray_direction, i, plane_stride);
+    const Vec4 hit = load_planes4(paths->hit, i, plane_stride), throughput = load_planes4(paths->throughput, i, plane_stride);
+    const Vec4 direction = load_planes4(paths->ray_direction, i, plane_stride);
     Path p;
     p.origin = load_planes3(paths->ray_origin, i, plane_stride);
-    p.direction = xyz(incoming);
-    p.direction_pdf = incoming.w;
-    p.throughput = xyz(carried);
-    p.eta = carried.w;
+    p.direction = xyz(direction);
+    p.direction_pdf = direction.w;
+    p.throughput = xyz(throughput);
+    p.eta = throughput.w;
     p.distance = hit.x;
     p.u = hit.y;
     p.v = hit.z;
@@ -64,25 +48,16 @@ INLINE Path load_path(const PathState* paths, size_t i)
     p.pixel = paths->sample_pixel[(int)p.sample];
     p.index = PLANE(PATH_SAMPLE_INDEX, paths->path, plane_stride)[i];
     p.depth = PLANE(PATH_DEPTH, paths->path, plane_stride)[i];
-    p.null_bounces = 0u;
-    p.mis_distance = p.distance;
-    p.mis_origin = p.origin;
-#if FEATURE_VOLPATH
-    // what lets a path through unturned is no vertex of it, but takes random numbers: the vertex before and these are kept
-    const float travelled = as_float(paths->crossing[i]);
-    p.mis_distance = travelled + p.distance;
-    p.mis_origin = sub3(p.origin, scale3(p.direction, travelled));
-    p.null_bounces = PLANE(1, paths->crossing, plane_stride)[i];
-#endif
-    p.mis_normal = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-#if HAS_LIGHT_IMPORTANCE
-    p.mis_normal = load_planes4(paths->mis_normal, i, plane_stride);
-#endif
-    p.medium = 0u;
-#if FEATURE_MEDIA
-    p.medium = paths->medium[i];
-#endif
     p.in_volume = false;
+    p.mis_origin = p.origin;
+#include "generated/load_path_members.h"
+#if FEATURE_VOLPATH
+    // a pass-through surface is no vertex: mis_distance is that from the last vertex to the ray's origin
+    p.mis_origin = sub3(p.origin, scale3(p.direction, p.mis_distance));
+    p.mis_distance += p.distance;
+#else
+    p.mis_distance = p.distance;
+#endif
     return p;
 }
 
@@ -233,7 +208,7 @@ INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i
             continue_behind(paths, i, p, s);
 #if FEATURE_VOLPATH
             store_planes3(p->throughput, paths->throughput, i, paths->plane_stride);
-            PLANE(1, paths->crossing, paths->plane_stride)[i] = p->null_bounces + 1u;
+            paths->null_bounces[i] = p->null_bounces + 1u;
 #endif
             return false;
         }

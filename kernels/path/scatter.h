@@ -93,8 +93,8 @@ INLINE void write_next_ray(const PathState* paths, size_t i, Path* p, const Surf
     PLANE(PATH_START_PRIMITIVE, paths->path, plane_stride)[i] = p->in_volume ? NONE : p->primitive;
     PLANE(PATH_DEPTH, paths->path, plane_stride)[i] = p->depth + (straight ? 0u : 1u);
 #if FEATURE_VOLPATH
-    paths->crossing[i] = as_uint(straight ? p->mis_distance : 0.0f);
-    PLANE(1, paths->crossing, plane_stride)[i] = p->null_bounces + (straight ? 1u : 0u);
+    paths->mis_distance[i] = straight ? p->mis_distance : 0.0f;
+    paths->null_bounces[i] = p->null_bounces + (straight ? 1u : 0u);
 #endif
 #if FEATURE_MEDIA
     paths->medium[i] = medium_towards(s, next.direction, p->medium);

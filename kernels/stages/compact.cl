@@ -3,7 +3,9 @@
 // Stable and without atomics: count per block, scan the blocks, move. One work-item a block.
 #include "path/path_state.h"
 
-__kernel void count_alive(__global const uint* alive, uint path_count, __global uint* block_alive)
+__kernel void count_alive(
+#include "generated/count_alive_parameters.h"
+)
 {
     const uint block = get_global_id(0);
     const uint begin = block * PATHS_PER_BLOCK;
@@ -15,11 +17,13 @@ __kernel void count_alive(__global const uint* alive, uint path_count, __global 
 }
 
 // Turns the counts into the number alive before each block; total_alive gets the sum.
-__kernel void scan_blocks(__global uint* block_alive, uint blocks, __global uint* total_alive)
+__kernel void scan_blocks(
+#include "generated/scan_blocks_parameters.h"
+)
 {
     if (get_global_id(0) != 0) return;
     uint sum = 0;
-    for (uint block = 0; block < blocks; ++block) {
+    for (uint block = 0; block < blocks_in_use; ++block) {
         const uint here = block_alive[block];
         block_alive[block] = sum;
         sum += here;
@@ -41,23 +45,9 @@ INLINE void move_planes(uint number, __global const uint* planes, __global uint*
     for (uint k = 0; k < number; ++k) move_plane(PLANE(k, planes, plane_stride), PLANE(k, to, plane_stride), from, count);
 }
 
-__kernel void move_paths(__global const uint* alive, uint path_count, uint plane_stride, __global const uint* block_alive,
-                         __global const uint* ray_origin, __global const uint* ray_direction,
-                         __global const uint* throughput, __global const uint* path, __global uint* next_ray_origin,
-                         __global uint* next_ray_direction, __global uint* next_throughput, __global uint* next_path
-#if FEATURE_INSTANCES
-                         , __global const uint* instance, __global uint* next_instance
-#endif
-#if FEATURE_VOLPATH
-                         , __global const uint* crossing, __global uint* next_crossing
-#endif
-#if FEATURE_MEDIA
-                         , __global const uint* medium, __global uint* next_medium
-#endif
-#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
-                         , __global const uint* mis_normal, __global uint* next_lit
-#endif
-                         )
+__kernel void move_paths(
+#include "generated/move_paths_parameters.h"
+)
 {
     const uint block = get_global_id(0);
     const uint begin = block * PATHS_PER_BLOCK;
@@ -68,20 +58,5 @@ __kernel void move_paths(__global const uint* alive, uint path_count, uint plane
         from[count] = i;
         count += alive[i];
     }
-    move_planes(4u, ray_origin, next_ray_origin + to, plane_stride, from, count);
-    move_planes(4u, ray_direction, next_ray_direction + to, plane_stride, from, count);
-    move_planes(4u, throughput, next_throughput + to, plane_stride, from, count);
-    move_planes(4u, path, next_path + to, plane_stride, from, count);
-#if FEATURE_INSTANCES
-    move_planes(1u, instance, next_instance + to, plane_stride, from, count);
-#endif
-#if FEATURE_VOLPATH
-    move_planes(2u, crossing, next_crossing + to, plane_stride, from, count);
-#endif
-#if FEATURE_MEDIA
-    move_planes(1u, medium, next_medium + to, plane_stride, from, count);
-#endif
-#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
-    move_planes(4u, mis_normal, next_lit + to, plane_stride, from, count);
-#endif
+#include "generated/move_path_state.h"
 }

@@ -18,24 +18,9 @@ INLINE float filter_offset(float u, float radius, __global const float* inverse_
 #endif
 }
 
-__kernel void generate(uint count_new, uint plane_stride, uint first_slot, uint first_sample, uint2 seed,
-                       __global const Camera* camera, __global const float* inverse_cdf, uint inverse_cdf_cells,
-                       __global const uint* sample_pixel, __global const uint* pixel_offset, __global const uint* count,
-                       __global const uint* rejected, __global float* ray_origin, __global float* ray_direction,
-                       __global float* throughput, __global uint* path, __global float* samples
-#if FEATURE_INSTANCES
-                       , __global uint* instance
-#endif
-#if FEATURE_VOLPATH
-                       , __global uint* crossing
-#endif
-#if FEATURE_MEDIA
-                       , __global uint* medium, uint sensor_medium
-#endif
-#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
-                       , __global float* mis_normal
-#endif
-                       )
+__kernel void generate(
+#include "generated/generate_parameters.h"
+)
 {
     const size_t begin = get_global_id(0) * LANES;
     FOR_LANES(k, LANES) {
@@ -85,18 +70,7 @@ __kernel void generate(uint count_new, uint plane_stride, uint first_slot, uint 
         PLANE(PATH_START_PRIMITIVE, path, plane_stride)[slot] = NONE;
         PLANE(PATH_SAMPLE_INDEX, path, plane_stride)[slot] = index;
         PLANE(PATH_DEPTH, path, plane_stride)[slot] = 0u;
-#if FEATURE_INSTANCES
-        instance[slot] = NONE;
-#endif
-#if FEATURE_VOLPATH
-        crossing[slot] = PLANE(1, crossing, plane_stride)[slot] = 0u;
-#endif
-#if FEATURE_MEDIA
-        medium[slot] = sensor_medium;
-#endif
-#if FEATURE_LIGHT_TREE || FEATURE_LIGHT_LIST
-        store_planes4(vec4(0.0f, 0.0f, 0.0f, 0.0f), mis_normal, slot, plane_stride);
-#endif
+#include "generated/init_path_state.h"
         STORE3(splat3(0.0f), sample, samples);
     }
 }

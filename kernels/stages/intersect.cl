@@ -4,16 +4,9 @@
 // To measure: writes how many nodes and blocks of triangles each ray was tested against.
 #include "geometry/traverse.h"
 
-__kernel void intersect(uint path_count, uint plane_stride, uint rays_per_item, __global const float8* nodes, __global const float8* blocks,
-                        uint first_analytic, __global const Analytic* analytics, __global const float* ray_origin,
-                        __global const float* ray_direction, __global const uint* path, __global float* hit
-#if FEATURE_INSTANCES
-                        , __global const Instance* instances, uint first_instance, __global uint* instance
-#endif
-#if FEATURE_COUNT_TESTS
-                        , __global uint2* tests
-#endif
-                        )
+__kernel void intersect(
+#include "generated/intersect_parameters.h"
+)
 {
     const uint first = get_global_id(0) * rays_per_item, end = MIN(first + rays_per_item, path_count);
     for (uint i = first; i < end; ++i) {

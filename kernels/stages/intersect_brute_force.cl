@@ -1,11 +1,9 @@
 // Stage: intersect, of scenes of few primitives. What it reads and writes is told in stages/intersect.cl.
 #include "geometry/brute_force.h"
 
-__kernel void intersect(uint path_count, uint plane_stride, __global const float* corners, uint corner_count,
-                        __global const uint* corner_indices, uint triangle_count,
-                        __global const Analytic* analytics, uint analytic_count,
-                        __global const float* ray_origin, __global const float* ray_direction,
-                        __global const uint* path, __global float* hit)
+__kernel void intersect(
+#include "generated/intersect_brute_force_parameters.h"
+)
 {
     const Primitives all = {corners, corner_indices, corner_count, triangle_count, analytics, analytic_count};
     for (size_t first = get_global_id(0) * LANES, end = first + LANES; first < end; first += PACKET_SIZE) {

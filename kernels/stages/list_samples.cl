@@ -1,8 +1,9 @@
 // Stage: the sample list of one slice of a wave: which pixel each of its samples belongs to.
 // One work-item a pixel of the slice; pixel_offset is where the pixel's samples begin in the slice.
 
-__kernel void list_samples(uint first_pixel, uint pixels, uint slice_samples, __global const uint* pixel_offset,
-                           __global uint* sample_pixel)
+__kernel void list_samples(
+#include "generated/list_samples_parameters.h"
+)
 {
     const uint i = get_global_id(0);
     if (i >= pixels) return;

@@ -27,19 +27,9 @@ INLINE float power_of_sample(float x, float q)
 }
 #endif
 
-__kernel void reduce(__global const float* samples, uint first_pixel, uint pixels, uint slice_samples,
-                     __global const uint* pixel_offset, uint total_pixels, __global uint* count, __global uint* rejected,
-                     __global float* sums, __global float* block_sums
-#if FEATURE_CHUNK_MEDIANS
-                     , __global float* medians
-#endif
-#if FEATURE_POWER_MEAN
-                     , __global float* powers, float power
-#endif
-#if FEATURE_HALF_BUFFER
-                     , __global float* halves
-#endif
-                     )
+__kernel void reduce(
+#include "generated/reduce_parameters.h"
+)
 {
     const uint i = get_global_id(0);
     if (i >= pixels) return;

@@ -36,113 +36,15 @@ INLINE void shade_path(const SceneView* scene, const PathState* paths, size_t i,
 }
 #endif
 
-__kernel void shade(uint path_count, uint plane_stride, __global const uint* sample_pixel, uint2 seed, uint max_depth, uint rr_depth,
-                    __global const float* triangles, __global const uint* faces, __global const float* corner_normals,
-#if FEATURE_UVS
-                    __global const float* uvs,
-#endif
-#if FEATURE_TEXTURES
-                    __global const Texture* textures, __global const uchar* texel_bytes,
-                    __global const float* texel_floats, __global const float* srgb, __global const float* attributes,
-                    uint textured_slots,
-#endif
-                    __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
-#if FEATURE_ROUGH_PLASTIC
-                    __global const float* rough_transmittances,
-#endif
-                    __global const Light* lights, __global const Alias* light_alias, uint light_count,
-#if FEATURE_ENVIRONMENT_MAP
-                    __global const Environment* environment, __global const float* environment_texels,
-                    __global const float* environment_rows, __global const uint* environment_aliases,
-#endif
-                    uint environment_light, __global float* hit, __global float* ray_origin,
-                    __global float* ray_direction, __global float* throughput, __global uint* path,
-                    __global float* shadow_origin, __global float* shadow_direction, __global float* shadow_radiance,
-                    __global float* samples, __global uint* alive
-#if FEATURE_INSTANCES
-                    , __global const Instance* instances, uint world_triangles, __global const uint* instance
-#endif
-#if FEATURE_VOLPATH
-                    , __global uint* crossing
-#endif
-#if FEATURE_MEDIA
-                    , __global const Medium* media, __global uint* medium
-#endif
-#if FEATURE_LIGHT_TREE
-                    , __global const float8* light_nodes, __global const uint* light_parents
-#endif
-#if FEATURE_LIGHT_LIST
-                    , __global const LightBound* light_bounds
-#endif
-#if HAS_LIGHT_IMPORTANCE
-                    , __global float* mis_normal
-#endif
-                    )
+__kernel void shade(
+#include "generated/shade_parameters.h"
+)
 {
     SceneView scene;
-    scene.triangles = triangles;
-    scene.faces = faces;
-    scene.corner_normals = corner_normals;
-    scene.analytics = analytics;
-    scene.shapes = shapes;
-#if FEATURE_UVS
-    scene.uvs = uvs;
-#endif
-#if FEATURE_ENVIRONMENT_MAP
-    scene.envmap.record = environment;
-    scene.envmap.texels = environment_texels;
-    scene.envmap.rows = environment_rows;
-    scene.envmap.aliases = environment_aliases;
-#endif
-#if FEATURE_LIGHT_LIST
-    const LightList light_list = {light_bounds, light_count};
-    scene.light_list = light_list;
-#elif FEATURE_LIGHT_TREE
-    const LightTree light_tree = {light_nodes, light_parents, light_count};
-    scene.light_tree = light_tree;
-#endif
-#if FEATURE_TEXTURES
-    const Textures all_textures = {textures, texel_bytes, texel_floats, srgb, attributes, faces};
-    scene.textures = all_textures;
-    scene.textured_slots = textured_slots;
-#endif
-    scene.bsdfs = bsdfs;
-#if FEATURE_ROUGH_PLASTIC
-    scene.rough_transmittances = rough_transmittances;
-#endif
-    scene.lights = lights;
-    scene.light_alias = light_alias;
-    scene.light_count = light_count;
+#include "generated/shade_scene_view.h"
     scene.environment_light = FEATURE_MANY_LIGHTS ? environment_light : 0u;
-    scene.seed = seed;
     PathState paths;
-    paths.plane_stride = plane_stride;
-    paths.sample_pixel = sample_pixel;
-    paths.hit = hit;
-    paths.ray_origin = ray_origin;
-    paths.ray_direction = ray_direction;
-    paths.throughput = throughput;
-    paths.path = path;
-    paths.shadow_origin = shadow_origin;
-    paths.shadow_direction = shadow_direction;
-    paths.shadow_radiance = shadow_radiance;
-    paths.samples = samples;
-    paths.alive = alive;
-#if FEATURE_INSTANCES
-    scene.instances = instances;
-    scene.world_triangles = world_triangles;
-    paths.instance = instance;
-#endif
-#if FEATURE_VOLPATH
-    paths.crossing = crossing;
-#endif
-#if FEATURE_MEDIA
-    scene.media = media;
-    paths.medium = medium;
-#endif
-#if HAS_LIGHT_IMPORTANCE
-    paths.mis_normal = mis_normal;
-#endif
+#include "generated/shade_path_state.h"
     const size_t begin = get_global_id(0) * LANES;
     if (begin >= path_count) return;
 #if LANES > 1

@@ -19,16 +19,9 @@ INLINE bool blocked(Traversal* traversal, ulong* stack, __global const float8* n
     return false;
 }
 
-__kernel void shadow(uint path_count, uint plane_stride, uint rays_per_item, __global const float8* nodes, __global const float8* blocks,
-                     uint first_analytic,
-                     __global const Analytic* analytics, __global const float* shadow_origin,
-                     __global const float* shadow_direction,
-                     __global const float* shadow_radiance, __global const float* hit, __global const uint* path,
-                     __global float* samples
-#if FEATURE_INSTANCES
-                     , __global const Instance* instances, uint first_instance, __global const uint* instance
-#endif
-                     )
+__kernel void shadow(
+#include "generated/shadow_parameters.h"
+)
 {
     const uint first = get_global_id(0) * rays_per_item, end = MIN(first + rays_per_item, path_count);
     for (uint i = first; i < end; ++i) {

@@ -1,12 +1,9 @@
 // Stage: shadow, of scenes of few primitives. What it reads and writes is told in stages/shadow.cl.
 #include "geometry/brute_force.h"
 
-__kernel void shadow(uint path_count, uint plane_stride, __global const float* corners, uint corner_count,
-                     __global const uint* corner_indices, uint triangle_count,
-                     __global const Analytic* analytics, uint analytic_count,
-                     __global const float* shadow_origin, __global const float* shadow_direction,
-                     __global const float* shadow_radiance, __global const float* hit,
-                     __global const uint* path, __global float* samples)
+__kernel void shadow(
+#include "generated/shadow_brute_force_parameters.h"
+)
 {
     const Primitives all = {corners, corner_indices, corner_count, triangle_count, analytics, analytic_count};
     // not every path has a shadow ray: those that have one are listed

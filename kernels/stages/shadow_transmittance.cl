@@ -18,31 +18,31 @@ typedef struct {
     bool again;    // the search is another one, for more boundaries: the surfaces' share is known
     MediumInterfaces interfaces;
 #endif
-} Transmittance;
+} ShadowState;
 
 #if FEATURE_MEDIA
 // Goes on to `distance`, in units of `length`, within one medium; and from boundary to boundary.
-INLINE void attenuate_medium(Transmittance* transmittance, __global const Medium* media, float distance, float length)
+INLINE void attenuate_medium(ShadowState* shadow, __global const Medium* media, float distance, float length)
 {
-    if (transmittance->medium != MEDIUM_NONE) transmittance->attenuation = mul3(transmittance->attenuation, transmittance(media + transmittance->medium, (distance - transmittance->distance_done) * length));
-    transmittance->distance_done = distance;
+    if (shadow->medium != MEDIUM_NONE) shadow->attenuation = mul3(shadow->attenuation, medium_transmittance(media + shadow->medium, (distance - shadow->distance_done) * length));
+    shadow->distance_done = distance;
 }
 
-INLINE void attenuate_interfaces(Transmittance* transmittance, __global const Medium* media, float length)
+INLINE void attenuate_interfaces(ShadowState* shadow, __global const Medium* media, float length)
 {
-    for (uint k = 0u; k < transmittance->interfaces.count; ++k) {
-        attenuate_medium(transmittance, media, transmittance->interfaces.distance[k], length);
-        transmittance->medium = transmittance->interfaces.behind[k];
+    for (uint k = 0u; k < shadow->interfaces.count; ++k) {
+        attenuate_medium(shadow, media, shadow->interfaces.distance[k], length);
+        shadow->medium = shadow->interfaces.behind[k];
     }
 }
 #endif
 
 // Takes what was met into the passage. Returns whether light still goes on.
-INLINE bool attenuate(const SceneView* scene, __global const Bsdf* bsdfs, const Surface* s, Vec3 direction, float t, Transmittance* transmittance)
+INLINE bool attenuate(const SceneView* scene, __global const Bsdf* bsdfs, const Surface* s, Vec3 direction, float t, ShadowState* shadow)
 {
 #if FEATURE_MEDIA
-    if (s->media != NONE && t > transmittance->distance_done) insert_medium_interface(&transmittance->interfaces, t, medium_towards(s, direction, MEDIUM_NONE));
-    if (transmittance->again) return true;
+    if (s->media != NONE && t > shadow->distance_done) insert_medium_interface(&shadow->interfaces, t, medium_towards(s, direction, MEDIUM_NONE));
+    if (shadow->again) return true;
 #endif
     BsdfContext ctx;
     ctx.bsdfs = bsdfs;
@@ -54,31 +54,13 @@ INLINE bool attenuate(const SceneView* scene, __global const Bsdf* bsdfs, const 
     ctx.textures = &scene->textures;
     ctx.point = texture_point(s);
 #endif
-    transmittance->attenuation = mul3(transmittance->attenuation, pass_through_transmittance(&ctx));
-    return max_component3(transmittance->attenuation) > 0.0f;
+    shadow->attenuation = mul3(shadow->attenuation, pass_through_transmittance(&ctx));
+    return max_component3(shadow->attenuation) > 0.0f;
 }
 
-__kernel void shadow_transmittance(uint path_count, uint plane_stride, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
-                      __global const float* triangles, __global const uint* faces,
-                      __global const float* corner_normals,
-#if FEATURE_UVS
-                      __global const float* uvs,
-#endif
-#if FEATURE_TEXTURES
-                      __global const Texture* textures, __global const uchar* texel_bytes,
-                      __global const float* texel_floats, __global const float* srgb, __global const float* attributes,
-#endif
-                      __global const Analytic* analytics, __global const Shape* shapes, __global const Bsdf* bsdfs,
-                      __global const float* shadow_origin, __global const float* shadow_direction,
-                      __global const float* shadow_radiance, __global const float* hit, __global const uint* path,
-                      __global float* samples
-#if FEATURE_MEDIA
-                      , __global const Medium* media, float4 scene_sphere
-#endif
-#if FEATURE_INSTANCES
-                      , __global const Instance* instances, uint first_instance, __global const uint* instance
-#endif
-                      )
+__kernel void shadow_transmittance(
+#include "generated/shadow_transmittance_parameters.h"
+)
 {
     const uint i = get_global_id(0);
     if (i >= path_count) return;
@@ -86,25 +68,14 @@ __kernel void shadow_transmittance(uint path_count, uint plane_stride, __global 
     const float t_max = PLANE(3, shadow_direction, plane_stride)[i];
     if (t_max == 0.0f) return;
     SceneView scene;
-    scene.triangles = triangles;
-    scene.faces = faces;
-    scene.corner_normals = corner_normals;
-    scene.analytics = analytics;
-    scene.shapes = shapes;
-#if FEATURE_UVS
-    scene.uvs = uvs;
-#endif
-#if FEATURE_TEXTURES
-    const Textures all_textures = {textures, texel_bytes, texel_floats, srgb, attributes, faces};
-    scene.textures = all_textures;
-#endif
-    Transmittance transmittance;
-    transmittance.attenuation = splat3(1.0f);
+#include "generated/shadow_transmittance_scene_view.h"
+    ShadowState shadow;
+    shadow.attenuation = splat3(1.0f);
 #if FEATURE_MEDIA
-    transmittance.distance_done = 0.0f;
-    transmittance.again = false;
-    transmittance.interfaces.count = 0u;
-    transmittance.medium = as_uint(PLANE(3, shadow_radiance, plane_stride)[i]);
+    shadow.distance_done = 0.0f;
+    shadow.again = false;
+    shadow.interfaces.count = 0u;
+    shadow.medium = as_uint(PLANE(3, shadow_radiance, plane_stride)[i]);
     const float length = SQRT(dot3(direction, direction));
 #endif
 
@@ -121,20 +92,20 @@ __kernel void shadow_transmittance(uint path_count, uint plane_stride, __global 
         const uint leaf = next_leaf(&traversal, stack, nodes, blocks, t_max, false);
         if (leaf == NO_LEAF) {
 #if FEATURE_MEDIA
-            const bool more = transmittance.interfaces.count == MAX_MEDIUM_INTERFACES;
-            attenuate_interfaces(&transmittance, media, length);
+            const bool more = shadow.interfaces.count == MAX_MEDIUM_INTERFACES;
+            attenuate_interfaces(&shadow, media, length);
             if (more) {
-                transmittance.again = true;
-                transmittance.interfaces.count = 0u;
+                shadow.again = true;
+                shadow.interfaces.count = 0u;
                 begin_traversal(&traversal, stack, origin, direction, skip);
                 continue;
             }
             float end_of_flight = t_max;
             if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
                 const Vec3 arm = sub3(origin, vec3(scene_sphere.x, scene_sphere.y, scene_sphere.z));
-                end_of_flight = MAX(2.0f * MAX(scene_sphere.w, SQRT(dot3(arm, arm))), transmittance.distance_done);
+                end_of_flight = MAX(2.0f * MAX(scene_sphere.w, SQRT(dot3(arm, arm))), shadow.distance_done);
             }
-            attenuate_medium(&transmittance, media, end_of_flight, length);
+            attenuate_medium(&shadow, media, end_of_flight, length);
 #endif
             break;
         }
@@ -152,7 +123,7 @@ __kernel void shadow_transmittance(uint path_count, uint plane_stride, __global 
 #else
                 const Surface s = triangle_surface(&scene, primitive, u.lane[lane], v.lane[lane]);
 #endif
-                if (!attenuate(&scene, bsdfs, &s, direction, t.lane[lane], &transmittance)) return;
+                if (!attenuate(&scene, bsdfs, &s, direction, t.lane[lane], &shadow)) return;
             }
         }
 #endif
@@ -173,11 +144,11 @@ __kernel void shadow_transmittance(uint path_count, uint plane_stride, __global 
                 s = instanced_surface_of_hit(&scene, instances, traversal.inside, ANALYTIC_BIT | index, origin, direction, t,
                                          0.0f, 0.0f);
 #endif
-                if (!attenuate(&scene, bsdfs, &s, direction, t, &transmittance)) return;
+                if (!attenuate(&scene, bsdfs, &s, direction, t, &shadow)) return;
             }
         }
 #endif
     }
     const uint sample = PLANE(PATH_SAMPLE, path, plane_stride)[i];
-    ADD3(mul3(transmittance.attenuation, load_planes3(shadow_radiance, i, plane_stride)), sample, samples);
+    ADD3(mul3(shadow.attenuation, load_planes3(shadow_radiance, i, plane_stride)), sample, samples);
 }

@@ -4,18 +4,9 @@
 #include "util/statistics.h"
 #include "util/vec.h"
 
-__kernel void summarise(uint first_pixel, uint pixels, uint stride, uint total_pixels, __global const uint* count,
-                        __global const float* sums, __global const float* block_sums, __global float* summary
-#if FEATURE_CHUNK_MEDIANS
-                        , __global const float* medians
-#endif
-#if FEATURE_POWER_MEAN
-                        , __global const float* powers
-#endif
-#if FEATURE_HALF_BUFFER
-                        , __global const float* halves
-#endif
-                        )
+__kernel void summarise(
+#include "generated/summarise_parameters.h"
+)
 {
     const uint i = get_global_id(0);
     if (i >= pixels) return;

@@ -104,7 +104,7 @@ def count_tests(subject: Subject, rays: list[int]) -> list[RayTests]:
     `intersect` is built once more, counting, and traces the run's samples again. Without a hierarchy nothing needs to
     be counted: every ray is tested against all triangles.
     """
-    if subject.wavefront.few:
+    if subject.wavefront.brute_force:
         return [RayTests(number, 0, number * len(subject.scene.faces)) for number in rays]
     device = Device(list_devices().index(subject.device.device))  # its buffers are none of those that are reported
     feature_override = subject.wavefront.features | {"COUNT_TESTS": True}

@@ -4,9 +4,11 @@ import functools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
-from isonoise.device.program import flatten, kernel_source
+from isonoise.device.program import flatten
 from isonoise.integrator.features import FEATURES
+from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, kernel_table, path_bytes
 
 
@@ -40,7 +42,8 @@ def stages_with(name: str) -> tuple[str, ...]:
 @functools.cache
 def _mentioned() -> dict[str, set[str]]:
     """Stage -> features that it tests."""
-    files = dict.fromkeys(file for table in (KERNELS, BRUTE_FORCE_KERNELS) for file, _ in table.values())
-    joined = re.findall(r'#include "(.*?)"', kernel_source("stages/pixel_stages.cl"))
-    stages = sorted({*files, *joined} - {"stages/pixel_stages.cl"})
-    return {file.removesuffix(".cl"): set(re.findall(r"\bFEATURE_(\w+)", flatten(file))) for file in stages}
+    files = dict.fromkeys(row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values())
+    return {
+        Path(file).stem: set(re.findall(r"\bFEATURE_(\w+)", flatten(file, generated_headers())))
+        for file in sorted(files)
+    }

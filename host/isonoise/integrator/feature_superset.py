@@ -29,15 +29,19 @@ def feature_superset(used: Mapping[str, bool], volpath: bool) -> dict[str, bool]
 
 
 def dummy_buffers(
-    device: Device, scene: CompiledScene, features: Mapping[str, bool], arguments: Mapping[str, object], few: bool
+    device: Device,
+    scene: CompiledScene,
+    features: Mapping[str, bool],
+    arguments: Mapping[str, object],
+    brute_force: bool,
 ) -> dict[str, object]:
     """The arguments of kernels that `features` ask for and `arguments`, of the scene, have not.
 
-    `few`: whether it has so few primitives that there is no hierarchy.
+    `brute_force`: whether it has so few primitives that there is no hierarchy.
 
     Kernels look for no other sky once the feature is on: one stands in that is black and never picked.
     """
-    taken = {name.rpartition(":")[2] for _, names in kernel_table(features, few).values() for name in names.split()}
+    taken = {name for row in kernel_table(features, brute_force).values() for name in row.arguments}
     names = taken & {name for feature, on in features.items() if on for name in FEATURES[feature].buffers}
     missing = sorted(name for name in names if arguments.get(name) is None)
     added: dict[str, object] = {name: device.buffer(DUMMY_BYTES, "what the scene does not use") for name in missing}

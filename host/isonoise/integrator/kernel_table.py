@@ -1,6 +1,11 @@
-"""The kernels that trace paths: their files, their arguments, and the buffers that hold paths."""
+"""The kernels and the path state, each declared once.
 
-from collections.abc import Mapping
+From these tables come the kernels' parameter lists and the code that unpacks them (`generated_headers`), the buffers
+(`wavefront`) and what a feature costs (`feature_costs`).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 from isonoise.scene import structs
 from isonoise.scene.light import envmap
@@ -20,108 +25,40 @@ STRUCTS = {
     "Medium": structs.MEDIUM,
 }
 
-# Kernel -> file and arguments, by the names in `Stages.arguments` or given at the launch.
-KERNELS = {
-    "list_samples": ("stages/pixel_stages.cl", "first_pixel pixels slice_samples pixel_offset sample_pixel"),
-    "generate": (
-        "stages/generate.cl",
-        "count_new plane_stride first_slot first_sample seed camera inverse_cdf inverse_cdf_cells sample_pixel "
-        "pixel_offset count rejected ray_origin ray_direction throughput path samples INSTANCES:instance "
-        "VOLPATH:crossing MEDIA:medium MEDIA:sensor_medium LIGHT_TREE:mis_normal LIGHT_LIST:mis_normal",
-    ),
-    "intersect": (
-        "stages/intersect.cl",
-        "path_count plane_stride rays_per_item nodes blocks first_analytic analytics ray_origin ray_direction path hit "
-        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance COUNT_TESTS:tests",
-    ),
-    "shade": (
-        "stages/shade.cl",
-        "path_count plane_stride sample_pixel seed max_depth rr_depth triangles faces corner_normals UVS:uvs "
-        "TEXTURES:textures TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes "
-        "TEXTURES:textured_slots analytics shapes bsdfs ROUGH_PLASTIC:rough_transmittances "
-        "lights light_alias light_count ENVIRONMENT_MAP:environment ENVIRONMENT_MAP:environment_texels "
-        "ENVIRONMENT_MAP:environment_rows ENVIRONMENT_MAP:environment_aliases environment_light "
-        "hit ray_origin ray_direction throughput path shadow_origin "
-        "shadow_direction shadow_radiance samples alive INSTANCES:instances INSTANCES:world_triangles "
-        "INSTANCES:instance "
-        "VOLPATH:crossing MEDIA:media MEDIA:medium "
-        "LIGHT_TREE:light_nodes LIGHT_TREE:light_parents LIGHT_LIST:light_bounds LIGHT_TREE:mis_normal "
-        "LIGHT_LIST:mis_normal",
-    ),
-    "shadow": (
-        "stages/shadow.cl",
-        "path_count plane_stride rays_per_item nodes blocks first_analytic analytics shadow_origin shadow_direction "
-        "shadow_radiance hit path samples INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
-    ),
-    "shadow_transmittance": (
-        "stages/shadow_transmittance.cl",
-        "path_count plane_stride nodes blocks first_analytic triangles faces corner_normals UVS:uvs "
-        "TEXTURES:textures TEXTURES:texel_bytes TEXTURES:texel_floats TEXTURES:srgb TEXTURES:attributes analytics "
-        "shapes bsdfs shadow_origin shadow_direction shadow_radiance hit path samples MEDIA:media MEDIA:scene_sphere "
-        "INSTANCES:instances INSTANCES:first_instance INSTANCES:instance",
-    ),
-    "count_alive": ("stages/compact.cl", "alive path_count block_alive"),
-    "scan_blocks": ("stages/compact.cl", "block_alive blocks_in_use total_alive"),
-    "move_paths": (
-        "stages/compact.cl",
-        "alive path_count plane_stride block_alive ray_origin ray_direction throughput path "
-        "next_ray_origin next_ray_direction next_throughput next_path INSTANCES:instance INSTANCES:next_instance "
-        "VOLPATH:crossing VOLPATH:next_crossing MEDIA:medium MEDIA:next_medium "
-        "LIGHT_TREE:mis_normal LIGHT_LIST:mis_normal LIGHT_TREE:next_mis_normal LIGHT_LIST:next_mis_normal",
-    ),
-    "reduce": (
-        "stages/pixel_stages.cl",
-        "samples first_pixel pixels slice_samples pixel_offset total_pixels count rejected sums block_sums "
-        "CHUNK_MEDIANS:medians POWER_MEAN:powers POWER_MEAN:power HALF_BUFFER:halves",
-    ),
-    "summarise": (
-        "stages/pixel_stages.cl",
-        "first_pixel pixels stride total_pixels count sums block_sums summary "
-        "CHUNK_MEDIANS:medians POWER_MEAN:powers HALF_BUFFER:halves",
-    ),
-}
 
-BRUTE_FORCE_KERNELS = {
-    "intersect": (
-        "stages/intersect_brute_force.cl",
-        "path_count plane_stride corners corner_count corner_indices triangle_count analytics analytic_count "
-        "ray_origin ray_direction path hit",
-    ),
-    "shadow": (
-        "stages/shadow_brute_force.cl",
-        "path_count plane_stride corners corner_count corner_indices triangle_count analytics analytic_count "
-        "shadow_origin shadow_direction shadow_radiance hit path samples",
-    ),
-}
-"""What takes the place of their rows of `KERNELS` where there are so few primitives that no hierarchy is needed."""
+@dataclass(frozen=True)
+class PathField:
+    """A buffer of path state: it is kept between bounces and moved when the paths are compacted.
 
-ONE_PROGRAM = (
-    "stages/generate.cl",
-    "stages/compact.cl",
-    "stages/intersect.cl",
-    "stages/intersect_brute_force.cl",
-    "stages/shadow.cl",
-    "stages/shadow_brute_force.cl",
-)
-"""Files that are built together, as far as they are needed: what a scene's shapes change, and its materials don't.
+    The buffer exists if any of `features` is on, or always if there are none. `planes` is the number of 4-byte members,
+    each stored as a plane of its own.
+    """
 
-Compilers start slowly: PoCL takes 0.2 s more for each program, and 0.04 s where it has compiled it before.
-"""
+    element: str  # C type of a member: 'float' or 'uint'
+    planes: int
+    features: tuple[str, ...] = ()
+    initial: str = ""  # C expression that `generate` stores; empty if it computes the field itself
+    default: str = ""  # value of the `Path` member where the feature is off; empty if `Path` has no such member
 
-TAKE_LANES = {"generate", "shade"}
-"""Kernels of which a work-item takes several paths: kernels/path/path_state.h."""
-
-TAKE_MANY = {"intersect", "shadow", "count_alive", "move_paths"}
-"""Kernels of which a work-item of a CPU takes several rays, one after the other, or a block of paths."""
 
 PATH_STATE = {
-    **{"ray_origin": 16, "ray_direction": 16, "throughput": 16, "path": 16},
-    **{"INSTANCES:instance": 4, "VOLPATH:crossing": 8, "MEDIA:medium": 4},
-    **{"LIGHT_TREE:mis_normal": 16, "LIGHT_LIST:mis_normal": 16},
+    "ray_origin": PathField("float", 4),  # x, y, z, t_max
+    "ray_direction": PathField("float", 4),  # x, y, z, pdf of the direction
+    "throughput": PathField("float", 4),  # red, green, blue, eta
+    "path": PathField("uint", 4),  # PATH_SAMPLE, PATH_START_PRIMITIVE, PATH_SAMPLE_INDEX, PATH_DEPTH
+    "instance": PathField("uint", 1, ("INSTANCES",), initial="NONE"),
+    "null_bounces": PathField("uint", 1, ("VOLPATH",), initial="0u", default="0u"),
+    "mis_distance": PathField("float", 1, ("VOLPATH",), initial="0.0f", default="0.0f"),
+    "medium": PathField("uint", 1, ("MEDIA",), initial="sensor_medium", default="0u"),
+    "mis_normal": PathField(
+        *("float", 4, ("LIGHT_TREE", "LIGHT_LIST")),
+        initial="vec4(0.0f, 0.0f, 0.0f, 0.0f)",
+        default="vec4(0.0f, 0.0f, 0.0f, 0.0f)",
+    ),
 }
-"""Buffers that hold a path between bounces, with their bytes; each has a second one, `next_...`, to move to."""
+"""State of a path between bounces. Every buffer has a second one, `next_...`, which compaction writes to."""
 
-PATH_BUFFERS = {
+BOUNCE_BUFFERS = {
     "hit": {"": 16},
     "alive": {"": 4},
     "tests": {"COUNT_TESTS": 8},
@@ -129,28 +66,227 @@ PATH_BUFFERS = {
     "shadow_direction": {"NEXT_EVENT": 16},
     "shadow_radiance": {"NEXT_EVENT": 12, "NEXT_EVENT MEDIA": 4},
 }
-"""Buffers of the paths within a bounce: bytes, by the features that all have to be on for them."""
+"""Buffers of the paths within a bounce: bytes a path, by the features that all have to be on for them."""
+
+VALUE_TYPES = {"seed": "uint2", "scene_sphere": "float4", "power": "float"}
+"""C types of the arguments that are passed by value, where that is not `uint`."""
+
+ELEMENT_TYPES = {
+    **dict.fromkeys(("nodes", "blocks", "light_nodes"), "float8"),
+    **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_aliases"), "uint"),
+    **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected"), "uint"),
+    **dict.fromkeys(("alive", "block_alive", "total_alive"), "uint"),
+    **{"tests": "uint2", "texel_bytes": "uchar"},
+    **{"camera": "Camera", "analytics": "Analytic", "shapes": "Shape", "instances": "Instance", "bsdfs": "Bsdf"},
+    **{"textures": "Texture", "lights": "Light", "light_alias": "Alias", "light_bounds": "LightBound"},
+    **{"environment": "Environment", "media": "Medium"},
+}
+"""C types of the elements of a buffer, where that is not `float`; those of the path state are in `PATH_STATE`."""
+
+_TEXTURES = "textures texel_bytes texel_floats srgb attributes"
+_ENVMAP = "environment environment_texels environment_rows environment_aliases"
+_LIGHT_SELECTION = "light_nodes light_parents light_bounds"
+ARGUMENT_FEATURES = {
+    "uvs": ("UVS",),
+    **dict.fromkeys((*_TEXTURES.split(), "textured_slots"), ("TEXTURES",)),
+    "rough_transmittances": ("ROUGH_PLASTIC",),
+    **dict.fromkeys(_ENVMAP.split(), ("ENVIRONMENT_MAP",)),
+    **dict.fromkeys(("instances", "first_instance", "world_triangles"), ("INSTANCES",)),
+    **dict.fromkeys(("media", "sensor_medium", "scene_sphere"), ("MEDIA",)),
+    **dict.fromkeys(("light_nodes", "light_parents"), ("LIGHT_TREE",)),
+    "light_bounds": ("LIGHT_LIST",),
+    "tests": ("COUNT_TESTS",),
+    "medians": ("CHUNK_MEDIANS",),
+    **dict.fromkeys(("powers", "power"), ("POWER_MEAN",)),
+    "halves": ("HALF_BUFFER",),
+    **{prefix + name: field.features for name, field in PATH_STATE.items() for prefix in ("", "next_")},
+}
+"""Features of which one has to be on for an argument to be there. All other arguments are always there."""
 
 
-def kernel_table(features: Mapping[str, bool], few: bool) -> dict[str, tuple[str, str]]:
-    """The kernels that a scene needs; `few`: whether it has so few primitives that there is no hierarchy."""
-    shadow = ("shadow_transmittance" if features["VOLPATH"] else "shadow") if features["NEXT_EVENT"] else None
-    table = KERNELS | (BRUTE_FORCE_KERNELS if few else {})
+def _names(arguments: str) -> tuple[str, ...]:
+    """Argument names; PATH_STATE and NEXT_PATH_STATE stand for all buffers of the path state."""
+    state = {"PATH_STATE": list(PATH_STATE), "NEXT_PATH_STATE": [f"next_{name}" for name in PATH_STATE]}
+    return tuple(name for word in arguments.split() for name in state.get(word, [word]))
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A kernel: its file, the values that are passed to it, the buffers it reads and those it writes."""
+
+    file: str
+    values: tuple[str, ...]
+    reads: tuple[str, ...]
+    writes: tuple[str, ...]
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """All arguments in the order of the C parameters, whatever the features."""
+        return (*self.values, *self.reads, *self.writes)
+
+    def arguments_for(self, features: Mapping[str, bool]) -> tuple[str, ...]:
+        """The arguments that are there with these features."""
+        return tuple(name for name in self.arguments if is_present(name, features))
+
+
+def _kernel(file: str, values: str, reads: str, writes: str) -> Kernel:
+    return Kernel(f"stages/{file}", _names(values), _names(reads), _names(writes))
+
+
+def is_present(argument: str, features: Mapping[str, bool]) -> bool:
+    """Whether an argument, or a buffer of the path state, is there with these features."""
+    needed = ARGUMENT_FEATURES.get(argument, ())
+    return not needed or any(features[name] for name in needed)
+
+
+_SURFACES = f"triangles faces corner_normals uvs {_TEXTURES} analytics shapes bsdfs instances"
+_SHADOW_RAY = "shadow_origin shadow_direction shadow_radiance hit path"
+_BRUTE_FORCE = "corners corner_indices analytics"
+_COUNTS = "corner_count triangle_count analytic_count"
+
+KERNELS = {
+    "list_samples": _kernel("list_samples.cl", "first_pixel pixels slice_samples", "pixel_offset", "sample_pixel"),
+    "generate": _kernel(
+        "generate.cl",
+        "count_new plane_stride first_slot first_sample inverse_cdf_cells seed sensor_medium",
+        "camera inverse_cdf sample_pixel pixel_offset count rejected",
+        "PATH_STATE samples",
+    ),
+    "intersect": _kernel(
+        "intersect.cl",
+        "path_count plane_stride rays_per_item first_analytic first_instance",
+        "nodes blocks analytics instances ray_origin ray_direction path",
+        "hit instance tests",
+    ),
+    "shade": _kernel(
+        "shade.cl",
+        "path_count plane_stride max_depth rr_depth light_count environment_light seed textured_slots world_triangles",
+        f"sample_pixel {_SURFACES} rough_transmittances lights light_alias {_ENVMAP} {_LIGHT_SELECTION} media",
+        "PATH_STATE hit shadow_origin shadow_direction shadow_radiance samples alive",
+    ),
+    "shadow": _kernel(
+        "shadow.cl",
+        "path_count plane_stride rays_per_item first_analytic first_instance",
+        f"nodes blocks analytics instances instance {_SHADOW_RAY}",
+        "samples",
+    ),
+    "shadow_transmittance": _kernel(
+        "shadow_transmittance.cl",
+        "path_count plane_stride first_analytic first_instance scene_sphere",
+        f"nodes blocks {_SURFACES} media instance {_SHADOW_RAY}",
+        "samples",
+    ),
+    "count_alive": _kernel("compact.cl", "path_count", "alive", "block_alive"),
+    "scan_blocks": _kernel("compact.cl", "blocks_in_use", "", "block_alive total_alive"),
+    "move_paths": _kernel("compact.cl", "path_count plane_stride", "alive block_alive PATH_STATE", "NEXT_PATH_STATE"),
+    "reduce": _kernel(
+        "reduce.cl",
+        "first_pixel pixels slice_samples total_pixels power",
+        "samples pixel_offset",
+        "count rejected sums block_sums medians powers halves",
+    ),
+    "summarise": _kernel(
+        "summarise.cl",
+        "first_pixel pixels stride total_pixels",
+        "count sums block_sums medians powers halves",
+        "summary",
+    ),
+}
+
+BRUTE_FORCE_KERNELS = {
+    "intersect": _kernel(
+        "intersect_brute_force.cl",
+        f"path_count plane_stride {_COUNTS}",
+        f"{_BRUTE_FORCE} ray_origin ray_direction path",
+        "hit",
+    ),
+    "shadow": _kernel(
+        "shadow_brute_force.cl",
+        f"path_count plane_stride {_COUNTS}",
+        f"{_BRUTE_FORCE} {_SHADOW_RAY}",
+        "samples",
+    ),
+}
+"""Kernels that replace those of the same name for scenes of few primitives, which have no hierarchy."""
+
+PROGRAMS = (
+    ("list_samples.cl", "reduce.cl", "summarise.cl"),
+    *[("generate.cl", "compact.cl", "intersect.cl", "intersect_brute_force.cl", "shadow.cl", "shadow_brute_force.cl")],
+)
+"""Files that are built as one program. Every other file is a program of its own.
+
+A compiler takes time to start: PoCL takes 0.2 s more for each program, and 0.04 s if it has compiled it before. Files
+stand together if the same changes of a scene rebuild them: the statistics; the shapes.
+"""
+
+LANE_KERNELS = {"generate", "shade"}
+"""Kernels of which a work-item processes LANES paths: kernels/path/path_state.h."""
+
+BATCH_KERNELS = {"intersect", "shadow", "count_alive", "move_paths"}
+"""Kernels of which a work-item of a CPU processes several rays, or a block of paths, one after the other."""
+
+SCENE_VIEW = {
+    **{
+        name: name
+        for name in ["triangles", "faces", "corner_normals", "uvs", "analytics", "shapes", "bsdfs", "instances"]
+    },
+    **{name: name for name in ["lights", "light_alias", "light_count", "environment_light", "seed", "media"]},
+    **{name: name for name in ["rough_transmittances", "textured_slots", "world_triangles"]},
+    **{"textures.records": "textures", "textures.bytes": "texel_bytes", "textures.floats": "texel_floats"},
+    **{"textures.srgb": "srgb", "textures.attributes": "attributes", "textures.faces": "faces"},
+    **{"envmap.record": "environment", "envmap.texels": "environment_texels"},
+    **{"envmap.rows": "environment_rows", "envmap.aliases": "environment_aliases"},
+    **{"light_list.bounds": "light_bounds", "light_list.lights": "light_count"},
+    **{"light_tree.nodes": "light_nodes", "light_tree.places": "light_parents", "light_tree.lights": "light_count"},
+}
+"""Member of the struct `SceneView` (kernels/geometry/surface.h) -> kernel argument."""
+
+VIEW_CONDITIONS = {
+    "textures": "FEATURE_TEXTURES",
+    "envmap": "FEATURE_ENVIRONMENT_MAP",
+    "light_list": "FEATURE_LIGHT_LIST",
+    "light_tree": "FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST",
+}
+"""Nested structs of `SceneView` and when they are there."""
+
+PATH_VIEW = (
+    "plane_stride",
+    "sample_pixel",
+    *PATH_STATE,
+    *(name for name in BOUNCE_BUFFERS if name != "tests"),
+    "samples",
+)
+"""Members of the struct `PathState`: kernel arguments of the same name."""
+
+
+def kernel_table(features: Mapping[str, bool], brute_force: bool) -> dict[str, Kernel]:
+    """The kernels that a scene needs; `brute_force`: whether it has so few primitives that it has no hierarchy."""
+    shadow = None
+    if features["NEXT_EVENT"]:
+        shadow = "shadow_transmittance" if features["VOLPATH"] else "shadow"
+    table = KERNELS | (BRUTE_FORCE_KERNELS if brute_force else {})
     return {
         name: row for name, row in table.items() if name == shadow or name not in ("shadow", "shadow_transmittance")
     }
 
 
+def programs(files: Iterable[str]) -> list[list[str]]:
+    """The files, grouped into the programs that they are built as."""
+    files = list(dict.fromkeys(files))
+    groups = [[f"stages/{name}" for name in group if f"stages/{name}" in files] for group in PROGRAMS]
+    grouped = {file for group in groups for file in group}
+    return [group for group in groups if group] + [[file] for file in files if file not in grouped]
+
+
 def path_bytes(features: Mapping[str, bool]) -> dict[str, int]:
     """Bytes a path of every buffer that holds paths."""
-    sizes = {name: size for state, size in present(PATH_STATE, features).items() for name in (state, f"next_{state}")}
-    for name, parts in PATH_BUFFERS.items():
+    sizes = {
+        prefix + name: 4 * field.planes
+        for name, field in PATH_STATE.items()
+        if is_present(name, features)
+        for prefix in ("", "next_")
+    }
+    for name, parts in BOUNCE_BUFFERS.items():
         size = sum(part for needed, part in parts.items() if all(features[feature] for feature in needed.split()))
         sizes |= {name: size} if size else {}
     return sizes
-
-
-def present(named: Mapping[str, object], features: Mapping[str, bool]) -> dict[str, object]:
-    """What goes by `name`, or by `NAME:name` with the feature NAME on; the names without their features."""
-    parted = [(key.rpartition(":"), value) for key, value in named.items()]
-    return {name: value for (feature, _, name), value in parted if not feature or features[feature]}

@@ -16,15 +16,15 @@ from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS, distinct_corners, use_brute_force
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import (
+    BATCH_KERNELS,
+    BOUNCE_BUFFERS,
     BRUTE_FORCE_KERNELS,
-    PATH_BUFFERS,
+    LANE_KERNELS,
     PATH_STATE,
     STRUCTS,
-    TAKE_LANES,
-    TAKE_MANY,
+    is_present,
     kernel_table,
     path_bytes,
-    present,
 )
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.integrator.stages import Stages
@@ -83,8 +83,8 @@ class Wavefront:
         self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/path/shade_lanes.h knows no media
         self.shade_lanes = SHADE_LANES if self.lanes > 1 else 1
         hierarchy = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
-        self.few = self.lanes > 1 and not hierarchy and use_brute_force(scene)
-        table = kernel_table(self.features, self.few)
+        self.brute_force = self.lanes > 1 and not hierarchy and use_brute_force(scene)
+        table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
         self._stages = Stages(
             device,
@@ -101,16 +101,18 @@ class Wavefront:
                 "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS,
             },
             STRUCTS,
-            in_small_groups=(TAKE_MANY | TAKE_LANES if self.lanes > 1 else TAKE_MANY) if device.lanes > 1 else (),
+            small_groups=(BATCH_KERNELS | LANE_KERNELS if self.lanes > 1 else BATCH_KERNELS)
+            if device.lanes > 1
+            else (),
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
-        self._path_state = present(PATH_STATE, self.features)
+        self._path_state = [name for name in PATH_STATE if is_present(name, self.features)]
         self._arguments.update(self._upload(bvh, seed))
         if feature_override:
             from isonoise.integrator.feature_superset import dummy_buffers
 
-            self._arguments.update(dummy_buffers(device, scene, self.features, self._arguments, self.few))
+            self._arguments.update(dummy_buffers(device, scene, self.features, self._arguments, self.brute_force))
         self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
 
     @property
@@ -174,7 +176,7 @@ class Wavefront:
             "plane_stride": np.uint32(plane),
             "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
-            **dict.fromkeys(PATH_BUFFERS),
+            **dict.fromkeys(BOUNCE_BUFFERS),
             **{
                 name: device.buffer(size * plane, _HELD.get(name, "the paths")) for name, size in path_bytes(on).items()
             },
@@ -185,7 +187,7 @@ class Wavefront:
 
     def _corners(self) -> dict[str, object]:
         """The corners of the triangles, where they are so few that there is no hierarchy."""
-        if not self.few or not len(self.scene.faces):
+        if not self.brute_force or not len(self.scene.faces):
             return {"corners": None, "corner_indices": None, "corner_count": np.uint32(0)}
         corners, numbers = distinct_corners(self.scene)
         return {
@@ -283,7 +285,7 @@ class Wavefront:
 
     def _launch(self, kernel: str, items: int, **given) -> None:
         """Runs a kernel over at least `items`, of which a work-item of some kernels takes several."""
-        lanes = self.lanes if kernel in TAKE_LANES or (self.few and kernel in BRUTE_FORCE_KERNELS) else 1
+        lanes = self.lanes if kernel in LANE_KERNELS or (self.brute_force and kernel in BRUTE_FORCE_KERNELS) else 1
         lanes = self.shade_lanes if kernel == "shade" else lanes
         self._stages.launch(kernel, items, lanes, **given)
 
@@ -308,7 +310,7 @@ class Wavefront:
 
     def trace_rays(self, stage: str, paths: int) -> None:
         """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other."""
-        if self.few:
+        if self.brute_force:
             self._launch(stage, paths, path_count=np.uint32(paths))
             return
         rays = 1

@@ -1,0 +1,121 @@
+"""Text of the headers `generated/*.h`, which kernels include: parameter lists and the code that unpacks them.
+
+They are written from `kernel_table`. `device.program` puts them in place of the `#include` lines; `#if` on features
+stays in the text, so that it is the same for every scene.
+"""
+
+from collections.abc import Iterable
+from functools import cache
+
+from isonoise.integrator.kernel_table import (
+    ARGUMENT_FEATURES,
+    BRUTE_FORCE_KERNELS,
+    ELEMENT_TYPES,
+    KERNELS,
+    PATH_STATE,
+    PATH_VIEW,
+    SCENE_VIEW,
+    VALUE_TYPES,
+    VIEW_CONDITIONS,
+    Kernel,
+)
+
+
+@cache
+def generated_headers() -> dict[str, str]:
+    """Name of the header, as kernels include it -> its text."""
+    headers = {
+        "path_state_members": _lines(
+            (_declaration(name, KERNELS["shade"]) + ";", _condition(name)) for name in PATH_VIEW
+        ),
+        "path_members": _path_members(),
+        "load_path_members": _load_path_members(),
+        "init_path_state": _init_path_state(),
+        "move_path_state": _move_path_state(),
+    }
+    for suffix, table in (("", KERNELS), ("_brute_force", BRUTE_FORCE_KERNELS)):
+        for name, kernel in table.items():
+            headers[f"{name}{suffix}_parameters"] = _parameters(kernel)
+    headers["shade_path_state"] = _lines((f"paths.{name} = {name};", _condition(name)) for name in PATH_VIEW)
+    for name in ("shade", "shadow_transmittance"):
+        headers[f"{name}_scene_view"] = _scene_view(KERNELS[name])
+    return {f"generated/{name}.h": text for name, text in headers.items()}
+
+
+def _lines(rows: Iterable[tuple[str, str]]) -> str:
+    """C lines, each with the condition under which it is there; '' is always."""
+    text, current = [], ""
+    for line, condition in [*rows, ("", "")]:
+        if condition != current:
+            text += ["#endif"] if current else []
+            text += [f"#if {condition}"] if condition else []
+            current = condition
+        text += [line] if line else []
+    return "\n".join(text)
+
+
+def _condition(argument: str) -> str:
+    return " || ".join(f"FEATURE_{name}" for name in ARGUMENT_FEATURES.get(argument, ()))
+
+
+def _element(buffer: str) -> str:
+    state = PATH_STATE.get(buffer.removeprefix("next_"))
+    return state.element if state else ELEMENT_TYPES.get(buffer, "float")
+
+
+def _declaration(argument: str, kernel: Kernel) -> str:
+    if argument in kernel.values:
+        return f"{VALUE_TYPES.get(argument, 'uint')} {argument}"
+    return f"__global {'const ' if argument in kernel.reads else ''}{_element(argument)}* {argument}"
+
+
+def _parameters(kernel: Kernel) -> str:
+    separators = ["", *[", "] * len(kernel.arguments)]
+    return _lines(
+        (separator + _declaration(name, kernel), _condition(name))
+        for separator, name in zip(separators, kernel.arguments, strict=False)
+    )
+
+
+def _scene_view(kernel: Kernel) -> str:
+    rows = []
+    for member, argument in SCENE_VIEW.items():
+        if argument in kernel.arguments:
+            condition = VIEW_CONDITIONS.get(member.partition(".")[0]) or _condition(argument)
+            rows.append((f"scene.{member} = {argument};", condition))
+    return _lines(rows)
+
+
+def _members() -> dict[str, str]:
+    """Members of `Path` that are loaded as they are, with their C types."""
+    return {name: {1: field.element, 4: "Vec4"}[field.planes] for name, field in PATH_STATE.items() if field.default}
+
+
+def _path_members() -> str:
+    return "\n".join(f"{c_type} {name};" for name, c_type in _members().items())
+
+
+def _load_path_members() -> str:
+    rows = []
+    for name in _members():
+        planes = PATH_STATE[name].planes
+        loaded = f"load_planes4(paths->{name}, i, plane_stride)" if planes == 4 else f"paths->{name}[i]"
+        rows += [(f"p.{name} = {PATH_STATE[name].default};", ""), (f"p.{name} = {loaded};", _condition(name))]
+    return _lines(rows)
+
+
+def _init_path_state() -> str:
+    rows = []
+    for name, field in PATH_STATE.items():
+        if field.initial:
+            many = f"store_planes4({field.initial}, {name}, slot, plane_stride);"
+            rows.append((many if field.planes == 4 else f"{name}[slot] = {field.initial};", _condition(name)))
+    return _lines(rows)
+
+
+def _move_path_state() -> str:
+    cast = "(__global const uint*){0}, (__global uint*)next_{0} + to"
+    return _lines(
+        (f"move_planes({field.planes}u, {cast.format(name)}, plane_stride, from, count);", _condition(name))
+        for name, field in PATH_STATE.items()
+    )
