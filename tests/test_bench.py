@@ -63,7 +63,7 @@ def isonoise(*arguments) -> int:
 
 
 def fields(value, path: str = "") -> set[str]:
-    """The fields of a JSON object as the tables of host/README.md name them; spreads and plain lists are whole."""
+    """The fields of a JSON object as host/docs/benchmarks.md names them; spreads and plain lists are one field."""
     if isinstance(value, dict) and set(value) != {"median", "min", "max"} and not path.endswith("buffers_bytes"):
         return set().union(*(fields(item, f"{path}.{name}" if path else name) for name, item in value.items()))
     if isinstance(value, list) and value and isinstance(value[0], dict):
@@ -73,9 +73,8 @@ def fields(value, path: str = "") -> set[str]:
 
 def documented() -> tuple[set[str], ...]:
     """Fields of the tables: of `isonoise bench`, and of it with --peers and with --specialisation."""
-    text = (CHECKOUT / "host" / "README.md").read_text()
-    section = text[text.index("## Benchmarks") : text.index("## Self-test")]
-    tables = section.split("| field | what it is |")[1:]
+    text = (CHECKOUT / "host" / "docs" / "benchmarks.md").read_text()
+    tables = text.split("| field | what it is |")[1:]
     rows = [re.findall(r"^\| (`.*?) \|", table.split("\n\n")[0], re.MULTILINE) for table in tables]
     return tuple(set(re.findall(r"`([^`]+)`", " ".join(names))) for names in rows)
 

@@ -1,4 +1,4 @@
-"""What the READMEs say, where it can be checked: layers, plugins, strategies, kernels, links, bytes."""
+"""Documents checked against the code: layers, plugins, strategies, kernels, paths, links, lengths, bytes."""
 
 import ast
 import re
@@ -17,43 +17,35 @@ from isonoise.strategies.uniform import Uniform
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 PACKAGE = CHECKOUT / "host" / "isonoise"
-README = (CHECKOUT / "README.md").read_text()
-SCENES = (CHECKOUT / "scenes" / "README.md").read_text()
-KERNEL_TEXT = (CHECKOUT / "kernels" / "README.md").read_text()
+DOCS = CHECKOUT / "host" / "docs"
+README = (CHECKOUT / "README.md").read_text("utf-8")
+KERNEL_TEXT = (CHECKOUT / "kernels" / "README.md").read_text("utf-8")
+EXAMPLES = {"proportional.py", "kernels/stages/name.cl"}
+"""Files that documents tell readers to write."""
+DOCUMENTS = sorted({*CHECKOUT.glob("*.md"), *CHECKOUT.glob("*/README.md"), *DOCS.glob("*.md")})
 
-LAYERS = {  # what each may import beside itself; the table in host/README.md
-    "errors": set(),
-    "luminance": set(),
-    "student_t": set(),
-    "argument_types": set(),
-    "progress": set(),
-    "statistics": {"errors"},
-    "device": {"errors"},
-    "scene": {"errors", "luminance"},
-    "strategies": {"errors", "statistics", "student_t"},
-    "integrator": {"device", "scene", "statistics"},
-    "error": {"errors", "luminance", "statistics", "strategies", "student_t"},
-    "film": {"errors", "error", "luminance", "statistics", "strategies"},
-    "renderer": {"errors", "statistics", "device", "scene", "strategies", "integrator"},
-    "loop": {"errors", "error", "film", "luminance", "renderer", "statistics", "strategies"},
-    "comparison": {
-        *("errors", "statistics", "student_t", "device", "scene", "strategies", "integrator", "film"),
-        *("renderer", "loop", "error", "luminance", "progress"),
-    },
-    "benchmark": {
-        *("errors", "statistics", "student_t", "device", "scene", "strategies", "integrator", "film"),
-        *("renderer", "loop", "error", "luminance", "progress", "comparison"),
-    },
-    "selftest": {
-        *("errors", "statistics", "device", "scene", "strategies", "integrator", "film", "renderer"),
-    },
-}
+
+def layers() -> dict[str, set[str]]:
+    """Module -> the modules that it may import: the table of host/docs/architecture.md.
+
+    The last column is 'nothing', a list of modules, or 'all above', which may be followed by 'but' and a list.
+    """
+    text = (DOCS / "architecture.md").read_text("utf-8")
+    table = text.split("| module | purpose | may import |\n|---|---|---|\n")[1].split("\n\n")[0]
+    found: dict[str, set[str]] = {}
+    for row in table.splitlines():
+        names, _, imported = row.strip("| ").rsplit(" | ", 2)
+        listed = set(re.findall(r"`(\w+)`", imported))
+        allowed = set(found) - listed if imported.startswith("all above") else listed
+        assert allowed <= set(found), f"{names} may import only modules above it"
+        found |= {name: allowed | {name} for name in re.findall(r"`(\w+)`", names)}
+    return found
 
 
 def imports(path: Path) -> set[str]:
-    """First-level modules of isonoise that a file imports, wherever in it."""
+    """First-level modules of isonoise that a file imports, anywhere in it."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         names = [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
         names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         found |= {name.split(".")[1] for name in names if name.startswith("isonoise.")}
@@ -61,21 +53,25 @@ def imports(path: Path) -> set[str]:
 
 
 def test_dependencies_point_one_way():
-    for layer, allowed in LAYERS.items():
-        files = [PACKAGE / f"{layer}.py"] if (PACKAGE / f"{layer}.py").exists() else (PACKAGE / layer).rglob("*.py")
-        for path in files:
-            assert imports(path) <= allowed | {layer}, path.name
+    allowed = layers()
+    modules = {path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")}
+    assert modules - {"__init__", "__main__"} == set(allowed)
+    for path in PACKAGE.rglob("*.py"):
+        module = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        if module in allowed:
+            assert imports(path) <= allowed[module], path
 
 
 def test_every_plugin_is_named():
     """The tables themselves are compared in test_plugins.py."""
+    text = (DOCS / "plugins.md").read_text("utf-8")
     for plugin in PLUGINS:
         if plugin.kind != "scene":
-            assert f"| `{plugin.name}`" in SCENES, plugin.name
+            assert f"| `{plugin.name}`" in text, plugin.name
 
 
 def test_every_strategy_is_named():
-    section = README[README.index("## Strategies") : README.index("## Comparing")]
+    section = README[README.index("## Strategies") : README.index("## Limits")]
     assert sorted(re.findall(r"^\| `([a-z-]+)` \|", section, re.MULTILINE)) == sorted(_BUILT_IN)
     assert re.findall(r"^\| `([a-z-]+)` \|.*; the default \|$", section, re.MULTILINE) == [DEFAULT_STRATEGY]
 
@@ -83,14 +79,39 @@ def test_every_strategy_is_named():
 def test_every_kernel_and_header_is_named():
     for kernel in KERNELS:
         assert f"`{kernel}`" in KERNEL_TEXT, kernel
-    for file in (CHECKOUT / "kernels").glob("*.h"):
+    for file in (CHECKOUT / "kernels").rglob("*.h"):
         assert f"`{file.name}`" in KERNEL_TEXT, file.name
 
 
-def test_links_between_the_documents_lead_somewhere():
-    for path in [CHECKOUT / "README.md", *CHECKOUT.glob("*/README.md")]:
-        for target in re.findall(r"\]\((?!https?:)([^)#]+)", path.read_text()):
-            assert (path.parent / target).exists(), f"{path}: {target}"
+def heading_anchor(heading: str) -> str:
+    """The anchor that GitHub makes of a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(CHECKOUT)))
+def test_links_lead_somewhere(path):
+    text = re.sub(r"<!-- .*?-->", "", path.read_text("utf-8"), flags=re.DOTALL)
+    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#?([^)]*)\)", text):
+        linked = path.parent / target if target else path
+        assert linked.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", linked.read_text("utf-8"), re.MULTILINE)
+            assert anchor in map(heading_anchor, headings), f"{target}#{anchor}"
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(CHECKOUT)))
+def test_source_files_that_are_named_exist(path):
+    """A name in backticks that looks like a source file is the end of some file's path."""
+    folders = ("host", "kernels", "tests")
+    files = [f"/{file.relative_to(CHECKOUT)}" for folder in folders for file in (CHECKOUT / folder).rglob("*.*")]
+    for name in re.findall(r"`([\w/-]+\.(?:py|cl|h))`", path.read_text("utf-8")):
+        assert name in EXAMPLES or any(file.endswith(f"/{name}") for file in files), name
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(CHECKOUT)))
+def test_documents_are_short(path):
+    words = len(path.read_text("utf-8").split())
+    assert words <= (1000 if path == CHECKOUT / "README.md" else 2500)
 
 
 @pytest.mark.parametrize(

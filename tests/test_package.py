@@ -1,4 +1,4 @@
-"""The wheel: feature_superset tracked that the program reads is in it, and it works away from the checkout."""
+"""The wheel: every tracked file that the program reads is in it, and it works away from the checkout."""
 
 import os
 import subprocess

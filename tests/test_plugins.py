@@ -340,12 +340,12 @@ def _read(printed: str) -> str:
 
 # --- the listings
 
-TABLES = (CHECKOUT / "scenes" / "README.md").read_text("utf-8")
+TABLES = (CHECKOUT / "host" / "docs" / "plugins.md").read_text("utf-8")
 
 
 def test_the_tables_are_those_of_the_registry():
     assert plugin_tables.with_tables(TABLES) == TABLES, (
-        "write them anew: python -m isonoise.scene.parse.plugin_tables scenes/README.md"
+        "write them anew: python -m isonoise.scene.parse.plugin_tables host/docs/plugins.md"
     )
     for kind in plugin_tables.KINDS:
         for name, status, meaning in plugin_tables.overview(kind):

@@ -324,8 +324,9 @@ def test_stopped_in_the_middle_of_a_wave(thirty_spp):
 
 
 def example_of_the_readme() -> str:
-    """The strategy that host/README.md shows."""
-    (block,) = re.findall(r"```python\n(.*?class .*?)```", (CHECKOUT / "host" / "README.md").read_text(), re.DOTALL)
+    """The strategy that host/docs/extending.md shows."""
+    text = (CHECKOUT / "host" / "docs" / "extending.md").read_text()
+    (block,) = re.findall(r"```python\n(.*?class .*?)```", text, re.DOTALL)
     return block
 
 

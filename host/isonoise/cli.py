@@ -221,7 +221,7 @@ def _add_bench(commands) -> None:
         help="measure the speed over that of programs with feature_superset built in, instead; see below",
     )
     output = bench.add_argument_group("what to do with it")
-    output.add_argument("--json", metavar="FILE", help="write all figures; host/README.md documents the fields")
+    output.add_argument("--json", metavar="FILE", help="write all figures; fields: host/docs/benchmarks.md")
     output.add_argument(
         "--against", metavar="FILE", help="compare with what --json wrote before; exit code 1 if slower"
     )
@@ -243,7 +243,7 @@ def _add_selftest(commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     selftest.add_argument("--device", metavar="D", help="an OpenCL device as `isonoise devices` lists them")
-    selftest.add_argument("--json", metavar="FILE", help="write all cases; host/README.md documents the fields")
+    selftest.add_argument("--json", metavar="FILE", help="write all cases; fields: host/docs/numerics.md")
     selftest.add_argument(
         "--thorough", action="store_true", help="send 10^8 rays through edges and vertices, for minutes, not 2 million"
     )

@@ -57,7 +57,7 @@ def groups() -> dict[str, Group]:
 
 
 def document(device: Device, results: Iterable[GroupResult]) -> dict:
-    """What --json writes: host/README.md, Self-test."""
+    """What --json writes: host/docs/numerics.md, Self-test."""
     results = list(results)
     cases = [case for group in results for case in group.cases]
     return SCHEMA | {

@@ -1,6 +1,6 @@
 """Cases of the per-pixel statistics: made samples through `reduce` and `summarise`, against float64 or closed forms.
 
-How the statistics round (kernels/README.md, Numbers): 16 samples are summed in float32 as differences from the mean so
+How the statistics round (host/docs/numerics.md): 16 samples are summed in float32 as differences from the mean so
 far, each sum to 16 * 2^-24 of the differences; the blocks are added with 48 bits. A variance is the sum of squares of
 these differences, which round by 2^-24 each, and of the block's two sums: 2^-19 in all.
 """

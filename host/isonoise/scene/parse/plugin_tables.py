@@ -1,6 +1,6 @@
-"""What the registry says, for people: the listing of `isonoise plugins` and the tables of scenes/README.md.
+"""What the registry says, for people: the listing of `isonoise plugins` and the tables of host/docs/plugins.md.
 
-`python -m isonoise.scene.parse.plugin_tables scenes/README.md` writes these tables anew.
+`python -m isonoise.scene.parse.plugin_tables host/docs/plugins.md` writes these tables anew.
 """
 
 import re
@@ -124,7 +124,7 @@ def _parameters(plugin: Plugin) -> str:
 
 
 def with_tables(text: str) -> str:
-    """The text of scenes/README.md with its tables as they have to be. Raises ValueError where it has no place for
+    """The text of host/docs/plugins.md with its tables as they have to be. Raises ValueError where it has no place for
     them."""
     begin, end = text.index(_BEGIN) + len(_BEGIN), text.index(_END)
     return f"{text[:begin]}\n{markdown()}\n{text[end:]}"

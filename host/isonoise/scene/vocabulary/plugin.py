@@ -1,7 +1,7 @@
 """What a plugin is to isonoise: its kind, its parameters with types and defaults, the objects it may hold.
 
 The declarations are in `vocabulary`; checks, defaults and suggestions of the scene reader, `isonoise plugins` and the
-tables of scenes/README.md all come from them.
+tables of host/docs/plugins.md all come from them.
 """
 
 import math
