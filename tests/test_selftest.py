@@ -1,4 +1,4 @@
-"""isonoise selftest: cases pass, broken kernels fail them, and what is written is what is documented."""
+"""isonoise selftest: its checks pass, broken kernels fail them, and its JSON file has the documented fields."""
 
 import json
 import re
@@ -12,62 +12,90 @@ from isonoise.commands import selftest
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import DeviceError
-from isonoise.selftest import optics, rays, statistics, surfaces
-from isonoise.selftest.core import FAIL, PASS, Bench, Case, count, run_groups, worst
+from isonoise.scene.structs import NONE
+from isonoise.selftest import optics, statistics, surface_rays, tracer
+from isonoise.selftest.cases import Case, Context, array_case, count_case
+from isonoise.selftest.runner import GROUPS, run_groups
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 
 
-def verdicts(cases) -> dict[str, str]:
-    return {case.name: case.verdict for case in cases}
+QUICK_CHECKS = [
+    pytest.param(check, id=f"{group}-{check.__name__}")
+    for group in ("statistics", "allocation", "geometry")
+    for check in GROUPS[group]
+    if check not in (surface_rays.convex_bodies, surface_rays.closed_bodies, surface_rays.instances)
+]
+"""The checks that compile few kernels."""
 
 
-def use(monkeypatch, *cases, error: Exception | None = None) -> None:
-    """Has the command run one group of these cases, and an error at its end."""
+@pytest.fixture
+def context() -> Context:
+    return Context(Device())
 
-    def group(bench):
+
+def failed(cases) -> list[str]:
+    """The names of the failed cases."""
+    return [case.name for case in cases if not case.passed]
+
+
+@pytest.mark.parametrize("check", QUICK_CHECKS)
+def test_quick_checks_pass(check, context):
+    cases = list(check(context))
+    assert cases
+    assert [case for case in cases if not case.passed] == []
+    assert all(case.tolerance_basis for case in cases)
+
+
+@pytest.mark.long
+def test_all_checks_pass_in_two_minutes(context):
+    cases, cpu_s = [], 0.0
+    for outcome in run_groups(GROUPS, context):
+        if isinstance(outcome, Case):
+            cases.append(outcome)
+        else:
+            cpu_s += outcome.cpu_s
+    assert [case for case in cases if not case.passed] == []
+    assert cpu_s < 2 * 120
+
+
+def use_cases(monkeypatch, *cases, error: Exception | None = None) -> None:
+    """Replaces the checks of the command by one that yields these cases, then raises the error."""
+
+    def check(context):
         yield from cases
         if error:
             raise error
 
-    monkeypatch.setattr(selftest, "groups", lambda: {"made": group})
+    monkeypatch.setattr(selftest, "GROUPS", {"group": (check,)})
 
 
 GOOD, BAD = Case("good", 1.0, 1.5, 0.5, "a half"), Case("bad", 1.0, 1.6, 0.5, "a half")
-NOTHING = Case("nothing", float("nan"), 0.0, 1.0, "one")
+NOT_A_NUMBER = Case("not a number", float("nan"), 0.0, 1.0, "one")
 
 
-def test_a_case_is_judged_by_its_tolerance():
-    assert [case.verdict for case in (GOOD, BAD, NOTHING)] == [PASS, FAIL, FAIL]
-    assert worst("w", [1.0, 2.0, 3.0], [1.1, 2.0, 3.3], 0.5, "").measured == 3.0
-    assert worst("w", [1.0, np.nan], 1.0, 0.5, "").verdict == FAIL
-    assert worst("w", [np.inf, 1.0], 1.0, 0.5, "").verdict == FAIL
-    assert worst("w", [1.0, 1.1], 1.0, 0.0, "").measured == 1.1
-    assert count("c", np.array([True, False, True]), "").measured == 2
-    assert count("c", 3, "", 3).verdict == PASS
+def test_a_case_passes_within_its_tolerance():
+    assert [case.passed for case in (GOOD, BAD, NOT_A_NUMBER)] == [True, False, False]
+    assert array_case("a", [1.0, 2.0, 3.0], [1.1, 2.0, 3.3], 0.5, "").measured == 3.0
+    assert not array_case("a", [1.0, np.nan], 1.0, 0.5, "").passed
+    assert not array_case("a", [np.inf, 1.0], 1.0, 0.5, "").passed
+    assert array_case("a", [1.0, 1.1], 1.0, 0.0, "").measured == 1.1
+    assert count_case("c", np.array([True, False, True]), "").measured == 2
+    assert count_case("c", 3, "", 3).passed
 
 
 def test_exit_codes(monkeypatch, capsys):
-    use(monkeypatch, GOOD)
+    use_cases(monkeypatch, GOOD)
     assert main(["selftest"]) == 0
     assert "1 cases, 0 failed" in capsys.readouterr().out
-    for cases in ((GOOD, BAD), (NOTHING,)):
-        use(monkeypatch, *cases)
+    for cases in ((GOOD, BAD), (NOT_A_NUMBER,)):
+        use_cases(monkeypatch, *cases)
         assert main(["selftest"]) == 1
-        assert FAIL in capsys.readouterr().out
-    use(monkeypatch, GOOD, error=DeviceError("the compiler gave up\nfor reasons"))
+        assert "FAIL" in capsys.readouterr().out
+    use_cases(monkeypatch, GOOD, error=DeviceError("the compiler gave up\nfor reasons"))
     assert main(["selftest"]) == 1
     assert "the compiler gave up" in capsys.readouterr().out
     assert main(["selftest", "--device", "no such device"]) == 2
-
-
-def test_a_case_that_goes_on_has_its_whole_name(capsys):
-    def group(bench):
-        yield Case("subject: mean", 0, 0, 0, "")
-        yield Case("... variance", 0, 0, 0, "")
-
-    names = [outcome.name for outcome in run_groups({"g": group}, Bench(Device()))]
-    assert names == ["subject: mean", "subject: variance", "g"]
 
 
 def fields(value, path: str = "") -> set[str]:
@@ -78,98 +106,77 @@ def fields(value, path: str = "") -> set[str]:
     return {path}
 
 
-def test_the_json_is_what_is_documented(monkeypatch, tmp_path):
-    use(monkeypatch, GOOD, BAD, NOTHING)
+def test_json_has_the_documented_fields(monkeypatch, tmp_path):
+    use_cases(monkeypatch, GOOD, BAD, NOT_A_NUMBER)
     assert main(["selftest", "--json", str(tmp_path / "a.json")]) == 1
     written = json.loads((tmp_path / "a.json").read_text())
     text = (CHECKOUT / "host" / "docs" / "numerics.md").read_text()
     table = text.split("| field | what it is |")[1]
     documented = set(re.findall(r"`([^`]+)`", " ".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE))))
     assert fields(written) == documented
-    assert (written["cases"], written["failed"]) == (3, 2)
+    assert (written["case_count"], written["failed_count"]) == (3, 2)
     cases = written["groups"][0]["cases"]
-    assert [case["verdict"] for case in cases] == [PASS, FAIL, FAIL]
+    assert [case["passed"] for case in cases] == [True, False, False]
     assert cases[2]["measured"] is None
 
 
-def test_json_that_cannot_be_written_is_found_out_before_the_work(monkeypatch, tmp_path, capsys):
-    use(monkeypatch, error=AssertionError("it began"))
+def test_json_that_cannot_be_written_fails_before_the_checks(monkeypatch, tmp_path, capsys):
+    use_cases(monkeypatch, error=AssertionError("it began"))
     assert main(["selftest", "--json", str(tmp_path / "nowhere" / "a.json")]) == 2
     assert "no folder" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["statistics", "allocation"])
-def test_the_quick_groups_pass(name):
-    cases = list(selftest.groups()[name](Bench(Device())))
-    assert len(cases) > 20
-    assert [case for case in cases if case.verdict != PASS] == []
-    assert all(case.basis for case in cases)
-
-
-@pytest.mark.long
-def test_all_groups_pass_in_two_minutes():
-    cases, seconds = [], 0.0
-    for outcome in run_groups(selftest.groups(), Bench(Device())):
-        if isinstance(outcome, Case):
-            cases.append(outcome)
-        else:
-            seconds += outcome.cpu_seconds
-    assert [case for case in cases if case.verdict != PASS] == []
-    assert seconds < 2 * 120
-
-
 @pytest.fixture
-def broken(monkeypatch):
-    """Has a kernel file read with one text in place of another."""
+def break_kernel(monkeypatch):
+    """Replaces a text in a kernel file."""
     kernel_source = program.kernel_source
 
-    def break_it(file: str, text: str, by: str) -> None:
+    def replace(file: str, text: str, replacement: str) -> None:
         assert text in kernel_source(file)
 
         def changed(name):
-            return kernel_source(name).replace(text, by) if name == file else kernel_source(name)
+            return kernel_source(name).replace(text, replacement) if name == file else kernel_source(name)
 
         monkeypatch.setattr(program, "kernel_source", changed)
 
-    return break_it
+    return replace
 
 
-def test_plain_sums_fail(broken):
-    broken(
+def test_plain_sums_fail(break_kernel, context):
+    break_kernel(
         "util/compensated.h",
         "    return quick_two_sum(sum.high, sum.low + a.low);\n",
         "    const Compensated plain = {sum.high, 0.0f};\n    return plain;\n",
     )
-    failed = [name for name, verdict in verdicts(statistics._large_mean(Bench(Device()))).items() if verdict == FAIL]
-    assert failed
+    assert failed(statistics.large_mean(context))
 
 
-def test_a_dropped_check_for_finite_numbers_fails(broken):
-    broken(
+def test_a_dropped_check_for_finite_numbers_fails(break_kernel, context):
+    break_kernel(
         "stages/reduce.cl",
         "!(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && x < LUMINANCE_LIMIT)",
         "x >= LUMINANCE_LIMIT",
     )
-    failed = [name for name, verdict in verdicts(statistics._rejected(Bench(Device()))).items() if verdict == FAIL]
-    assert any("NaN" in name for name in failed)
+    assert any("NaN" in name for name in failed(statistics.rejected_samples(context)))
 
 
-def test_a_wrong_sign_of_the_offset_fails(broken):
-    broken(
-        "util/math.h", "with_sign(distance, dot3(direction, normal))", "with_sign(distance, -dot3(direction, normal))"
+def test_a_wrong_sign_of_the_offset_fails(break_kernel, context):
+    break_kernel(
+        "util/math.h", "copy_sign(distance, dot3(direction, normal))", "copy_sign(distance, -dot3(direction, normal))"
     )
-    cases = verdicts(surfaces._convex(Bench(Device()), *surfaces.SIZES[0]))
-    assert list(cases.values()).count(FAIL) >= 2
+    assert len(failed(surface_rays.convex_bodies_of_size(context, *surface_rays.SIZES[0]))) >= 2
 
 
-def test_references_of_the_cases():
-    vertices, faces = rays.icosphere(2)
-    edges = rays.edges_of(faces)
+def test_reference_functions():
+    vertices, faces = tracer.icosphere(2)
+    edges = tracer.unique_edges(faces)
     assert len(vertices) - len(edges) + len(faces) == 2  # Euler: closed
     assert (np.linalg.det(vertices[faces]) > 0).all()  # wound outwards
     origins, directions = np.zeros((3, 3)), np.eye(3)
     triangle = np.array([[[1.0, -1, -1], [1, 2, -1], [1, -1, 2]]])
-    assert rays.closest(triangle, origins, directions).tolist() == [1.0, np.inf, np.inf]
+    t, index = tracer.closest_hits(triangle, origins, directions)
+    assert t.tolist() == [1.0, np.inf, np.inf]
+    assert index.tolist() == [0, NONE, NONE]
     assert optics.metal_albedo(0.7, 1e-4) == pytest.approx(1, abs=1e-6)
     # straight from above Smith's G1(w) is 1: 2 / (1 + sqrt(1 + tan^2)) over half vectors, alpha 1, by quadrature
     theta = (np.arange(100_000) + 0.5) / 100_000 * np.pi / 4  # of h; o is below the surface beyond

@@ -1,11 +1,11 @@
-"""Cases of adaptive rendering where the noise is as uneven, or as even, as it can be."""
+"""Checks of adaptive rendering where the noise is very uneven, or perfectly even."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from isonoise.selftest.core import Bench, Case, count, worst
-from isonoise.selftest.scenes import area, lamp_over_floor, looking, rgb, scene
+from isonoise.selftest.cases import Case, Context, array_case, count_case
+from isonoise.selftest.scenes import area_light, diffuse, look_at, make_scene, rgb, transform
 from isonoise.statistics import Statistics
 from isonoise.strategies import make_strategy
 
@@ -15,17 +15,9 @@ STRATEGIES = ("pooled", "relative-median", "relative-mean", "absolute", "tsallis
 BUDGET = 20 * PIXELS
 
 
-def adaptive_cases(bench: Bench) -> Iterator[Case]:
-    """All cases of the group."""
-    yield from _one_noisy_pixel()
-    yield from _black_but_for_one_pixel(bench)
-    yield from _constant(bench)
-    yield from _scaled_emitters(bench)
-
-
-def _statistics(mean: np.ndarray, variance: np.ndarray, n: int = 16) -> Statistics:
+def _statistics(mean: np.ndarray, variance: np.ndarray, count: np.ndarray | int = 16) -> Statistics:
     return Statistics(
-        count=np.full(SHAPE, n, np.uint32),
+        count=np.broadcast_to(np.uint32(count), SHAPE),
         rejected=np.zeros(SHAPE, np.uint32),
         rgb=np.repeat(mean[..., None], 3, axis=-1).astype(np.float32),
         mean=mean,
@@ -38,98 +30,109 @@ def _allocations(statistics: Statistics, budget: int = BUDGET) -> dict[str, np.n
     return {name: make_strategy(name).allocate(statistics, budget) for name in STRATEGIES}
 
 
-def _one_noisy_pixel() -> Iterator[Case]:
-    """Wave after wave, the true variances being those given: what all others get must not vanish."""
-    variance = np.ones(SHAPE)
-    variance[16, 16] = 1e6
-    for name in STRATEGIES:
-        strategy, n = make_strategy(name), np.full(SHAPE, 16, np.int64)
-        total, samples = 0, n.sum()
-        for wave in strategy.waves():
-            if samples > 400 * PIXELS:
-                break
-            budget = round((wave.spp or 1) * PIXELS)
-            given = np.full(SHAPE, budget // PIXELS)
-            if wave.kind == "adaptive":
-                statistics = _statistics(np.ones(SHAPE), variance)
-                statistics = Statistics(**vars(statistics) | {"count": n.astype(np.uint32)})
-                given = strategy.allocate(statistics, budget)
-                total += int(given.sum(dtype=np.int64)) != budget
-            n = n + given
-            samples = n.sum()
-        yield count(f"a pixel of 10^6 times the variance, {name}: waves off their budget", total, "exact")
-        rest = np.delete(n.ravel(), 16 * SHAPE[1] + 16)
-        # uniform waves bring at least 1 / (1 + ratio) of all samples; ratio 1 at most
-        least = 0.45 * 400
-        yield count(
-            "... other pixels that starve", rest < least, f"each has {least:g} of 400 samples from uniform waves"
-        )
-
-
-def _black_but_for_one_pixel(bench: Bench) -> Iterator[Case]:
-    mean, variance = np.zeros(SHAPE), np.zeros(SHAPE)
-    mean[5, 7], variance[5, 7] = 1e-3, 1e-4
-    for name, allocation in _allocations(_statistics(mean, variance)).items():
-        total = int(allocation.sum(dtype=np.int64))
-        yield count(f"black but for one pixel, {name}: samples of the wave", total, "exact", BUDGET)
-        yield count("... pixels with more than the one that is lit", allocation > allocation[5, 7], "none may have")
-    # a lamp over a fifth of a pixel
-    lamp = {"type": "sphere", "center": [0.03, 0.0, 0.03], "radius": 0.012} | area(1.0)
-    dark = scene(looking((0.0, -1.0, 0.0), (0.0, 0.0, 0.0)), 16, 1, lamp=lamp)
-    for name in STRATEGIES:
-        statistics = _rendered(bench, dark, name)
-        most = np.array(np.unravel_index(statistics.count.argmax(), statistics.shape))
-        found = np.argwhere(statistics.mean > 0)
-        yield count(f"render of a small lamp in the dark, {name}: pixels lit", len(found), "it lies within one", 1)
-        far = np.abs(found - most).max() if len(found) else np.inf
-        yield Case("... pixels from there to the one with most samples", far, 0, 1, "`pooled` reckons with neighbours")
-
-
-def _constant(bench: Bench) -> Iterator[Case]:
-    for value in (0.0, 0.5):
-        statistics = _statistics(np.full(SHAPE, value), np.zeros(SHAPE))
-        for name, allocation in _allocations(statistics, BUDGET + 100).items():
-            uneven = int(allocation.max()) - int(allocation.min())
-            yield Case(
-                f"constant image of {value:g}, {name}: most less least", uneven, 1, 0, "even, up to the remainder"
-            )
-
-    view = looking((0.0, -3.0, 0.0), (0.0, 0.0, 0.0))
-    sky = scene(view, 16, 1, sky={"type": "constant", "radiance": rgb((0.2, 0.3, 0.4))})
-    for name in STRATEGIES:
-        statistics = _rendered(bench, sky, name)
-        uneven = int(statistics.count.max()) - int(statistics.count.min())
-        yield Case(
-            f"render of a constant sky, {name}: most less least samples", uneven, 0, 8, "a remainder a wave of 8"
-        )
-        yield count("... variances other than 0", statistics.variance, "exact")
-
-
-def _rendered(bench: Bench, of: dict, strategy: str, waves: int = 8) -> Statistics:
+def _render(context: Context, description: dict, strategy: str, waves: int = 8) -> Statistics:
     from isonoise.renderer import Renderer
 
-    renderer = Renderer(of, bench.choice, strategy, seed=3, pool_size=2**14)
+    renderer = Renderer(description, context.device_choice, strategy, seed=3, pool_size=2**14)
     for _ in range(waves):
         renderer.step()
     return renderer.statistics()
 
 
-def _scaled_emitters(bench: Bench) -> Iterator[Case]:
-    """A render with lights so much brighter or dimmer: the same samples, so the same maps."""
+def one_noisy_pixel(context: Context) -> Iterator[Case]:
+    """One pixel has 10^6 times the variance of the others: they still get samples, wave after wave."""
+    variance = np.ones(SHAPE)
+    variance[16, 16] = 1e6
+    for name in STRATEGIES:
+        strategy, n = make_strategy(name), np.full(SHAPE, 16, np.int64)
+        off_budget, samples = 0, n.sum()
+        for wave in strategy.waves():
+            if samples > 400 * PIXELS:
+                break
+            budget = round((wave.spp or 1) * PIXELS)
+            allocation = np.full(SHAPE, budget // PIXELS)
+            if wave.kind == "adaptive":
+                allocation = strategy.allocate(_statistics(np.ones(SHAPE), variance, n), budget)
+                off_budget += int(allocation.sum(dtype=np.int64)) != budget
+            n = n + allocation
+            samples = n.sum()
+        case_name = f"a pixel of 10^6 times the variance, {name}"
+        yield count_case(f"{case_name}: waves off their budget", off_budget, "exact")
+        # uniform waves bring at least 1 / (1 + ratio) of all samples; ratio 1 at most
+        minimum = 0.45 * 400
+        starved = np.delete(n.ravel(), 16 * SHAPE[1] + 16) < minimum
+        basis = f"each has {minimum:g} of 400 samples from uniform waves"
+        yield count_case(f"{case_name}: other pixels with too few samples", starved, basis)
 
-    def counts(factor: float, strategy: str) -> tuple[np.ndarray, np.ndarray]:
-        statistics = _rendered(bench, lamp_over_floor(factor), strategy, 6)
+
+def one_lit_pixel(context: Context) -> Iterator[Case]:
+    """An image that is black except for one pixel."""
+    mean, variance = np.zeros(SHAPE), np.zeros(SHAPE)
+    mean[5, 7], variance[5, 7] = 1e-3, 1e-4
+    for strategy, allocation in _allocations(_statistics(mean, variance)).items():
+        name, total = f"black except for one pixel, {strategy}", int(allocation.sum(dtype=np.int64))
+        yield count_case(f"{name}: samples of the wave", total, "exact", BUDGET)
+        more = allocation > allocation[5, 7]
+        yield count_case(f"{name}: pixels with more samples than the lit one", more, "none allowed")
+    # a lamp over a fifth of a pixel
+    lamp = {"type": "sphere", "center": [0.03, 0.0, 0.03], "radius": 0.012} | area_light(1.0)
+    dark = make_scene(look_at((0.0, -1.0, 0.0), (0.0, 0.0, 0.0)), 16, 1, lamp=lamp)
+    for strategy in STRATEGIES:
+        statistics = _render(context, dark, strategy)
+        busiest = np.array(np.unravel_index(statistics.count.argmax(), statistics.shape))
+        lit = np.argwhere(statistics.mean > 0)
+        name = f"render of a small lamp in the dark, {strategy}"
+        yield count_case(f"{name}: lit pixels", len(lit), "the lamp lies within one pixel", 1)
+        distance = np.abs(lit - busiest).max() if len(lit) else np.inf
+        basis = "`pooled` uses statistics of neighbours"
+        yield Case(f"{name}: pixels from the lit one to the one with most samples", distance, 0, 1, basis)
+
+
+def constant_image(context: Context) -> Iterator[Case]:
+    """Images without noise get even allocations."""
+    for value in (0.0, 0.5):
+        statistics = _statistics(np.full(SHAPE, value), np.zeros(SHAPE))
+        for strategy, allocation in _allocations(statistics, BUDGET + 100).items():
+            name, difference = f"constant image of {value:g}, {strategy}: most - least", np.ptp(allocation.astype(int))
+            yield Case(name, difference, 1, 0, "even, up to the remainder")
+    sky = {"type": "constant", "radiance": rgb((0.2, 0.3, 0.4))}
+    description = make_scene(look_at((0.0, -3.0, 0.0), (0.0, 0.0, 0.0)), 16, 1, sky=sky)
+    for strategy in STRATEGIES:
+        statistics = _render(context, description, strategy)
+        name, difference = f"render of a constant sky, {strategy}", np.ptp(statistics.count.astype(int))
+        yield Case(f"{name}: most - least samples", difference, 0, 8, "a remainder in each of 8 waves")
+        yield count_case(f"{name}: variances other than 0", statistics.variance, "exact")
+
+
+def _lamp_over_floor(factor: float) -> dict:
+    """Soft light, noise and a black background; the lamp's radiance is `factor` times (5, 4, 3)."""
+    radiance = factor * np.array([5.0, 4.0, 3.0])
+    lamp = {"type": "rectangle", "to_world": transform((0.3, 0.3, 1.0), (0.4, 0.2, 1.0), 180)} | area_light(radiance)
+    floor = {"type": "rectangle", "bsdf": diffuse(0.6)}
+    return make_scene(look_at((0.0, -3.0, 2.4), (0.0, 0.0, 0.0)), 24, 4, floor=floor, lamp=lamp)
+
+
+def scaled_emitters(context: Context) -> Iterator[Case]:
+    """Brighter or dimmer lights give the same samples, so the same allocations."""
+
+    def render_scaled(factor: float, strategy: str) -> tuple[np.ndarray, np.ndarray]:
+        statistics = _render(context, _lamp_over_floor(factor), strategy, 6)
         return statistics.count.astype(np.float64), statistics.mean / factor
 
     for strategy in ("pooled:warmup=8", "relative-median:warmup=8,growth=0.5"):
-        name = strategy.partition(":")[0]
-        plain, image = counts(1.0, strategy)
-        differ = sum(np.count_nonzero(counts(f, strategy)[0] != plain) for f in (2.0**20, 2.0**-20))
-        yield count(f"emitters times 2^20 and 2^-20, {name}: counts that differ", differ, "exact")
+        strategy_name = strategy.partition(":")[0]
+        count, image = render_scaled(1.0, strategy)
+        differing = sum(np.count_nonzero(render_scaled(f, strategy)[0] != count) for f in (2.0**20, 2.0**-20))
+        yield count_case(f"emitters times 2^20 and 2^-20, {strategy_name}: counts that differ", differing, "exact")
         for factor in (1e6, 1e-6):
-            scaled, scaled_image = counts(factor, strategy)
-            off = abs(scaled - plain).sum() / plain.sum()
+            scaled_count, scaled_image = render_scaled(factor, strategy)
+            moved = abs(scaled_count - count).sum() / count.sum()
+            name = f"emitters times {factor:g}, {strategy_name}"
             basis = "radiance rounds by 2^-24; a share of the pixels is so near to a half that it rounds the other way"
-            yield Case(f"emitters times {factor:g}, {name}: share of the samples elsewhere", off, 0, 1e-3, basis)
-            same = (plain == scaled) & (image > 0)
-            yield worst("... image over the plain one", scaled_image[same] / image[same], 1, 1e-5, "float32 radiance")
+            yield Case(f"{name}: share of the samples in other pixels", moved, 0, 1e-3, basis)
+            same = (count == scaled_count) & (image > 0)
+            ratio = scaled_image[same] / image[same]
+            yield array_case(f"{name}: image over the one with factor 1", ratio, 1, 1e-5, "float32 radiance")
+
+
+CHECKS = (one_noisy_pixel, one_lit_pixel, constant_image, scaled_emitters)

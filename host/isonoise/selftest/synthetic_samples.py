@@ -1,4 +1,4 @@
-"""The stages of the statistics fed with made samples, as the wavefront would; and their references in float64."""
+"""Feeds given samples to the kernels `reduce` and `summarise`, and computes the expected statistics in float64."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 
 class Reducer:
-    """`reduce` and `summarise` over `pixels` in a row."""
+    """The kernels `reduce` and `summarise` for an image of 1 x `pixels`."""
 
     def __init__(self, device: Device, pixels: int, needs: Needs = BASIC_NEEDS):
         self.device = device
@@ -20,39 +20,39 @@ class Reducer:
         self.accumulator = Accumulator(self.stages, (1, pixels), needs)
         self.stages.arguments["pixel_offset"] = self.device.buffer(4 * pixels, "the offsets")
 
-    def feed(self, samples: list[np.ndarray], times: int = 1) -> None:
-        """One slice, `times` in a row; samples of each pixel, (n,) grey or (n, 3)."""
-        flat = np.concatenate([colour(s) for s in samples])
+    def add(self, samples: list[np.ndarray], repeats: int = 1) -> None:
+        """Reduces one slice, `repeats` times in a row. `samples`: for each pixel (n,) grey values or (n, 3) colours."""
+        flat = np.concatenate([to_rgb32(s) for s in samples])
         ends = np.cumsum([len(s) for s in samples])
         offsets = (ends - [len(s) for s in samples]).astype(np.uint32)
         self.device.write(self.stages.arguments["pixel_offset"], offsets)
         buffer = self.device.buffer(flat, "the samples")
         bounds = {"pixels": np.uint32(len(samples)), "slice_samples": np.uint32(len(flat))}
-        for _ in range(times):
+        for _ in range(repeats):
             self.stages.launch("reduce", len(samples), samples=buffer, first_pixel=np.uint32(0), **bounds)
             self.device.finish()
         buffer.release()
 
     def statistics(self, scale: float = 1.0) -> Statistics:
-        """Of all that was fed; samples were `scale` times the scene's."""
+        """Returns the statistics of all samples. `scale`: the samples are `scale` times the radiance."""
         return self.accumulator.statistics(scale)
 
 
-def colour(samples: np.ndarray) -> np.ndarray:
-    """As float32 (n, 3)."""
+def to_rgb32(samples: np.ndarray) -> np.ndarray:
+    """Returns float32 (n, 3)."""
     return (samples if samples.ndim == 2 else np.repeat(samples[:, None], 3, axis=1)).astype(np.float32)
 
 
 def luminance32(samples: np.ndarray) -> np.ndarray:
-    """x as the kernel computes it: float32, left to right."""
+    """Returns the luminance as the kernel computes it: float32, left to right."""
     v = samples.astype(np.float32)
     r, g, b = (v, v, v) if v.ndim == 1 else v.T
     f = np.float32
     return (r * f(0.2126) + g * f(0.7152) + b * f(0.0722)).astype(np.float64)
 
 
-def chunk_medians(x: np.ndarray, needs: Needs) -> float:
-    """M_x of samples x in float64."""
+def chunk_median_mean(x: np.ndarray, needs: Needs) -> float:
+    """Returns M_x, the mean of the medians of full chunks, of samples x in float64."""
     full = len(x) // needs.batch
     if full == 0:
         return float(x.mean())
