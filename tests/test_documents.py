@@ -99,6 +99,12 @@ def test_links_lead_somewhere(path):
             assert anchor in map(heading_anchor, headings), f"{target}#{anchor}"
 
 
+def test_every_document_is_listed():
+    listed = (CHECKOUT / "host" / "README.md").read_text("utf-8")
+    for path in DOCS.glob("*.md"):
+        assert f"](docs/{path.name})" in listed, path.name
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(CHECKOUT)))
 def test_source_files_that_are_named_exist(path):
     """A name in backticks that looks like a source file is the end of some file's path."""
