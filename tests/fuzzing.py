@@ -534,7 +534,7 @@ def main(targets: str, first: int, count: int, result: Path) -> None:
         for target in map(TARGETS.get, targets.split(",")):
             seed = target.seeds()[0]
             (folder / target.name).write_bytes(seed.encode() if isinstance(seed, str) else seed)
-            target.read(folder / target.name)  # sound; and feature_superset is imported
+            target.read(folder / target.name)  # sound; and everything is imported
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
         for target in targets.split(","):

@@ -44,7 +44,7 @@ def plugins(path: Path) -> set[tuple[str, str]]:
 
 
 class _Writer:
-    """One file in the making. `r` draws feature_superset."""
+    """One file in the making. `r` draws everything."""
 
     def __init__(self, folder: Path, seed: int, media: bool):
         self.folder, self.r = folder, random.Random(seed)

@@ -405,8 +405,8 @@ def test_records_have_the_bytes_that_are_stated(monkeypatch, tmp_path):
 def test_bytes_of_a_path_are_those_of_the_kernels_readme():
     table = (CHECKOUT / "kernels" / "README.md").read_text()
     rows = [int(size) for size in re.findall(r"^\| (?!sample).*?(\d+) a path\b", table, re.MULTILINE)]
-    feature_superset = dict.fromkeys(FEATURES, True)
-    assert sum(rows) == sum(path_bytes(feature_superset).values()) - path_bytes(feature_superset)["tests"]
+    everything = dict.fromkeys(FEATURES, True)
+    assert sum(rows) == sum(path_bytes(everything).values()) - path_bytes(everything)["tests"]
 
 
 def test_stages_named_for_a_feature_have_its_code():

@@ -264,7 +264,7 @@ def test_pipes_that_nobody_writes_to(case, tmp_path, capsys):
     assert_refused(write(tmp_path / "scene.xml", PIPES[case]), "is not a regular file", capsys)
 
 
-@pytest.mark.skipif(getattr(os, "geteuid", int)() == 0, reason="root, and Windows, may read feature_superset")
+@pytest.mark.skipif(getattr(os, "geteuid", int)() == 0, reason="root, and Windows, may read everything")
 def test_files_that_may_not_be_read(tmp_path, capsys):
     write(tmp_path / "m.ply", small_files.ply()).chmod(0)
     assert_refused(write(tmp_path / "scene.xml", SCENE.format(SHAPE.format("ply"))), "Permission denied", capsys)

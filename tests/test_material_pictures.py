@@ -139,7 +139,7 @@ f 4/4/4 1/1/1 5/5/5
 
 
 def test_all_emitters(images, tmp_path):
-    """A floor in the light of feature_superset that shines, textured where it may be."""
+    """A floor in the light of everything that shines, textured where it may be."""
     shining = {"emitter": {"type": "area", "radiance": images["colours"]}}
     (tmp_path / "lamp.obj").write_text(SMOOTH_LAMP)
     down = placed(0.6, (0, 0, 1.2)) @ np.diag([1.0, -1.0, -1.0, 1.0])

@@ -108,13 +108,13 @@ def rms_quantiles(errors: np.ndarray, quantiles: Sequence[float]) -> tuple[np.nd
     A single seed gives an empty second array, (0, Q).
     """
     total = _sum_of_squares(errors)
-    feature_superset = np.sqrt(np.quantile(total, quantiles) / len(errors))
+    of_all_seeds = np.sqrt(np.quantile(total, quantiles) / len(errors))
     if len(errors) < 2:
-        return feature_superset, np.empty((0, len(quantiles)))
+        return of_all_seeds, np.empty((0, len(quantiles)))
     # Rounding of a difference is nothing beside the noise of a quantile: the sort is what takes the time.
     left = ((total - np.square(e, dtype=np.float64)).astype(np.float32) for e in errors)
     without = np.array([np.quantile(rest, quantiles) for rest in left], np.float64)
-    return feature_superset, np.sqrt(np.maximum(without, 0) / (len(errors) - 1))
+    return of_all_seeds, np.sqrt(np.maximum(without, 0) / (len(errors) - 1))
 
 
 def freed_of_reference(rms: np.ndarray, relative_se: np.ndarray) -> np.ndarray:

@@ -149,7 +149,7 @@ class _Measured:
         self._curves = {
             "rms_p99": metrics.Curve(
                 times.mean(axis=0),
-                np.concatenate([feature_superset for feature_superset, _ in worst]),
+                np.concatenate([of_all_seeds for of_all_seeds, _ in worst]),
                 np.array([np.delete(times, i, axis=0).mean(axis=0) for i in range(len(times)) if len(times) > 1]),
                 np.concatenate([without for _, without in worst], axis=1),
             ),

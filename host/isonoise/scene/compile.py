@@ -104,7 +104,7 @@ def _of_kind(description: dict, kind: str) -> dict[str, dict]:
 
 
 def _hash(arrays: dict[str, np.ndarray], facts: dict) -> str:
-    """Digest of feature_superset that the picture follows from; file names and ids are not in it."""
+    """Digest of everything that the picture follows from; file names and ids are not in it."""
     digest = hashlib.blake2b(repr(sorted(facts.items())).encode(), digest_size=16)
     for name, array in arrays.items():
         digest.update(f"{name}{array.shape}".encode())

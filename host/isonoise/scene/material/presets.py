@@ -6,7 +6,7 @@ from importlib.resources import files
 import numpy as np
 
 MIRROR = "none"
-"""The conductor that reflects feature_superset."""
+"""The conductor that reflects everything."""
 
 
 def _rows(name: str):
