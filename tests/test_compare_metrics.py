@@ -1,4 +1,4 @@
-"""Figures over the seeds against closed forms and simulations.
+"""Metrics over the seeds against closed forms and simulations.
 
 Simulations have fixed seeds; their tolerances are 4 standard errors of the simulated figure (false alarm: 1 in 16,000
 if the seeds were drawn anew).
@@ -30,8 +30,8 @@ def test_chi_square_of_two_is_exponential():
 
 
 @pytest.mark.parametrize(("seeds", "expected"), [(8, 1.654), (16, 1.444)])
-def test_perfect_uniformity(seeds, expected):
-    assert metrics.perfect_uniformity(seeds) == pytest.approx(expected, abs=5e-4)
+def test_ideal_uniformity(seeds, expected):
+    assert metrics.ideal_uniformity(seeds) == pytest.approx(expected, abs=5e-4)
     errors = np.random.default_rng(1).normal(size=(seeds, 300, 400))
     (p50, p99), _ = metrics.rms_quantiles(errors, (0.5, 0.99))
     # Standard error of log p99: sqrt(0.99 0.01 / pixels) / (density times quantile) < 0.002; of log p50 less.
@@ -130,21 +130,21 @@ def test_bias_sees_what_all_seeds_share_and_knows_the_references_error():
     assert math.hypot(exact.se, 0.1 / math.sqrt(2000)) == pytest.approx(metrics.bias(errors, np.full((40, 50), 0.1)).se)
 
 
-def test_freed_of_the_references_error():
+def test_the_references_error_is_subtracted():
     rng = np.random.default_rng(8)
     errors = 0.2 * rng.normal(size=(16, 100, 100)) - 0.1 * rng.normal(size=(100, 100))
-    freed = metrics.freed_of_reference(metrics.rms_over_seeds(errors), np.full((100, 100), 0.1))
-    assert np.mean(freed**2) == pytest.approx(0.04, rel=0.02)
+    corrected = metrics.subtract_reference_error(metrics.rms_over_seeds(errors), np.full((100, 100), 0.1))
+    assert np.mean(corrected**2) == pytest.approx(0.04, rel=0.02)
 
 
 def test_bound_of_allocation_is_reached_by_the_root():
     variance = np.random.default_rng(9).lognormal(sigma=1.5, size=(30, 40))
-    bound = metrics.allocation_bound(variance)
+    bound = metrics.rel_mse_lower_bound(variance)
     count = np.sqrt(variance) / np.sqrt(variance).mean()
     assert np.mean(variance / count) / variance.mean() == pytest.approx(bound)
-    assert metrics.allocation_bound(np.full((4, 4), 3.0)) == pytest.approx(1)
-    assert metrics.allocation_bound(np.array([[0.0, 1.0]])) == pytest.approx(0.5)
-    assert math.isnan(metrics.allocation_bound(np.zeros((2, 2))))
+    assert metrics.rel_mse_lower_bound(np.full((4, 4), 3.0)) == pytest.approx(1)
+    assert metrics.rel_mse_lower_bound(np.array([[0.0, 1.0]])) == pytest.approx(0.5)
+    assert math.isnan(metrics.rel_mse_lower_bound(np.zeros((2, 2))))
 
 
 def power_law(scale: float, power: float = 0.5, first: float = 0.25, seeds: int = 4, jitter: float = 0.0) -> Curve:
@@ -178,33 +178,33 @@ def test_an_error_counts_as_reached_when_it_stays():
 def test_time_ratio_of_power_laws(scale):
     ratio = metrics.time_ratio(power_law(scale), power_law(1.0))
     assert ratio.low == ratio.high == pytest.approx(scale**2)
-    assert ratio.common.value == pytest.approx(scale**2)
-    assert (ratio.common.low, ratio.common.high) == pytest.approx((scale**2, scale**2))
+    assert ratio.at_common_error.value == pytest.approx(scale**2)
+    assert (ratio.at_common_error.low, ratio.at_common_error.high) == pytest.approx((scale**2, scale**2))
 
 
 def test_time_ratio_of_the_baseline_is_one():
     ratio = metrics.time_ratio(power_law(1.0, jitter=0.1), power_law(1.0, jitter=0.1))
-    assert (ratio.low, ratio.high, ratio.common.low, ratio.common.high) == pytest.approx((1, 1, 1, 1))
+    assert (ratio.low, ratio.high, ratio.at_common_error.low, ratio.at_common_error.high) == pytest.approx((1, 1, 1, 1))
 
 
 def test_an_error_that_is_not_reached_gives_a_bound_and_the_ratio_at_its_own():
     ratio = metrics.time_ratio(power_law(1.5), power_law(1.0))
     assert (ratio.low, ratio.high) == (pytest.approx(1), math.inf)
-    assert ratio.common.value == pytest.approx(1.5**2)
+    assert ratio.at_common_error.value == pytest.approx(1.5**2)
 
 
 def test_an_error_that_is_reached_before_the_first_point_gives_a_bound():
     ratio = metrics.time_ratio(power_law(0.1), power_law(1.0))
     assert (ratio.low, ratio.high) == (0, pytest.approx(1 / 32))
-    assert math.isnan(ratio.common.value)
+    assert math.isnan(ratio.at_common_error.value)
 
 
 def test_time_ratio_near_one_has_an_interval_on_both_sides():
     """Some of the sets of seeds reach the baseline's error and some do not: the interval is there all the same."""
     for scale in (0.99, 1.01):
         ratio = metrics.time_ratio(power_law(scale, jitter=0.05), power_law(1.0))
-        assert ratio.common.low < scale**2 < ratio.common.high
-        assert ratio.common.high / ratio.common.low < 2
+        assert ratio.at_common_error.low < scale**2 < ratio.at_common_error.high
+        assert ratio.at_common_error.high / ratio.at_common_error.low < 2
 
 
 def test_curve_of_means_joins_seeds_with_waves_at_different_times():
@@ -213,7 +213,7 @@ def test_curve_of_means_joins_seeds_with_waves_at_different_times():
     scales = [1.0, 2.0, 3.0, 6.0]
     curve = metrics.curve_of_means(times, [scale / t for scale, t in zip(scales, times, strict=True)])
     assert curve.error == pytest.approx(3 / curve.time)
-    assert curve.error_without[3] == pytest.approx(2 / curve.time)
+    assert curve.leave_one_out_error[3] == pytest.approx(2 / curve.time)
     assert curve.time[0] == pytest.approx(max(t[0] for t in times))
     assert curve.time[-1] == pytest.approx(min(t[-1] for t in times))
 

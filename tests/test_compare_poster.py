@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_comparison import make_comparison
 
-from isonoise.comparison.metrics import chi_square_quantile, perfect_uniformity
+from isonoise.comparison.metrics import chi_square_quantile, ideal_uniformity
 from isonoise.comparison.presets import POSTER, PRESETS
 from isonoise.comparison.summary import summarise
 from isonoise.strategies.registry import DEFAULT_STRATEGY
@@ -76,14 +76,14 @@ def test_numbers_are_those_of_the_tables(made, figures):
         section = text[text.index(f"### {figure.design.scene}\n") :].split("### ")[1]
         lines = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in section.splitlines() if "|" in line]
         of_title = {cells[0].removesuffix("` †"): dict(zip(lines[0], cells, strict=True)) for cells in lines[2:]}
-        row = next(row for row in figure.rows if row.caption.startswith("RMS"))
-        for spec, under in zip(figure.design.panels, row.figures, strict=False):
+        row = next(row for row in figure.rows if row.title.startswith("RMS"))
+        for spec, under in zip(figure.design.panels, row.captions, strict=False):
             assert under == [f"{head} {of_title[spec][head]}" for head in figure.design.heads]
 
 
 def test_the_errors_of_a_figure_share_a_scale(figures):
     scales = [
-        [(row.grid.low, row.grid.high, row.grid.colours) for row in figure.rows if "error" in row.caption]
+        [(row.grid.low, row.grid.high, row.grid.colours) for row in figure.rows if "error" in row.title]
         for figure in figures
     ]
     assert [len(set(of_figure)) for of_figure in scales] == [1, 1, 1]
@@ -92,32 +92,32 @@ def test_the_errors_of_a_figure_share_a_scale(figures):
 
 def test_a_single_run_has_its_own_numbers(made, figures):
     single = figures[1].rows[0]
-    assert single.caption == "error, seed 1"
+    assert single.title == "error, seed 1"
     last = runs_of(made, "penumbra", "uniform")[0].rows[-1]
-    p99, worst = (float(re.search(r"([\d.]+) %", line)[1]) for line in single.figures[0])
+    p99, worst = (float(re.search(r"([\d.]+) %", line)[1]) for line in single.captions[0])
     assert (p99, worst) == (
         pytest.approx(100 * last["true_p99"], rel=0.005),
         pytest.approx(100 * last["true_max"], 0.005),
     )
 
 
-def test_what_perfect_uniformity_reads_is_drawn(made, figures):
+def test_what_ideal_uniformity_reads_is_drawn(made, figures):
     """Quantiles of 2,000 drawn pixels: p50 within 5 standard errors (1.5 %), p99/p50 within 4 (3 % each)."""
     row = figures[2].rows[0]
     ideal = row.grid.maps[-1].values
     rows = {row["strategy"]: row for row in summarise(made)["scenes"][2]["rows"]}
     assert len(row.grid.maps) == len(figures[2].design.panels) + 1
     assert np.median(ideal) == pytest.approx(rows[DEFAULT_STRATEGY]["rms"]["p50"], rel=0.075)
-    assert np.quantile(ideal, 0.99) / np.median(ideal) == pytest.approx(perfect_uniformity(8), rel=0.12)
+    assert np.quantile(ideal, 0.99) / np.median(ideal) == pytest.approx(ideal_uniformity(8), rel=0.12)
     assert np.mean(ideal**2) == pytest.approx(np.median(ideal) ** 2 * 8 / chi_square_quantile(0.5, 8), rel=0.1)
-    assert row.figures[-1][-1] == "p99/p50 1.65"
+    assert row.captions[-1][-1] == "p99/p50 1.65"
 
 
 def test_figures_are_written_and_shown(made):
     from PIL import Image
 
     page = (made / "report.html").read_text()
-    assert "Left out" not in page
+    assert "Not shown" not in page
     for k, design in enumerate(DESIGNS, start=1):
         with Image.open(made / "plots" / f"poster-{k}.png") as picture:
             assert picture.width > 800
@@ -154,11 +154,11 @@ def test_what_is_missing_is_said(tmp_path):
     assert not list((made / "plots").glob("poster*"))
     page = (made / "report.html").read_text()
     for figure in found:
-        assert f"Left out: {figure.missing}." in page
+        assert f"Not shown: {figure.missing}." in page
 
 
 def test_a_single_seed_is_enough(tmp_path):
     made = make(tmp_path / "out", seeds=[3], shape=(12, 16))
     for figure in poster_figures(Results(made), summarise(made)):
-        assert [row.caption for row in figure.rows if "RMS" in row.caption] == ["RMS error, 1 seed"]
+        assert [row.title for row in figure.rows if "RMS" in row.title] == ["RMS error, 1 seed"]
         draw(figure)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from made_comparison import SNAPSHOTS, make_comparison
 
-from isonoise.comparison.columns import number, percent
-from isonoise.comparison.metrics import perfect_uniformity
-from isonoise.comparison.summary import summarise, text_table, write_summary
+from isonoise.comparison.metric_columns import format_number, format_percent
+from isonoise.comparison.metrics import ideal_uniformity
+from isonoise.comparison.summary import summarise, summary_text, write_summary
 from isonoise.errors import UserError
 from isonoise.film.log import columns
 
@@ -47,7 +47,7 @@ def test_figures_are_those_that_the_errors_were_drawn_from(rows):
     uniform, deficit, root = rows["uniform"], rows["relative-median"], rows["oracle-rule-sqrt"]
     assert (uniform["spp"], uniform["elapsed_s"], uniform["device_s"]) == pytest.approx((64, 4, 3.88))
     assert uniform["rms"]["p50"] == pytest.approx(np.sqrt(np.median(variance) / 64), rel=0.1)
-    assert deficit["uniformity"] == pytest.approx(perfect_uniformity(8), rel=0.05)
+    assert deficit["uniformity"] == pytest.approx(ideal_uniformity(8), rel=0.05)
     assert uniform["uniformity"] > 3
     bound = np.mean(np.sqrt(variance)) ** 2 / variance.mean()
     ratio = root["rel_mse_ratio"]
@@ -64,40 +64,40 @@ def test_time_to_equal_error_follows_the_samples(tmp_path):
         tmp_path / "out", ["a"], {"uniform": np.ones_like, "twice": np.ones_like}, range(8), (60, 80), speed=2
     )
     baseline, twice = summarise(made)["scenes"][0]["rows"]
-    assert baseline["time_ratio"]["rel_mse"]["low"] == 1
+    assert baseline["time_to_equal_error"]["rel_mse"]["low"] == 1
     for metric in ("rms_p99", "rel_mse"):
-        ratio = twice["time_ratio"][metric]
+        ratio = twice["time_to_equal_error"][metric]
         assert ratio["low"] == ratio["high"] == pytest.approx(0.5, rel=0.15)
-        assert ratio["common"]["low"] < 0.5 < ratio["common"]["high"]
+        assert ratio["at_common_error"]["low"] < 0.5 < ratio["at_common_error"]["high"]
 
 
 def test_the_bound_of_the_variance_is_given(made):
     variance = np.geomspace(0.04, 4, 80)
     expected = np.mean(np.sqrt(variance)) ** 2 / variance.mean()
-    assert summarise(made)["scenes"][0]["rel_mse_bound"] == pytest.approx(expected, rel=0.02)
+    assert summarise(made)["scenes"][0]["rel_mse_lower_bound"] == pytest.approx(expected, rel=0.02)
 
 
 def test_energy_that_is_lost_is_seen(tmp_path):
     strategies = {"uniform": np.ones_like, "dark": np.ones_like}
     made = make_comparison(tmp_path / "out", ["a"], strategies, range(8), (60, 80), bias=-0.02)
     honest, dark = summarise(made)["scenes"][0]["rows"]
-    assert abs(honest["energy"]["value"] - 1) < 0.003  # 4 standard errors of the drawn errors
+    assert abs(honest["image_mean_ratio"]["value"] - 1) < 0.003  # 4 standard errors of the drawn errors
     assert abs(honest["bias"]["z"]) < 5.4  # 1 in 1000 at 7 degrees of freedom
-    assert dark["energy"]["value"] == pytest.approx(0.98, abs=0.003)
-    assert dark["energy"]["high"] < 1
+    assert dark["image_mean_ratio"]["value"] == pytest.approx(0.98, abs=0.003)
+    assert dark["image_mean_ratio"]["high"] < 1
     assert dark["bias"]["z"] < -dark["bias"]["critical"]
 
 
 def test_a_reference_that_is_no_better_is_said(tmp_path):
     made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, reference_se=0.1)
     scene = summarise(made)["scenes"][0]
-    assert [row["below_reference"] for row in scene["rows"]] == [True] * 3
+    assert [row["reference_too_noisy"] for row in scene["rows"]] == [True] * 3
     assert scene["reference"]["p99"] == pytest.approx(0.1, rel=1e-3)
-    text = text_table(made)
-    assert "† below reference" in text
+    text = summary_text(made)
+    assert "† noisy reference" in text
     assert all("†" in line for line in text.splitlines() if line.startswith((" uniform", " relative-median")))
     exact = summarise(make_comparison(tmp_path / "exact", ["a"], STRATEGIES, reference_se=None))
-    assert [row["below_reference"] for row in exact["scenes"][0]["rows"]] == [False] * 3
+    assert [row["reference_too_noisy"] for row in exact["scenes"][0]["rows"]] == [False] * 3
 
 
 def test_waves_are_tidy(made):
@@ -129,10 +129,10 @@ def test_an_unfinished_comparison_uses_the_seeds_that_all_have(tmp_path):
     assert bright["seeds"] == [1, 2, 3]
     assert (bright["runs"], bright["planned_runs"]) == (12, 15)
     assert [row["seeds"] for row in bright["rows"]] == [5, 4, 3]
-    assert bright["perfect_uniformity"] == pytest.approx(perfect_uniformity(3))
+    assert bright["ideal_uniformity"] == pytest.approx(ideal_uniformity(3))
     assert dim["seeds"] == [1, 2, 3, 4, 5]
     assert [row["strategy"] for row in dim["rows"]] == ["uniform", "relative-median"]
-    text = text_table(made)
+    text = summary_text(made)
     assert "Not finished: 12 of 15 runs. Figures are from the 3 of 5 seeds" in text
 
 
@@ -157,7 +157,7 @@ def test_without_a_partner_there_are_no_ratios(tmp_path, left):
         assert row["rms_ratio"]["p99"] == {"value": 1.0, "low": None, "high": None}
     else:
         assert "rms_ratio" not in row
-    assert left in text_table(made)
+    assert left in summary_text(made)
 
 
 def test_what_cannot_be_read_is_the_users_to_mend(tmp_path):
@@ -178,7 +178,7 @@ def test_what_cannot_be_read_is_the_users_to_mend(tmp_path):
 
 
 def test_the_tables_of_the_terminal_are_aligned(made):
-    text = text_table(made)
+    text = summary_text(made)
     lines = text.splitlines()
     for line, after in itertools.pairwise(lines):
         if line.startswith(" uniform"):
@@ -313,13 +313,13 @@ def test_maps_keep_the_scale_and_shrink_by_whole_blocks():
 
 
 def test_labels_are_moved_apart_and_no_further():
-    from isonoise.comparison.plots import _spread_apart
+    from isonoise.comparison.plots import spread_apart
 
-    assert _spread_apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
-    assert _spread_apart([0.5, 0.5], 0.1) == pytest.approx([0.45, 0.55])
-    assert _spread_apart([0.0, 0.0, 0.0], 0.1) == pytest.approx([0.0, 0.1, 0.2])
+    assert spread_apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
+    assert spread_apart([0.5, 0.5], 0.1) == pytest.approx([0.45, 0.55])
+    assert spread_apart([0.0, 0.0, 0.0], 0.1) == pytest.approx([0.0, 0.1, 0.2])
     heights = np.sort(np.random.default_rng(1).beta(1, 8, 20))
-    moved = np.array(_spread_apart(heights, 0.04))
+    moved = np.array(spread_apart(heights, 0.04))
     assert (np.diff(moved) >= 0.04 - 1e-9).all()
     assert moved[0] >= 0
     assert moved[-1] <= 1
@@ -338,9 +338,9 @@ def test_labels_are_moved_apart_and_no_further():
     ],
 )
 def test_numbers_have_three_digits(value, text):
-    assert number(value) == text
+    assert format_number(value) == text
 
 
 def test_percentages():
-    assert percent(0.01) == "1.00 %"
-    assert percent(1.44) == "144 %"
+    assert format_percent(0.01) == "1.00 %"
+    assert format_percent(1.44) == "144 %"

@@ -24,9 +24,9 @@ from isonoise.cli import main
 from isonoise.comparison import plan as plans
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
 from isonoise.comparison.presets import PRESETS
-from isonoise.comparison.recording import SNAPSHOTS, Recorder
-from isonoise.comparison.references import Sums, fixed_map
-from isonoise.comparison.specs import describe_spec, needs_variance, split_specs
+from isonoise.comparison.recorder import SNAPSHOTS, Recorder
+from isonoise.comparison.references import BatchSums, reference_allocation
+from isonoise.comparison.strategy_specs import describe_spec, needs_variance, split_specs
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference, write_exr
 from isonoise.film.log import LogRow, columns
@@ -51,7 +51,7 @@ def _no_report():
     """The report is made from the runs and has tests of its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isonoise.comparison.report.write_report", lambda directory: None)
-        patch.setattr("isonoise.comparison.summary.text_table", lambda directory: "the table")
+        patch.setattr("isonoise.comparison.summary.summary_text", lambda directory: "the table")
         yield
 
 
@@ -572,7 +572,7 @@ def test_batches_add_up():
     rng = np.random.default_rng(5)
     sigma = rng.uniform(0.1, 1, (100, 100))
     mean = rng.uniform(1, 2, (100, 100))
-    sums = Sums(np.full((100, 100), 5, np.uint32))
+    sums = BatchSums(np.full((100, 100), 5, np.uint32))
     for _ in range(20):
         sums.add(normal_statistics(rng, 5, mean, sigma), 0.5)
     assert (sums.batches, sums.seconds) == (20, 10.0)
@@ -591,7 +591,7 @@ def test_a_map_is_half_uniform_and_takes_the_other_half_where_errors_are_large(s
     variance = np.broadcast_to(np.geomspace(1e-3, 1e3, 30), count.shape)
     ones = np.ones(count.shape)
     pilot = Statistics(count, 0 * count, np.ones((20, 30, 3), np.float32), ones, variance, None)
-    allocation = fixed_map(pilot, spp)
+    allocation = reference_allocation(pilot, spp)
     assert allocation.dtype == np.uint32
     assert allocation.sum() == spp * 600
     assert allocation.min() >= spp / 2
@@ -678,7 +678,7 @@ def test_mitsuba_renders_the_same_picture(reference_file):
 
 @pytest.mark.skipif(not HAS_MITSUBA, reason="needs Mitsuba 3: pip install 'isonoise[peers]'")
 def test_what_mitsuba_cannot_render_is_a_message(capsys, monkeypatch):
-    monkeypatch.setattr("isonoise.comparison.mitsuba_peer.mitsuba_xml", lambda *_: "<scene version='3.0.0'><shape/>")
+    monkeypatch.setattr("isonoise.comparison.mitsuba_worker.mitsuba_xml", lambda *_: "<scene version='3.0.0'><shape/>")
     write_flat_reference("a.exr")
     assert compare(*options("out", ("mitsuba-independent",), 1), "--reference", "a.exr") == 2
     err = capsys.readouterr().err

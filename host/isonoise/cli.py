@@ -295,7 +295,7 @@ def _compare_epilog() -> str:
         "presets:",
     ]
     for name, preset in PRESETS.items():
-        lines.append(f"  {name}: {preset.meaning}")
+        lines.append(f"  {name}: {preset.description}")
         lines.append(f"    {preset.seeds} seeds, {preset.time:g} s a run; scenes {', '.join(preset.scenes)};")
         lines += [f"    {spec}" for spec in preset.strategies]
     lines += [

@@ -13,7 +13,7 @@ from isonoise.benchmark.embree import has_rays, measure_rays
 from isonoise.benchmark.measure import Settings, device_facts, load_subject, samples_of
 from isonoise.benchmark.spread import Spread
 from isonoise.benchmark.subject import MeasuredDevice, Subject
-from isonoise.comparison.mitsuba_peer import Worker
+from isonoise.comparison.mitsuba_worker import Worker
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
 from isonoise.errors import UserError
 from isonoise.progress import ProgressBar

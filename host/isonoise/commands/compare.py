@@ -9,7 +9,7 @@ from pathlib import Path
 from isonoise.commands import EXIT_DONE
 from isonoise.comparison.plan import Plan, Request, additions, differences, make_plan, read_plan, write_plan
 from isonoise.comparison.presets import PRESETS
-from isonoise.comparison.specs import PEERS, needs_variance, split_specs, with_variance
+from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance, split_specs, with_variance
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable, remove_temporary_files
 
@@ -30,11 +30,11 @@ def run(options: argparse.Namespace) -> int:
         with_variance("oracle", directory.resolve())
     _begin(directory, stored, plan)
 
-    from isonoise.comparison.runner import execute
+    from isonoise.comparison.runner import run_plan
 
     code = EXIT_DONE
     try:
-        execute(plan, directory.resolve(), options.device, _say)
+        run_plan(plan, directory.resolve(), options.device, _say)
     except KeyboardInterrupt:
         code = 128 + signal.SIGINT
         print(
@@ -43,10 +43,10 @@ def run(options: argparse.Namespace) -> int:
         if not any((directory / "runs").glob("*/*/[0-9]*.npz")):
             return code
     from isonoise.comparison.report import write_report
-    from isonoise.comparison.summary import text_table
+    from isonoise.comparison.summary import summary_text
 
     write_report(directory)
-    _say(text_table(directory))
+    _say(summary_text(directory))
     _say(f"report  {directory / 'report.html'}")
     return code
 
@@ -84,8 +84,8 @@ def _check_packages(request: Request) -> None:
     missing = [name for name in REPORT_PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise UserError(f"the report needs {' and '.join(missing)}: pip install 'isonoise[compare]'")
-    if set(request.strategies) & set(PEERS) and importlib.util.find_spec("mitsuba") is None:
-        raise UserError(f"{' and '.join(PEERS)} need Mitsuba 3: pip install 'isonoise[peers]'")
+    if set(request.strategies) & set(MITSUBA_SAMPLERS) and importlib.util.find_spec("mitsuba") is None:
+        raise UserError(f"{' and '.join(MITSUBA_SAMPLERS)} need Mitsuba 3: pip install 'isonoise[peers]'")
 
 
 def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:

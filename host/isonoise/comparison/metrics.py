@@ -1,7 +1,7 @@
-"""What finished runs say about a strategy: errors over the seeds, bias, paired ratios, time to equal error.
+"""Metrics of a strategy from its finished runs: error over the seeds, bias, paired ratios, time to equal error.
 
-Pure functions on arrays. `errors` are signed relative errors e = (x - r) / max(r, floor) of the luminance, one image a
-seed, shape (S, height, width). Intervals are 95 % and Student's t.
+Pure functions on arrays, called by `summary`. `errors` are signed relative errors e = (x - r) / max(r, floor) of the
+luminance, one image per seed, shape (S, height, width). Intervals are 95 % intervals by Student's t.
 """
 
 import math
@@ -13,15 +13,15 @@ import numpy as np
 
 from isonoise.student_t import quantile as student_quantile
 
-NORMAL = 10**6
-"""Degrees of freedom from which on Student's t is normal, to 1e-6."""
+MAX_DOF = 10**6
+"""Student's t with this many degrees of freedom is normal to 1e-6."""
 
 TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A value and its 95 % interval; bounds are nan where there is none (fewer than two seeds)."""
+    """A value and its 95 % interval. The bounds are nan with fewer than two seeds."""
 
     value: float
     low: float
@@ -30,7 +30,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean, its standard error and the degrees of freedom of that error."""
+    """A mean, its standard error and the degrees of freedom of the standard error."""
 
     value: float
     se: float
@@ -41,7 +41,7 @@ class Estimate:
         return Interval(self.value, self.value - half, self.value + half)
 
     def ratio(self) -> Interval:
-        """Value and interval of exp(value): an estimate of a logarithm as a ratio."""
+        """Interval of exp(value): turns the estimate of a logarithm into a ratio."""
         interval = self.interval()
         return Interval(*(float(np.exp(x)) for x in (interval.value, interval.low, interval.high)))
 
@@ -50,85 +50,94 @@ class Estimate:
         return self.critical() * self.se
 
     def critical(self) -> float:
-        """What |z| has to pass to be significant at 5 %: t(0.975, dof); nan without degrees of freedom."""
+        """Critical value of |z| at the 5 % level: t(0.975, dof); nan without degrees of freedom."""
         return float(student_quantile(0.975, np.array([self.dof]))[0]) if self.dof > 0 else math.nan
 
     def z(self, null: float = 0.0) -> float:
-        """(value - null) / se: follows Student's t where `null` is true."""
-        off = self.value - null
-        return off / self.se if self.se != 0 else (0.0 if off == 0 else math.copysign(math.inf, off))
+        """(value - null) / se, which follows Student's t if the true value is `null`."""
+        difference = self.value - null
+        if self.se == 0:
+            return 0.0 if difference == 0 else math.copysign(math.inf, difference)
+        return difference / self.se
 
 
 def mean_over_seeds(values: Sequence[float], common_se: float = 0.0) -> Estimate:
-    """Mean over the seeds; `common_se` is the standard error of what all seeds share, the reference.
+    """Mean over the seeds.
 
-    se^2 = s^2 / S + common_se^2. Degrees of freedom: Welch and Satterthwaite's (Welch 1947), with the second part
-    known exactly: (S - 1) (se^2 / (s^2 / S))^2, rounded down; S - 1 where the reference is exact.
+    `common_se` is the standard error that all seeds share, because they are measured against the same reference:
+    se^2 = s^2 / S + common_se^2. Degrees of freedom by Welch and Satterthwaite (Welch 1947), with the second
+    variance known exactly: (S - 1) (se^2 / (s^2 / S))^2, rounded down. That is S - 1 for an exact reference.
     """
     values = np.asarray(values, np.float64)
     if len(values) < 2 or not np.isfinite(values).all():
         return Estimate(float(values.mean()) if len(values) else math.nan, math.nan, 0)
-    own = values.var(ddof=1) / len(values)
-    total = own + common_se**2
-    dof = (len(values) - 1) * (total / own) ** 2 if own > 0 else math.inf
-    return Estimate(float(values.mean()), math.sqrt(total), int(min(dof, NORMAL)))
+    seed_variance = values.var(ddof=1) / len(values)
+    total = seed_variance + common_se**2
+    dof = (len(values) - 1) * (total / seed_variance) ** 2 if seed_variance > 0 else math.inf
+    return Estimate(float(values.mean()), math.sqrt(total), int(min(dof, MAX_DOF)))
 
 
 def paired_ratio(values: Sequence[float], baseline: Sequence[float]) -> Interval:
-    """Ratio to the baseline, paired over the seeds: exp of the mean of log(value_s / baseline_s), t interval, S - 1."""
+    """Ratio to the baseline, paired by seed: exp of the mean of log(value_s / baseline_s); t interval, dof S - 1."""
     values, baseline = np.asarray(values, np.float64), np.asarray(baseline, np.float64)
     with np.errstate(all="ignore"):
         return mean_over_seeds(np.log(values / baseline)).ratio()
 
 
-def jackknife(value: float, without: Sequence[float]) -> Estimate:
-    """A statistic of all seeds with its standard error from the S values that leave one seed out.
+def jackknife(value: float, leave_one_out: Sequence[float]) -> Estimate:
+    """A statistic of all seeds, with its jackknife standard error.
 
-    se^2 = (S - 1)/S sum (without_i - mean)^2 (Tukey 1958; Efron and Stein 1981), S - 1 degrees of freedom. For a ratio
-    give logarithms, made from both strategies without the same seed: that pairs them.
+    `leave_one_out` has S values of the statistic, each computed without one of the seeds. se^2 = (S - 1)/S
+    sum (leave_one_out_i - mean)^2 (Tukey 1958; Efron and Stein 1981), with S - 1 degrees of freedom. For a ratio of two
+    strategies pass logarithms and leave out the same seed of both: that pairs them.
 
-    It errs on the safe side (Efron and Stein): for the RMS p99 over 8 seeds the standard error came out 1.0 to 1.6
-    times the true one in simulations (normal and Student errors, pixels alike or of very different noise).
+    The jackknife overestimates (Efron and Stein): for the RMS p99 over 8 seeds its standard error was 1.0 to 1.6 times
+    the true one in simulations (normal and Student errors; pixels with equal and with very different noise).
     """
-    without = np.asarray(without, np.float64)
-    count = len(without)
-    if count < 2 or not np.isfinite(without).all() or not math.isfinite(value):
+    leave_one_out = np.asarray(leave_one_out, np.float64)
+    count = len(leave_one_out)
+    if count < 2 or not np.isfinite(leave_one_out).all() or not math.isfinite(value):
         return Estimate(float(value), math.nan, 0)
-    return Estimate(float(value), math.sqrt((count - 1) * without.var()), count - 1)
+    return Estimate(float(value), math.sqrt((count - 1) * leave_one_out.var()), count - 1)
 
 
 def rms_over_seeds(errors: np.ndarray) -> np.ndarray:
-    """Root of the mean over the seeds of e^2 in every pixel, float64 (height, width)."""
+    """Root of the mean of e^2 over the seeds, per pixel: float64 (height, width)."""
     return np.sqrt(_sum_of_squares(errors) / len(errors))
 
 
 def rms_quantiles(errors: np.ndarray, quantiles: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Quantiles over the pixels of `rms_over_seeds`: of all seeds, shape (Q,), and without each seed, (S, Q).
+    """Quantiles over the pixels of `rms_over_seeds`.
 
-    A single seed gives an empty second array, (0, Q).
+    Returns
+    -------
+    all_seeds : (Q,) float64
+    leave_one_out : (S, Q) float64
+        Row i is computed without seed i. (0, Q) with a single seed.
     """
     total = _sum_of_squares(errors)
-    of_all_seeds = np.sqrt(np.quantile(total, quantiles) / len(errors))
+    all_seeds = np.sqrt(np.quantile(total, quantiles) / len(errors))
     if len(errors) < 2:
-        return of_all_seeds, np.empty((0, len(quantiles)))
-    # Rounding of a difference is nothing beside the noise of a quantile: the sort is what takes the time.
-    left = ((total - np.square(e, dtype=np.float64)).astype(np.float32) for e in errors)
-    without = np.array([np.quantile(rest, quantiles) for rest in left], np.float64)
-    return of_all_seeds, np.sqrt(np.maximum(without, 0) / (len(errors) - 1))
+        return all_seeds, np.empty((0, len(quantiles)))
+    # float32 halves the time of the sort; its rounding is far below the noise of a quantile
+    rest = ((total - np.square(e, dtype=np.float64)).astype(np.float32) for e in errors)
+    leave_one_out = np.array([np.quantile(squares, quantiles) for squares in rest], np.float64)
+    return all_seeds, np.sqrt(np.maximum(leave_one_out, 0) / (len(errors) - 1))
 
 
-def freed_of_reference(rms: np.ndarray, relative_se: np.ndarray) -> np.ndarray:
-    """sqrt(max(rms^2 - se_ref^2, 0)): the RMS that an exact reference would show, in the mean over the pixels.
+def subtract_reference_error(rms: np.ndarray, relative_se: np.ndarray) -> np.ndarray:
+    """sqrt(max(rms^2 - se_ref^2, 0)): estimates the RMS against an exact reference.
 
-    `relative_se` is the reference's standard error over max(r, floor), of the same shape as `rms`.
+    It is unbiased in the mean square over the pixels. `relative_se` is the reference's standard error over
+    max(r, floor), with the shape of `rms`.
     """
     return np.sqrt(np.maximum(np.square(rms) - np.square(relative_se), 0))
 
 
 def bias(errors: np.ndarray, relative_se: np.ndarray | None = None) -> Estimate:
-    """Mean relative error over the pixels, estimated from one mean a seed.
+    """Mean relative error over the pixels, estimated from one mean per seed.
 
-    The reference's part of its standard error is sqrt(sum (se_ref / max(r, floor))^2) / pixels: pixels independent.
+    The reference adds sqrt(sum (se_ref / max(r, floor))^2) / pixels to the standard error: its pixels are independent.
     """
     means = [float(np.mean(e, dtype=np.float64)) for e in errors]
     shared = (
@@ -138,16 +147,17 @@ def bias(errors: np.ndarray, relative_se: np.ndarray | None = None) -> Estimate:
 
 
 @lru_cache(maxsize=64)
-def perfect_uniformity(seeds: int) -> float:
+def ideal_uniformity(seeds: int) -> float:
     """p99/p50 over the pixels of the RMS over S seeds when every pixel has the same normal error.
 
-    That RMS is distributed like sqrt(chi^2_S / S), so it is sqrt(q(0.99) / q(0.5)) of chi^2 with S degrees of freedom.
+    The RMS is then distributed like sqrt(chi^2_S / S), so the ratio is sqrt(q(0.99) / q(0.5)) with the quantiles q of
+    chi^2 with S degrees of freedom.
     """
     return math.sqrt(chi_square_quantile(0.99, seeds) / chi_square_quantile(0.5, seeds))
 
 
 def chi_square_quantile(p: float, dof: float) -> float:
-    """The x with P(dof/2, x/2) = p, by bisection; P is the regularised lower incomplete gamma function."""
+    """Quantile x with P(dof/2, x/2) = p, by bisection. P is the regularised lower incomplete gamma function."""
     low, high = 0.0, dof + 10.0
     while _lower_gamma(dof / 2, high / 2) < p:
         low, high = high, 2 * high
@@ -157,11 +167,11 @@ def chi_square_quantile(p: float, dof: float) -> float:
     return (low + high) / 2
 
 
-def allocation_bound(variance: np.ndarray) -> float:
-    """What any allocation can make of uniform sampling's mean relMSE: mean(sqrt V)^2 / mean(V), reached by n ~ sqrt V.
+def rel_mse_lower_bound(variance: np.ndarray) -> float:
+    """Lower bound of the mean relMSE of any allocation, relative to uniform sampling with as many samples.
 
-    `variance`: relative variance of one sample, (height, width). By Cauchy and Schwarz, sum V/n >= (sum sqrt V)^2 / N
-    for counts that sum to N. nan where all is noiseless.
+    It is mean(sqrt V)^2 / mean(V), reached by n ~ sqrt V: by Cauchy and Schwarz, sum V/n >= (sum sqrt V)^2 / N for
+    counts n that sum to N. `variance` V is the relative variance of one sample, (height, width). nan if V is 0.
     """
     mean = float(np.mean(variance, dtype=np.float64))
     return float(np.mean(np.sqrt(variance, dtype=np.float64))) ** 2 / mean if mean > 0 else math.nan
@@ -169,50 +179,54 @@ def allocation_bound(variance: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Curve:
-    """Error against time: of all seeds, shape (K,), and without each seed, (S, K) (empty for a single seed)."""
+    """Error against time: of all seeds, shape (K,), and without each seed, (S, K); the latter (0, K) for one seed."""
 
     time: np.ndarray
     error: np.ndarray
-    time_without: np.ndarray
-    error_without: np.ndarray
+    leave_one_out_time: np.ndarray
+    leave_one_out_error: np.ndarray
 
 
 @dataclass(frozen=True)
 class TimeRatio:
-    """Time to the baseline's final error over the baseline's time to it: between `low` and `high`.
+    """Time to the baseline's final error, over the baseline's time to it; it lies between `low` and `high`.
 
-    The two are the same where both curves pass through that error; `high` is inf where the strategy did not reach it,
-    `low` 0 where it was never above. `common`: the same ratio at the larger of the two errors that the curves end with,
-    which is another one only where the baseline's is not reached, with its 95 % interval: the jackknife's over the
-    seeds, both curves without the same seed. It goes on smoothly where the one case becomes the other.
+    `low` and `high` are equal where both curves pass through that error. `high` is inf if the strategy did not reach
+    it, `low` is 0 if the strategy was never above it.
+
+    `at_common_error` is the same ratio at the larger of the two final errors, with its 95 % interval by the jackknife
+    over the seeds (both curves without the same seed). It differs from `low` only if the baseline's error is not
+    reached, and it changes continuously between the two cases.
     """
 
     low: float
     high: float
-    common: Interval
+    at_common_error: Interval
 
 
 def curve_of_means(times: Sequence[np.ndarray], errors: Sequence[np.ndarray], points: int = 49) -> Curve:
-    """Mean over the seeds of error curves with points at times of their own.
+    """Mean over the seeds of error curves that were sampled at different times.
 
-    Each is interpolated, logarithm against logarithm, on `points` common times, evenly spaced in the logarithm, from
-    the latest first to the earliest last time; then the errors are averaged.
+    Each curve is interpolated, log error against log time, at `points` times that are evenly spaced in the logarithm,
+    from the latest first time to the earliest last time. Then the errors are averaged.
     """
     first, last = max(t[0] for t in times), min(t[-1] for t in times)
     grid = np.geomspace(first, last, points) if first < last else np.array([last])
     values = np.array([_interpolate(grid, t, e) for t, e in zip(times, errors, strict=True)])
     count = len(values)
-    without = (values.sum(axis=0) - values) / (count - 1) if count > 1 else np.empty((0, len(grid)))
-    return Curve(grid, values.mean(axis=0), np.broadcast_to(grid, without.shape), without)
+    leave_one_out = (values.sum(axis=0) - values) / (count - 1) if count > 1 else np.empty((0, len(grid)))
+    return Curve(grid, values.mean(axis=0), np.broadcast_to(grid, leave_one_out.shape), leave_one_out)
 
 
 def time_to_reach(time: np.ndarray, error: np.ndarray, level: float) -> tuple[float, float]:
-    """Earliest and latest time from which on the error is at most `level`.
+    """Lower and upper bound of the time from which the error stays at most `level`.
 
-    Both are the same where the curve passes through it: interpolated, logarithm against logarithm, on the curve's
-    monotone envelope, the largest error from then on. (An image that has found no firefly yet has small errors, for a
-    while: the smallest error so far would take it for the better one.) (0, first time) if the curve is never above
-    `level`, (last time, inf) if it ends above. The error that it ends with is reached at its end, by definition.
+    The bounds are equal where the curve passes through `level`, interpolated in log error against log time. The curve
+    is replaced by its monotone envelope, the largest error from each time on: an image that has not found its fireflies
+    yet has a small error for a while, and the running minimum would count that as reached.
+
+    Returns (0, first time) if the curve is never above `level`, (last time, inf) if it ends above. The final error is
+    reached at the end of the curve, by definition.
     """
     envelope = np.log(np.maximum(np.maximum.accumulate(error[::-1])[::-1], TINY))
     target = math.log(max(level, TINY))
@@ -223,19 +237,25 @@ def time_to_reach(time: np.ndarray, error: np.ndarray, level: float) -> tuple[fl
     after = int(np.argmax(envelope <= target))
     if after == 0:
         return 0.0, float(time[0])
-    share = (envelope[after - 1] - target) / (envelope[after - 1] - envelope[after])
-    at = math.exp((1 - share) * math.log(time[after - 1]) + share * math.log(time[after]))
-    return at, at
+    weight = (envelope[after - 1] - target) / (envelope[after - 1] - envelope[after])
+    reached = math.exp((1 - weight) * math.log(time[after - 1]) + weight * math.log(time[after]))
+    return reached, reached
 
 
 def time_ratio(curve: Curve, baseline: Curve) -> TimeRatio:
     """Time to equal error relative to the baseline."""
     low, high = _time_ratio_at(float(baseline.error[-1]), curve.time, curve.error, baseline.time, baseline.error)
-    both = zip(curve.time_without, curve.error_without, baseline.time_without, baseline.error_without, strict=True)
+    pairs = zip(
+        curve.leave_one_out_time,
+        curve.leave_one_out_error,
+        baseline.leave_one_out_time,
+        baseline.leave_one_out_error,
+        strict=True,
+    )
     with np.errstate(all="ignore"):
-        common = np.log(_common_ratio(curve.time, curve.error, baseline.time, baseline.error))
-        without = np.log([_common_ratio(*curves) for curves in both])
-    return TimeRatio(low, high, jackknife(float(common), without).ratio())
+        ratio = np.log(_ratio_at_common_error(curve.time, curve.error, baseline.time, baseline.error))
+        leave_one_out = np.log([_ratio_at_common_error(*pair) for pair in pairs])
+    return TimeRatio(low, high, jackknife(float(ratio), leave_one_out).ratio())
 
 
 def _time_ratio_at(level: float, time, error, base_time, base_error) -> tuple[float, float]:
@@ -244,8 +264,8 @@ def _time_ratio_at(level: float, time, error, base_time, base_error) -> tuple[fl
     return low / base_high, high / base_low if base_low > 0 else math.inf
 
 
-def _common_ratio(time, error, base_time, base_error) -> float:
-    """Ratio at the larger of the two errors that the curves end with; nan where one of them is never above it."""
+def _ratio_at_common_error(time, error, base_time, base_error) -> float:
+    """Time ratio at the larger of the two final errors; nan if one of the curves is never above it."""
     level = max(float(error[-1]), float(base_error[-1]))
     low, high = _time_ratio_at(level, time, error, base_time, base_error)
     return low if low == high else math.nan
@@ -259,7 +279,7 @@ def _sum_of_squares(errors: np.ndarray) -> np.ndarray:
 
 
 def _lower_gamma(a: float, x: float) -> float:
-    """P(a, x) = x^a e^-x / Gamma(a + 1) sum x^k / ((a + 1)...(a + k)): terms are positive, nothing cancels."""
+    """P(a, x) = x^a e^-x / Gamma(a + 1) sum x^k / ((a + 1)...(a + k)); all terms are positive."""
     if x <= 0:
         return 0.0
     term = total = 1.0

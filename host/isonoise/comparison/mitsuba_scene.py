@@ -1,4 +1,4 @@
-"""A scene file for Mitsuba 3 with what the comparison fixes: size, depth and sampler."""
+"""Writes a scene as XML for Mitsuba 3, with the size, depth and sampler of the comparison."""
 
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -9,18 +9,18 @@ from isonoise.scene.builtin import find_scene
 
 
 def mitsuba_xml(source: Path, sampler: str, size: tuple[int, int] | None, max_depth: int | None) -> str:
-    """The text of a scene as it is rendered here: a path tracer of the same depth and roulette, an RGB film of the same
-    size and filter, and `sampler`; file names are absolute. Raises SceneError if it is no XML or has no own sensor."""
+    """XML text of a scene: the path integrator with isonoise's depth and roulette, an RGB film of the same size and
+    filter, `sampler`, absolute file names. Raises SceneError if the file is not XML or has no sensor itself."""
     from defusedxml.ElementTree import parse
 
     path = find_scene(source)
     if path.suffix.lower() != ".xml":
-        raise SceneError(f"{path}: Mitsuba 3 reads .xml scenes only; leave it out of this comparison")
+        raise SceneError(f"{path}: Mitsuba 3 reads .xml scenes only; remove the scene from this comparison")
     compiled = compile_scene(load(source), size=size, max_depth=max_depth)
     root = parse(path).getroot()
     sensor = root.find("sensor")
     if sensor is None:
-        raise SceneError(f"{path}: has no sensor in the file itself, which the comparison with Mitsuba 3 needs")
+        raise SceneError(f"{path}: has no sensor in the file itself, which a comparison with Mitsuba 3 needs; add one")
 
     for old in root.findall("integrator"):
         root.remove(old)
@@ -39,7 +39,7 @@ def mitsuba_xml(source: Path, sampler: str, size: tuple[int, int] | None, max_de
     _set(film, "string", "pixel_format", "rgb")
     if size is not None:
         for name in ("crop_width", "crop_height", "crop_offset_x", "crop_offset_y"):
-            _drop(film, name)
+            _remove(film, name)
         _set(film, "integer", "width", size[0])
         _set(film, "integer", "height", size[1])
 
@@ -52,12 +52,12 @@ def mitsuba_xml(source: Path, sampler: str, size: tuple[int, int] | None, max_de
 
 
 def _set(parent: Element, kind: str, name: str, value: object) -> None:
-    _drop(parent, name)
+    _remove(parent, name)
     SubElement(parent, kind, name=name, value=str(value))
 
 
-def _drop(parent: Element, name: str) -> None:
+def _remove(parent: Element, name: str) -> None:
     first, *others = name.split("_")
-    in_old_files = first + "".join(word.capitalize() for word in others)
-    for old in [child for child in parent if child.get("name") in (name, in_old_files)]:
+    camel_case = first + "".join(word.capitalize() for word in others)
+    for old in [child for child in parent if child.get("name") in (name, camel_case)]:
         parent.remove(old)

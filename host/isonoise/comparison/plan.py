@@ -1,4 +1,4 @@
-"""What is compared: scenes, strategies, seeds and the budget of a run; kept in plan.json so that it can go on."""
+"""The plan of a comparison: scenes, strategies, seeds, budget; stored in plan.json, so that a comparison can resume."""
 
 import hashlib
 import json
@@ -8,33 +8,33 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from isonoise import __version__
-from isonoise.comparison.specs import describe_spec, title_of
+from isonoise.comparison.strategy_specs import describe_spec, strategy_title
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.files import write_atomically
 from isonoise.scene import compile_scene, load
 from isonoise.scene.builtin import find_scene
 
-FILE = "plan.json"
-SEEDS = 2**63
-"""Seeds of runs are below; those from here on belong to references."""
-REFERENCE_SHARE = 20
-"""A reference takes this many times what one run takes, unless told otherwise. Its share of the samples alone makes its
-standard error 0.22 of a run's: below the quarter that `is_reference_accurate` asks for."""
+PLAN_FILE = "plan.json"
+FIRST_REFERENCE_SEED = 2**63
+"""Seeds from here on are reserved for references; those of runs are below."""
+REFERENCE_BUDGET_FACTOR = 20
+"""Default budget of a reference, over the budget of a run. The number of samples alone reduces its standard error to
+0.22 of a run's, below the quarter that `reference_too_noisy` of summary.json checks."""
 
 
 @dataclass(frozen=True)
 class SceneEntry:
     """A scene of the plan."""
 
-    slug: str  # names its folder and files
+    slug: str  # name of its folder and files
     name: str
-    source: str  # what `Renderer` takes: a built-in scene's name, or an absolute path
+    source: str  # name of a built-in scene, or an absolute path
     hash: str  # of the compiled scene, size and depth included
     width: int
     height: int
-    reference: str  # absolute where it was given, else below the comparison's folder
-    reference_sha256: str | None  # of a given one
+    reference: str  # absolute path if given, else relative to the comparison's folder
+    reference_sha256: str | None  # if given
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,13 @@ class StrategyEntry:
 
     slug: str
     title: str
-    spec: str  # as it was named
-    parameters: str  # the spec with every parameter written out
+    spec: str  # as the user wrote it
+    parameters: str  # the spec with all parameters
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole comparison: every scene with every strategy and seed. Either `time` or `spp` is the budget of a run."""
+    """A comparison: every scene with every strategy and seed. Either `time` or `spp` is the budget of a run."""
 
     version: str
     scenes: tuple[SceneEntry, ...]
@@ -57,16 +57,16 @@ class Plan:
     seeds: tuple[int, ...]
     time: float | None  # seconds
     spp: float | None  # mean samples per pixel
-    size: tuple[int, int] | None  # (width, height) in place of the scenes'
-    max_depth: int | None  # in place of the scenes'
-    device: str  # its name
-    reference_time: float | None  # seconds; None: REFERENCE_SHARE times spp
-    preset: str | None = None  # what it was made with; its figures are in the report
+    size: tuple[int, int] | None  # (width, height), overrides the scenes'
+    max_depth: int | None  # overrides the scenes'
+    device: str  # name
+    reference_time: float | None  # seconds; None: REFERENCE_BUDGET_FACTOR times spp
+    preset: str | None = None  # the report has its figures
 
 
 @dataclass(frozen=True)
 class Request:
-    """What the user asked for, before it is looked up."""
+    """The options of the command, before names are resolved."""
 
     scenes: Sequence[str]
     strategies: Sequence[str]
@@ -77,40 +77,39 @@ class Request:
     size: tuple[int, int] | None = None
     max_depth: int | None = None
     device: str | None = None
-    references: Sequence[str] = ()  # a file for each scene, in order, or SCENE=FILE
+    references: Sequence[str] = ()  # one file per scene, in order, or SCENE=FILE
     reference_time: float | None = None
     preset: str | None = None
 
 
 def make_plan(request: Request, stored: Plan | None = None) -> Plan:
-    """Looks up and checks all that is named. Scenes and strategies of the `stored` plan keep their slugs, and
-    its preset stays.
+    """Resolves and checks a request. Scenes and strategies of the `stored` plan keep their slugs, and its preset stays.
 
-    Raises SceneError, DeviceError, UserError: something is unknown, named twice, or does not go together.
+    Raises SceneError, DeviceError or UserError if something is unknown, named twice or contradictory.
     """
     from isonoise.device.opencl import Device
 
-    if request.first_seed + request.seeds > SEEDS:
-        raise UserError(f"seeds go up to {SEEDS - 1}: those beyond are the references'")
+    if request.first_seed + request.seeds > FIRST_REFERENCE_SEED:
+        raise UserError(f"seeds go up to {FIRST_REFERENCE_SEED - 1}: larger ones are reserved for references")
     if request.time is not None and request.spp is not None:
         raise UserError("--time and --spp are both given: a run has one budget")
     sources = [_source(name) for name in request.scenes]
     specs = [spec.strip() for spec in request.strategies]
-    for what, names in (("scene", sources), ("strategy", specs)):
+    for kind, names in (("scene", sources), ("strategy", specs)):
         if not names:
-            raise UserError(f"nothing to compare: name a {what}")
+            raise UserError(f"nothing to compare: name a {kind}")
         for name in names:
             if names.count(name) > 1:
-                raise UserError(f"{what} '{name}' is named twice")
+                raise UserError(f"{kind} '{name}' is named twice")
     device = Device(request.device).name
     known = {entry.spec: entry.slug for entry in stored.strategies} if stored else {}
     strategies = tuple(
-        StrategyEntry(slug, title_of(spec), spec, describe_spec(spec))
+        StrategyEntry(slug, strategy_title(spec), spec, describe_spec(spec))
         for spec, slug in zip(specs, _slugs(specs, known, lambda spec: [spec]), strict=True)
     )
     reference_time = request.reference_time
     if reference_time is None and request.time is not None:
-        reference_time = REFERENCE_SHARE * request.time
+        reference_time = REFERENCE_BUDGET_FACTOR * request.time
     return Plan(
         version=__version__,
         scenes=_scenes(request, sources, stored),
@@ -127,8 +126,8 @@ def make_plan(request: Request, stored: Plan | None = None) -> Plan:
 
 
 def read_plan(directory: Path) -> Plan | None:
-    """The plan of a comparison that was begun in `directory`, None if there is none. Raises UserError if unreadable."""
-    path = directory / FILE
+    """The plan in `directory`, None if there is none. Raises UserError if it is unreadable."""
+    path = directory / PLAN_FILE
     if not path.exists():
         return None
     try:
@@ -139,45 +138,45 @@ def read_plan(directory: Path) -> Plan | None:
         content["size"] = content["size"] and tuple(content["size"])
         return Plan(**content)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"cannot read the plan '{path}' ({error}): compare into another folder") from error
+        raise UserError(f"cannot read the plan '{path}' ({error}): choose another folder with -o") from error
 
 
 def write_plan(directory: Path, plan: Plan) -> None:
     """Raises UserError if the file cannot be written."""
     text = json.dumps(asdict(plan), indent=1) + "\n"
-    write_atomically(directory / FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomically(directory / PLAN_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def differences(stored: Plan, plan: Plan) -> list[str]:
-    """What keeps `plan` from going on with the runs of `stored`, in words; scenes, strategies and seeds may be more."""
-    found = []
+    """Differences that prevent `plan` from resuming the runs of `stored`, as messages; additions are no difference."""
+    messages = []
     for name in ("version", "time", "spp", "size", "max_depth", "device", "reference_time"):
         before, now = getattr(stored, name), getattr(plan, name)
         if before != now:
-            found.append(f"{name} was {_text(before)} and is {_text(now)}")
-    for what in ("scenes", "strategies"):
-        now = {entry.slug: entry for entry in getattr(plan, what)}
-        for entry in getattr(stored, what):
+            messages.append(f"{name} was {_text(before)} and is {_text(now)}")
+    for kind in ("scenes", "strategies"):
+        now = {entry.slug: entry for entry in getattr(plan, kind)}
+        for entry in getattr(stored, kind):
             if entry.slug not in now:
-                found.append(f"'{_title(entry)}' is missing")
+                messages.append(f"'{_title(entry)}' is missing")
                 continue
             for field in fields(entry):
                 old, new = getattr(entry, field.name), getattr(now[entry.slug], field.name)
                 if old != new:
-                    found.append(f"{field.name} of '{_title(entry)}' was {_text(old)} and is {_text(new)}")
+                    messages.append(f"{field.name} of '{_title(entry)}' was {_text(old)} and is {_text(new)}")
     missing = sorted(set(stored.seeds) - set(plan.seeds))
     if missing:
-        found.append(f"seeds are missing: {', '.join(map(str, missing))}")
-    return found
+        messages.append(f"seeds are missing: {', '.join(map(str, missing))}")
+    return messages
 
 
 def additions(stored: Plan, plan: Plan) -> list[str]:
-    """Titles of the scenes and strategies, and seeds, that `plan` has and `stored` has not."""
-    found = []
-    for what in ("scenes", "strategies"):
-        before = {entry.slug for entry in getattr(stored, what)}
-        found += [_title(entry) for entry in getattr(plan, what) if entry.slug not in before]
-    return found + [f"seed {seed}" for seed in sorted(set(plan.seeds) - set(stored.seeds))]
+    """Scenes and strategies (their titles) and seeds that `plan` has and `stored` has not."""
+    added = []
+    for kind in ("scenes", "strategies"):
+        before = {entry.slug for entry in getattr(stored, kind)}
+        added += [_title(entry) for entry in getattr(plan, kind) if entry.slug not in before]
+    return added + [f"seed {seed}" for seed in sorted(set(plan.seeds) - set(stored.seeds))]
 
 
 def _scenes(request: Request, sources: list[str], stored: Plan | None) -> tuple[SceneEntry, ...]:
@@ -195,28 +194,28 @@ def _scenes(request: Request, sources: list[str], stored: Plan | None) -> tuple[
 
 
 def _source(name: str) -> str:
-    """What stands for the scene wherever the command runs: the absolute path of a file, or a built-in scene's name."""
+    """The absolute path of a file, or the name of a built-in scene."""
     path = find_scene(name)
     return str(path.resolve()) if Path(name).is_file() else name
 
 
 def _scene_names(source: str) -> list[str]:
-    """Names for a scene, the best one first: many are called scene.xml in a folder that says what they are."""
+    """Candidate names of a scene, the best first. For scene.xml, a common name, the folder's name is better."""
     path = Path(source)
     folder = [f"{path.parent.name}-{path.stem}"] if path.parent.name else []
     return [path.parent.name, *folder] if path.stem == "scene" and folder else [path.stem, *folder]
 
 
 def _slugs(keys: Iterable[str], known: Mapping[str, str], names: Callable[[str], list[str]]) -> list[str]:
-    """A name that a folder can have for each key, none twice, those already known first."""
-    given = dict(known)
+    """A unique folder name for each key; keys in `known` keep theirs."""
+    slugs = dict(known)
     for key in keys:
-        if key not in given:
+        if key not in slugs:
             digest = hashlib.sha256(key.encode()).hexdigest()[:8]
-            choices = [_slug(name) for name in names(key)]
-            choices.append(f"{choices[0]}-{digest}")
-            given[key] = next(choice for choice in choices if choice not in given.values())
-    return [given[key] for key in keys]
+            candidates = [_slug(name) for name in names(key)]
+            candidates.append(f"{candidates[0]}-{digest}")
+            slugs[key] = next(candidate for candidate in candidates if candidate not in slugs.values())
+    return [slugs[key] for key in keys]
 
 
 def _slug(name: str) -> str:
@@ -224,7 +223,7 @@ def _slug(name: str) -> str:
 
 
 def _given_references(request: Request, sources: list[str], slugs: list[str]) -> dict[str, str]:
-    """Files by the scene's source."""
+    """Reference files by the source of their scene."""
     by_name = {}
     for name, source, slug in zip(request.scenes, sources, slugs, strict=True):
         by_name |= {name: source, slug: source}
@@ -244,12 +243,12 @@ def _given_references(request: Request, sources: list[str], slugs: list[str]) ->
 
 
 def _checked_reference(path: str, scene: str, size: tuple[int, int]) -> tuple[str, str]:
-    """The file's absolute path and hash. Raises UserError if it is no reference or of another size."""
+    """Absolute path and SHA-256 of the file. Raises UserError if it is no reference or has another size."""
     height, width = read_reference(path)[0].shape[:2]
     if (width, height) != size:
         raise UserError(
             f"reference '{path}' is {width}x{height} and the image of {scene} {size[0]}x{size[1]}: "
-            f"compare with --size {width}x{height}, or give another reference"
+            f"render with --size {width}x{height}, or give another reference"
         )
     return str(Path(path).resolve()), hashlib.sha256(Path(path).read_bytes()).hexdigest()
 

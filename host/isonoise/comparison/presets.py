@@ -1,4 +1,4 @@
-"""Comparisons that can be named instead of spelled out."""
+"""Presets of `isonoise compare`: named lists of scenes, strategies, seeds and budget."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,9 @@ POSTER = "poster"
 
 @dataclass(frozen=True)
 class Preset:
-    """Pieces of a plan; options given besides replace them one by one."""
+    """Defaults of a plan; every option that is given replaces the preset's value."""
 
-    meaning: str
+    description: str
     scenes: tuple[str, ...]
     strategies: tuple[str, ...]
     seeds: int
@@ -20,14 +20,14 @@ class Preset:
 
 PRESETS = {
     POSTER: Preset(
-        meaning="the figures of the method's poster, from the built-in scenes",
+        description="the figures of the poster, from the built-in scenes",
         scenes=("bright-spots", "penumbra", "cornell"),
         strategies=(
             "uniform",
             "relative-mean",
             "relative-median",
-            "relative-median:kappa=inf,batch=1",  # as the poster writes it
-            "relative-median:kappa=inf,batch=1,literal=true",  # as it can be read: the variance over M_x
+            "relative-median:kappa=inf,batch=1",  # the definition in the poster
+            "relative-median:kappa=inf,batch=1,literal=true",  # the literal reading: the variance over M_x
             "relative-mean:ratio=inf",  # without alternation
             "relative-median:ratio=inf",
             "tsallis",

@@ -1,4 +1,4 @@
-"""Reads what a comparison has left in its folder: the plan, the runs that are finished, the references."""
+"""Reads a comparison's folder: the plan, the finished runs, the references; called by `summary`, `report`, `poster`."""
 
 import json
 import zipfile
@@ -16,11 +16,9 @@ from isonoise.strategies.measures import image_floor
 
 @dataclass(frozen=True)
 class Run:
-    """One finished run; arrays and texts are read from the file when they are asked for.
+    """One finished run. Every property reads the file anew; `recorder.Recorder.write` lists the arrays of the file.
 
-    `rows`: list of dicts, one a wave (the log's columns and `device_s`), None read as nan. `facts`: dict.
-    `count`: uint32 (height, width). `snapshot_s`: float64 (K,). `errors`: float16 (K, height, width), signed relative
-    errors at these times, the last those of the final image.
+    `rows` is a list of dicts, one per wave (the log's columns and `device_s`), with nan for null.
     """
 
     path: Path
@@ -52,27 +50,28 @@ class Run:
             with np.load(self.path) as file:
                 return file[name]
         except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise UserError(f"cannot read the run '{self.path}': {error}; delete it and start again") from error
+            raise UserError(
+                f"cannot read the run '{self.path}': {error}; delete it and run the comparison again"
+            ) from error
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A scene's reference: RGB, luminance, floor, and its own relative standard error se / max(r, floor) or None."""
+    """A scene's reference; `relative_se` is its own standard error se / max(r, floor), or None if the file has none."""
 
     rgb: np.ndarray
     luminance: np.ndarray
     floor: float
     relative_se: np.ndarray | None
     mean_relative_se: float
-    """Standard error of the mean luminance over the mean luminance (pixels independent); 0 where none is stated."""
+    """Standard error of the mean luminance over the mean luminance (pixels independent); 0 if the file has none."""
 
 
 class Results:
-    """A comparison's folder.
+    """A comparison's folder. Raises UserError if its plan cannot be read.
 
-    `plan`: the content of plan.json. `scenes`, `strategies`: its entries, in its order. `baseline`: slug of the
-    strategy that all others are compared with: `uniform` if it is among them, else the first.
-    Raises UserError if there is no plan that can be read.
+    `plan` is the content of plan.json; `scenes` and `strategies` are its entries. `baseline` is the slug of the
+    strategy that all others are compared with: `uniform` if it is in the plan, else the first.
     """
 
     def __init__(self, directory: Path):
@@ -88,24 +87,24 @@ class Results:
         self.baseline: str = "uniform" if "uniform" in slugs else slugs[0]
 
     def runs(self, scene: str) -> dict[str, dict[int, Run]]:
-        """Finished runs of a scene (its slug): strategy's slug -> seed -> run, in the plan's order; those with any."""
-        found = {}
+        """Finished runs of a scene (a slug): strategy's slug -> seed -> run. Strategies without runs are left out."""
+        runs_by_strategy = {}
         for strategy in self.strategies:
             folder = self.directory / "runs" / scene / strategy["slug"]
             paths = {seed: folder / f"{seed}.npz" for seed in self.plan["seeds"]}
             runs = {seed: Run(path, seed) for seed, path in paths.items() if path.is_file()}
             if runs:
-                found[strategy["slug"]] = runs
-        return found
+                runs_by_strategy[strategy["slug"]] = runs
+        return runs_by_strategy
 
     def reference(self, scene: Mapping) -> Reference:
-        """The reference that a scene's runs were measured against. Raises UserError if it cannot be read."""
+        """Reference of a scene. Raises UserError if it cannot be read."""
         rgb, rgb_se = read_reference(self.directory / scene["reference"])
         r = luminance(rgb)
         floor = image_floor(r)
         if rgb_se is None:
             return Reference(rgb, r, floor, None, 0.0)
-        # The three channels of a path share all its random decisions: they err together.
+        # a path shares its random decisions among the three channels, so their errors are fully correlated
         se = luminance(np.abs(rgb_se))
         scale = np.maximum(r, floor)
         relative = np.divide(se, scale, out=np.zeros_like(se), where=scale > 0)
@@ -113,12 +112,12 @@ class Results:
         return Reference(rgb, r, floor, relative, float(np.sqrt(np.square(se).sum()) / total) if total > 0 else 0.0)
 
     def variance(self, scene: str) -> np.ndarray | None:
-        """Relative variance of one sample, (height, width), where the comparison has it."""
+        """Relative variance of one sample, (height, width), or None if it was not rendered."""
         path = self.directory / "references" / f"{scene}-variance.exr"
         return read_exr(path)[0].get("variance") if path.is_file() else None
 
 
 def common_seeds(runs: Mapping[str, Mapping[int, Run]]) -> list[int]:
-    """Seeds that every strategy with finished runs has: figures over the seeds are compared at equal seeds only."""
-    sets = [set(of_strategy) for of_strategy in runs.values()]
+    """Seeds that every strategy with finished runs has; all figures are computed from these."""
+    sets = [set(by_seed) for by_seed in runs.values()]
     return sorted(set.intersection(*sets)) if sets else []

@@ -1,19 +1,19 @@
-"""Strategies as the comparison names them: the renderer's own, oracles that need a file, and other renderers."""
+"""Strategy specs of a comparison: isonoise's own, the oracle, whose file the comparison makes, and other renderers."""
 
 from pathlib import Path
 
 from isonoise.errors import UserError
 from isonoise.strategies import describe, make_strategy
 
-PEERS = {"mitsuba-independent": "independent", "mitsuba-multijitter": "multijitter"}
-"""Strategies that are another renderer, with its sampler."""
+MITSUBA_SAMPLERS = {"mitsuba-independent": "independent", "mitsuba-multijitter": "multijitter"}
+"""Strategies that Mitsuba 3 renders, and its sampler."""
 ORACLE = "oracle"
 
 
 def split_specs(text: str) -> list[str]:
-    """The strategies of a comma-separated list, whose parameters have commas too: `a:k=v,k=v,b` is two.
+    """Splits a comma-separated list of specs, whose parameters contain commas, too: `a:k=v,k=v,b` has two specs.
 
-    An item with '=' but without 'name:' before it belongs to the spec before. Raises UserError if there is none.
+    An item with '=' and without 'name:' belongs to the spec before it. Raises UserError if there is none.
     """
     specs = []
     for item in text.split(","):
@@ -28,29 +28,31 @@ def split_specs(text: str) -> list[str]:
 
 
 def needs_variance(spec: str) -> bool:
-    """Whether the strategy is an oracle that was not told where its variance is: the comparison renders it."""
+    """Whether the spec is an oracle without file=; the comparison renders its variance."""
     head, _, parameters = spec.partition(":")
     return head.strip() == ORACLE and not any(item.strip().startswith("file=") for item in parameters.split(","))
 
 
 def with_variance(spec: str, path: Path) -> str:
-    """The oracle's spec with the file that holds the variance."""
+    """The oracle's spec with the file of the variance. Raises UserError if the path cannot be part of a spec."""
     if "," in str(path):
-        raise UserError(f"'{path}' cannot be handed to a strategy: its name has a comma; compare into another folder")
+        raise UserError(
+            f"'{path}' cannot be a parameter of a strategy: it contains a comma; choose another folder with -o"
+        )
     return f"{spec}{',' if ':' in spec else ':'}file={path}"
 
 
-def title_of(spec: str) -> str:
-    """The name that people read."""
-    return f"Mitsuba 3 {PEERS[spec]}" if spec in PEERS else spec
+def strategy_title(spec: str) -> str:
+    """Title of a strategy in tables and plots."""
+    return f"Mitsuba 3 {MITSUBA_SAMPLERS[spec]}" if spec in MITSUBA_SAMPLERS else spec
 
 
 def describe_spec(spec: str) -> str:
-    """The spec with every parameter written out; an oracle's file is left out where the comparison makes it.
+    """The spec with all parameters, without the oracle's file if the comparison makes it.
 
     Raises UserError if there is no such strategy or parameter, or a value is out of range.
     """
-    if spec in PEERS:
+    if spec in MITSUBA_SAMPLERS:
         return spec
     if not needs_variance(spec):
         return describe(make_strategy(spec))

@@ -1,4 +1,4 @@
-"""What a run leaves behind: a row a wave, images of the error at six moments, the samples of every pixel."""
+"""Records a run to its file: a row per wave, error images at six times, the sample counts; called by the runners."""
 
 import json
 from pathlib import Path
@@ -12,18 +12,25 @@ from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
 SNAPSHOTS = 6
-"""The last is the final image, each earlier one is after half as much time, or samples, as the next."""
+"""Error images of a run: the last is final, each earlier one is taken at half the time, or samples, of the next."""
 
-_LARGEST = float(np.finfo(np.float16).max)
+_MAX_ERROR = float(np.finfo(np.float16).max)
 
 
 class Recorder:
     """Collects a run, wave by wave.
 
-    - `stops`: the run's budget, of time or samples per pixel.
-    - `reference`: linear RGB (height, width, 3).
+    Parameters
+    ----------
+    stops : Stops
+        The budget of the run, time or samples per pixel.
+    reference : (height, width, 3) float32
+        Linear RGB.
 
-    `rows`: a dict a wave, the log's columns and `device_s`.
+    Attributes
+    ----------
+    rows : list of dict
+        One per wave: the log's columns and `device_s`.
     """
 
     def __init__(self, stops: Stops, reference: np.ndarray):
@@ -31,25 +38,25 @@ class Recorder:
         self._scale = np.maximum(self._luminance, image_floor(self._luminance))
         self._by_time = stops.time is not None
         budget = stops.time if self._by_time else stops.spp * self._luminance.size
-        self._moments = [budget * 2.0 ** (k + 1 - SNAPSHOTS) for k in range(SNAPSHOTS - 1)]
+        self._due_at = [budget * 2.0 ** (k + 1 - SNAPSHOTS) for k in range(SNAPSHOTS - 1)]
         self.rows: list[dict] = []
         self._snapshots: list[tuple[float, int, np.ndarray]] = []
 
     def wave(self, row: LogRow, rgb: np.ndarray, device_s: float | None) -> None:
-        """Take the state after a wave: its row, the image so far, and how long the device has worked so far."""
+        """Record a wave: its row, the image and the busy time of the device so far."""
         self.rows.append(row_values(row) | {"device_s": device_s})
         reached = row.elapsed_s if self._by_time else row.samples
-        due = [moment for moment in self._moments if reached >= moment]
+        due = [threshold for threshold in self._due_at if reached >= threshold]
         if due:
-            self._moments = self._moments[len(due) :]
+            self._due_at = self._due_at[len(due) :]
             self._snapshots += [self._snapshot(row, rgb)] * len(due)
 
     def write(self, path: Path, row: LogRow, rgb: np.ndarray, count: np.ndarray, facts: dict) -> None:
-        """Write the run, whole or not at all; `row`, `rgb` and `count` are the final ones.
+        """Write the run atomically; `row`, `rgb` and `count` are the final ones. Raises UserError if that fails.
 
-        Arrays of the file: `rows` (JSON text: the rows), `snapshot_s`, `snapshot_samples` (6), `errors` float16
-        (6, height, width): (x - r) / max(r, floor) of the luminance, `count` uint32 (height, width) and `facts` (JSON
-        text). JSON has Python's NaN and Infinity. Raises UserError if it cannot be written.
+        Arrays of the file: `rows` (the rows as JSON text), `snapshot_s` float64 (6,), `snapshot_samples` int64 (6,),
+        `errors` float16 (6, height, width): (x - r) / max(r, floor) of the luminance, `count` uint32 (height, width)
+        and `facts` (JSON text). The JSON has Python's NaN and Infinity.
         """
         missing = SNAPSHOTS - len(self._snapshots)
         seconds, samples, errors = zip(*(self._snapshots + [self._snapshot(row, rgb)] * missing), strict=True)
@@ -65,7 +72,12 @@ class Recorder:
         write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
 
     def _snapshot(self, row: LogRow, rgb: np.ndarray) -> tuple[float, int, np.ndarray]:
-        off = luminance(rgb) - self._luminance
-        # a black reference has no floor: what is not black there is as wrong as can be
-        error = np.divide(off, self._scale, out=np.copysign(_LARGEST, off) * (off != 0), where=self._scale > 0)
-        return row.elapsed_s, row.samples, np.clip(error, -_LARGEST, _LARGEST).astype(np.float16)
+        difference = luminance(rgb) - self._luminance
+        # a black reference has no floor: any other value there counts as the largest error
+        error = np.divide(
+            difference,
+            self._scale,
+            out=np.copysign(_MAX_ERROR, difference) * (difference != 0),
+            where=self._scale > 0,
+        )
+        return row.elapsed_s, row.samples, np.clip(error, -_MAX_ERROR, _MAX_ERROR).astype(np.float16)
