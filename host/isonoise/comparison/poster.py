@@ -92,8 +92,8 @@ DESIGNS = (
     ),
     Design(
         title="The test scene: distribution of the remaining noise",
-        explanation="The more uniform a map, the more uniform the noise. p99/p50 measures it; in brackets its "
-        "value for equal errors in all pixels, which is not 1, because the RMS of a few seeds varies by itself. The last map is "
+        explanation="The more uniform a map, the more uniform the noise. p99/p50 measures it. In brackets is its value "
+        "for equal errors in all pixels; it is not 1, because the RMS of a few seeds varies by itself. The last map is "
         "simulated with equal errors in all pixels: no map of these seeds can be more uniform.",
         scene="cornell",
         panels={

@@ -30,9 +30,11 @@ MIN_BATCHES = 8
 PILOT_SHARE = 0.05
 """Share of a reference's budget for the pilot run, which determines the allocation map."""
 MAX_ALLOCATION_RATIO = 16
-"""Maximum samples of a pixel, over those of the uniform half of the map. In `penumbra` 16 reduces the p99 of the
-relative standard error to 0.41 of a uniform map's and 4 to 0.71; in `bright-spots` 64 makes it worse than uniform, because
-the pilot run has missed most of the spots."""
+"""Maximum samples of a pixel, over those of the uniform half of the map.
+
+In `penumbra` 16 reduces the p99 of the relative standard error to 0.41 of a uniform map's and 4 to 0.71. In
+`bright-spots` 64 makes it worse than uniform, because the pilot run has missed most of the spots.
+"""
 VARIANCE_CLIP_QUANTILE = 0.999
 """The map clips the pilot run's variance at this quantile over the pixels."""
 _PILOT_SEEDS = {"reference": FIRST_REFERENCE_SEED, "variance": FIRST_REFERENCE_SEED + 2**62}
