@@ -507,7 +507,7 @@ class FakeEmbree(embree.IntersectStage):
 
 
 def test_peers_take_turns(monkeypatch, capsys):
-    monkeypatch.setattr(peers, "Worker", FakeMitsuba)
+    monkeypatch.setattr(peers, "MitsubaWorker", FakeMitsuba)
     monkeypatch.setattr(embree, "EmbreeMesh", FakeEmbree)
     monkeypatch.setattr(embree, "RAYS", 1024)
     monkeypatch.setattr(peers, "version", lambda package: "9.9")

@@ -13,8 +13,8 @@ from isonoise.benchmark.embree import has_rays, measure_rays
 from isonoise.benchmark.measure import Settings, device_facts, load_subject, samples_of
 from isonoise.benchmark.spread import Spread
 from isonoise.benchmark.subject import MeasuredDevice, Subject
-from isonoise.comparison.mitsuba_worker import Worker
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
+from isonoise.comparison.mitsuba_worker import MitsubaWorker
 from isonoise.errors import UserError
 from isonoise.progress import ProgressBar
 from isonoise.scene.compiled_scene import CompiledScene
@@ -70,7 +70,7 @@ def _against_mitsuba(
     pixels = scene.width * scene.height
     spp = max(1, round(samples_of(scene, settings, device) / pixels))
     xml = mitsuba_xml(Path(source), "independent", settings.size, settings.max_depth)
-    worker = Worker(name, xml, pixels)
+    worker = MitsubaWorker(name, xml, pixels)
     try:
         subject = Subject(scene, device, spp * pixels)
         say(0.1, "warm-up")

@@ -135,7 +135,8 @@ def ensure_variance(
         sums = _accumulate(make, scene, path, budget, "variance", show)
         _finish(path, {"variance": sums.relative_variance()}, scene, sums)
         log(
-            f"{scene.name}  variance for oracles  {format_duration(sums.seconds)}  {sums.count.mean():.4g} samples per pixel"
+            f"{scene.name}  variance for oracles  {format_duration(sums.seconds)}  "
+            f"{sums.count.mean():.4g} samples per pixel"
         )
 
 

@@ -90,7 +90,8 @@ class _Runner:
         self.finished += 1
         self.log(
             f"{scene.name}  {strategy.title}  seed {seed}  {format_duration(last['elapsed_s'])}  "
-            f"{format_count(last['samples'])} samples  p99 {format_percent(last['true_p99'])}  relMSE {last['true_rel_mse']:.3g}  "
+            f"{format_count(last['samples'])} samples  p99 {format_percent(last['true_p99'])}  "
+            f"relMSE {last['true_rel_mse']:.3g}  "
             f"image mean ratio {last['true_energy_ratio']:.4f}  [{self.finished} of {self.total}{self._remaining()}]"
         )
 
