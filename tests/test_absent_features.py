@@ -57,7 +57,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     if cpp is None:
         pytest.skip("no C preprocessor 'cpp' on PATH")
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
-    constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
+    constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     parts = []
     for features_ in sets:
@@ -156,7 +156,7 @@ def test_every_feature_of_a_stage_makes_a_difference_there(file, lanes, never):
 def definition(tokens: str) -> tuple[str, frozenset[str]]:
     """The name that a piece of the outermost level defines, and all that it names."""
     words = re.findall(r"\w+|[^\w\s]", tokens)
-    if words[0] == "typedef":
+    if words[0] in ("typedef", "enum"):  # an enum goes by its last member
         name = [word for word in words if word.isidentifier()][-1]
     else:
         head = words[: words.index("=")] if "=" in words and "(" not in words[: words.index("=")] else words

@@ -97,7 +97,7 @@ def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
 def test_all_build(device, lanes, off):
     """What launches them takes twice as long, and is among the long tests."""
     constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
-    constants |= {"LANES": lanes, "SHADE_LANES": lanes, "PATHS_PER_BLOCK": 64}
+    constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     for few in (False, True):
         for file in dict.fromkeys(row.file for row in kernel_table(all_but(*off), few).values()):

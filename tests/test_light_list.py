@@ -61,7 +61,7 @@ __kernel void answer_all(__global const LightBound* bounds, uint lights, __globa
     keep_all(points, 3u, begin, count, queries + QUERY_POINT * LANES);
     keep_all(normals, 4u, begin, count, queries + QUERY_NORMAL * LANES);
     for (uint k = 0u; k < count; ++k) store_lane(as_float(which[begin + k]), queries, QUERY_LIGHT, k);
-    evaluate_light_pdf_queries(&list, queries, count);
+    evaluate_light_pmf_queries(&list, queries, count);
     for (uint k = 0u; k < count; ++k) out[begin + k] = load_lane(queries, QUERY_PMF, k);
 }
 

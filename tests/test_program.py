@@ -33,12 +33,11 @@ HEADERS = generated_headers()
 CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
 CONSTANTS |= {
     "LANES": 1,
-    "SHADE_LANES": 1,
     "PATHS_PER_BLOCK": 64,
     "MAX_CORNERS": MAX_CORNERS,
     "MAX_LISTED_LIGHTS": 8,
 }
-MANY = CONSTANTS | {"LANES": 64, "SHADE_LANES": 256}
+MANY = CONSTANTS | {"LANES": 64}
 """For work-items that take many paths: kernels/path/path_state.h. There are none in scenes of the feature VOLPATH."""
 TAKE_MANY = sorted({row.file for row in (*(KERNELS[name] for name in LANE_KERNELS), *BRUTE_FORCE_KERNELS.values())})
 

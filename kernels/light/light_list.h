@@ -157,7 +157,7 @@ INLINE void add_light_importance(__global const LightBound* light, const float* 
 #define QUERY_FLOATS 9u
 
 // Probabilities with which lights are picked, for the first `count` lanes.
-INLINE void evaluate_light_pdf_queries(const LightList* list, float* queries, uint count)
+INLINE void evaluate_light_pmf_queries(const LightList* list, float* queries, uint count)
 {
     float weights[LANES], totals[LANES];
     FOR_LANES(k, count) {

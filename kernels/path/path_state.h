@@ -1,16 +1,16 @@
-// Where the paths in flight are kept between the stages. Every buffer is a row of planes, one for each member of its records, of
-// `plane_stride` numbers: what paths side by side read or write together lies together.
+// Path state in memory, and loops over the paths of a work-item. Every buffer is a row of planes, one for each 4-byte member, of
+// `plane_stride` numbers: members that neighbouring paths access together lie together. All stages over paths include this.
 #pragma once
 #include "util/vec.h"
 
-// Planes of `path`.
-#define PATH_SAMPLE 0u  // of the slice
-#define PATH_START_PRIMITIVE 1u   // primitive that the ray starts on
-#define PATH_SAMPLE_INDEX 2u   // of the sample in its pixel
+// Planes of the buffer `path`.
+#define PATH_SAMPLE 0u           // sample within the slice
+#define PATH_START_PRIMITIVE 1u  // primitive that the ray starts on, or NONE
+#define PATH_SAMPLE_INDEX 2u     // index of the sample within its pixel
 #define PATH_DEPTH 3u
 
-// A work-item takes LANES paths. On devices with vector instructions, if their compiler doesn't do so with work-items, loops over
-// them become some, VECTOR_WIDTH paths at a time; `continue` goes on to the next. Paths write to places of their own, so it may.
+// A work-item processes LANES paths. On CPUs, where the compiler does not vectorise across work-items, it vectorises the loops
+// over lanes instead, VECTOR_WIDTH lanes at a time. Every lane writes to memory of its own, so `assume_safety` holds.
 #if LANES > 1
 #define VECTOR_WIDTH 16u
 #define VECTORIZE _Pragma("clang loop vectorize(assume_safety) vectorize_width(16) interleave(disable)")
@@ -19,11 +19,11 @@
 #define VECTORIZE
 #endif
 #ifdef __clang__
-#pragma clang diagnostic ignored "-Wpass-failed"  // where it stays a loop, nothing is wrong
+#pragma clang diagnostic ignored "-Wpass-failed"  // a loop that is not vectorised is slow, not wrong
 #endif
-// The body has to leave out what is not below `count`.
-#define FOR_LANES(k, count)                                                \
-    for (uint first_ = 0u; first_ < (count); first_ += VECTOR_WIDTH)           \
+// Runs over whole vectors: the body has to skip lanes k >= count, where it has effects.
+#define FOR_LANES(k, count)                                              \
+    for (uint first_ = 0u; first_ < (count); first_ += VECTOR_WIDTH)     \
         VECTORIZE for (uint k = first_; k < first_ + VECTOR_WIDTH; ++k)
 
 #define PLANE(k, planes, plane_stride) ((planes) + (size_t)(k) * (plane_stride))
@@ -35,7 +35,8 @@ INLINE Vec3 load_planes3(__global const float* planes, size_t i, uint plane_stri
 
 INLINE Vec4 load_planes4(__global const float* planes, size_t i, uint plane_stride)
 {
-    return vec4(planes[i], PLANE(1, planes, plane_stride)[i], PLANE(2, planes, plane_stride)[i], PLANE(3, planes, plane_stride)[i]);
+    return vec4(planes[i], PLANE(1, planes, plane_stride)[i], PLANE(2, planes, plane_stride)[i],
+                PLANE(3, planes, plane_stride)[i]);
 }
 
 INLINE void store_planes3(Vec3 v, __global float* planes, size_t i, uint plane_stride)
@@ -52,7 +53,7 @@ INLINE void store_planes4(Vec4 v, __global float* planes, size_t i, uint plane_s
 }
 
 #if LANES > 1
-// Members of records that a work-item keeps from one loop over its paths to the next.
+// Access to lane state (path/lane_state.h): private planes of LANES numbers.
 INLINE void store_lane(float x, float* lane_state, uint member, size_t lane)
 {
     (lane_state + member * LANES)[lane] = x;
@@ -72,7 +73,8 @@ INLINE void store_lane3(Vec3 v, float* lane_state, uint member, size_t lane)
 
 INLINE Vec3 load_lane3(const float* lane_state, uint member, size_t lane)
 {
-    return vec3(load_lane(lane_state, member, lane), load_lane(lane_state, member + 1u, lane), load_lane(lane_state, member + 2u, lane));
+    return vec3(load_lane(lane_state, member, lane), load_lane(lane_state, member + 1u, lane),
+                load_lane(lane_state, member + 2u, lane));
 }
 
 INLINE void store_lane4(Vec4 v, float* lane_state, uint member, size_t lane)

@@ -1,8 +1,9 @@
-// Where paths arrive: what shines there, and what there is to scatter them.
+// A path at the end of its ray: the vertex it reaches, the emission found there, and the BSDF context for scattering it.
+// Both forms of stages/shade.cl call it.
 #pragma once
 #include "bsdf/bsdf.h"
-#include "light/light.h"
 #include "bsdf/nested.h"
+#include "light/light.h"
 #include "media/medium.h"
 #include "path/path_state.h"
 #include "util/random.h"
@@ -66,25 +67,25 @@ INLINE Vec4 path_random(const SceneView* scene, const Path* p, uint block)
     return random_block(scene->seed, p->pixel, p->index, block);
 }
 
-// Places in a path's order of events, by which its random numbers are counted.
+// Index of the vertex among all that consume random numbers: pass-through surfaces do, although they do not add to the depth.
 INLINE uint dimension_of(const Path* p)
 {
     return p->depth + p->null_bounces;
 }
 
 #if HAS_ENVIRONMENT_LIGHT || FEATURE_AREA_LIGHTS || FEATURE_NEXT_EVENT
-// Veach and Guibas, "Optimally Combining Sampling Techniques", 1995: power heuristic with exponent 2; `pdf` made the sample.
-// A negative pdf stands for a delta function, which no other technique can sample.
-INLINE float mis_weight(float pdf, float other)
+// MIS weight of a sample that was taken with `pdf`: power heuristic with exponent 2. Veach and Guibas, "Optimally Combining
+// Sampling Techniques for Monte Carlo Rendering", 1995. A negative pdf marks a delta lobe, which no other technique can sample.
+INLINE float mis_weight(float pdf, float other_pdf)
 {
-    const float ratio = other / pdf;
+    const float ratio = other_pdf / pdf;
     return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
 }
 #endif
 
 #if FEATURE_TRIANGLES
-// Whether a ray that starts on a triangle has met one that goes on in its plane; where one of them is an instance's, or it starts
-// on none, whether it grazes.
+// Whether the triangle that was hit lies in the plane of the triangle that the ray starts on. If one of them is in an instance,
+// or the ray starts on no triangle, a grazing hit counts as one.
 INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s)
 {
 #if FEATURE_INSTANCES
@@ -99,11 +100,11 @@ INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* pat
     return abs_float(dot3(p->direction, s->geometric_normal)) < 0.5f;
 }
 
-// Whether a ray's origin lies in the plane of the surface that it seems to have met, as far as rounding can tell: it comes from a
-// neighbour in the same plane, and may be said to come from the wrong side of it. Such a path ends; it is one in millions, where
-// the light of the other side would be seen to leak through. Both points carry an error, the origin was moved by its own. Beside
-// an edge with a wall at an angle origins lie in its plane too, far from the world's origin even most of them: those go on.
-INLINE bool origin_lies_in_plane(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s)
+// Whether the hit is a false one on a coplanar neighbour: the ray's origin lies in the plane of the triangle that was hit, within
+// rounding. Rounding may then put the origin on the wrong side, and light from behind would leak through, so such a path ends; it
+// is one in millions. Both points carry an error bound; the origin was also moved by its own. Beside an edge with a wall at an
+// angle, origins lie in the wall's plane too (far from the world's origin most of them do): these paths continue.
+INLINE bool is_false_coplanar_hit(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s)
 {
     const float distance = abs_float(dot3(sub3(p->origin, s->position), s->geometric_normal));
     const Vec3 error = add3(s->error, scale3(abs3(p->origin), GAMMA(7)));
@@ -112,18 +113,18 @@ INLINE bool origin_lies_in_plane(const SceneView* scene, const PathState* paths,
 #endif
 
 #if (FEATURE_HIDE_EMITTERS && FEATURE_AREA_LIGHTS) || (HAS_PASS_THROUGH && !FEATURE_VOLPATH)
-// Lets a path go on behind a surface as if there was none. Returns where it starts then.
+// Continues the path behind a surface in the same direction, as if the surface was not there.
 INLINE void continue_behind(const PathState* paths, size_t i, const Path* p, const Surface* s)
 {
-    const Vec3 behind = offset_ray_origin(s->position, s->error, s->geometric_normal, p->direction);
-    store_planes4(vec4_from(behind, INFINITY), paths->ray_origin, i, paths->plane_stride);
+    const Vec3 origin = offset_ray_origin(s->position, s->error, s->geometric_normal, p->direction);
+    store_planes4(vec4_from(origin, INFINITY), paths->ray_origin, i, paths->plane_stride);
     PLANE(PATH_START_PRIMITIVE, paths->path, paths->plane_stride)[i] = p->primitive;
     paths->alive[i] = 1;
 }
 #endif
 
 #if HAS_PASS_THROUGH && !FEATURE_VOLPATH
-// The same where a material lets a path through: next-event estimation did not see what is behind, it takes part in no weight.
+// The same at a pass-through BSDF. Shadow rays of `path` do not pass it, so emission found behind it gets no MIS weight.
 INLINE void continue_behind_unweighted(const PathState* paths, size_t i, const Path* p, const Surface* s)
 {
     continue_behind(paths, i, p, s);
@@ -133,7 +134,7 @@ INLINE void continue_behind_unweighted(const PathState* paths, size_t i, const P
 #endif
 
 #if HAS_ENVIRONMENT_LIGHT || FEATURE_AREA_LIGHTS
-// Probability with which a light would have been picked at a path's last vertex.
+// Probability that next-event estimation at the previous vertex would have selected the light.
 INLINE float previous_light_pmf(const SceneView* scene, const Path* p, uint light)
 {
     return light_pmf(scene, light, p->mis_origin, p->mis_normal, p->direction_pdf);
@@ -141,70 +142,77 @@ INLINE float previous_light_pmf(const SceneView* scene, const Path* p, uint ligh
 #endif
 
 #if HAS_ENVIRONMENT_LIGHT
-// What a path brings that leaves the scene; `pick`: the probability with which the sky would have been picked at its last vertex.
-INLINE Vec3 environment_contribution(const SceneView* scene, const Path* p, float pick)
+// Weighted radiance of the environment for an escaped ray. `pmf`: of selecting the environment at the previous vertex.
+INLINE Vec3 environment_contribution(const SceneView* scene, const Path* p, float pmf)
 {
     float pdf = 0.0f;
-    const Light sky = Light_at(scene->lights, scene->environment_light);
-    const Vec3 radiance = environment_radiance(scene, &sky, p->direction, &pdf);
-    return scale3(mul3(p->throughput, radiance), mis_weight(p->direction_pdf, pick * pdf));
+    const Light light = Light_at(scene->lights, scene->environment_light);
+    const Vec3 radiance = environment_radiance(scene, &light, p->direction, &pdf);
+    return scale3(mul3(p->throughput, radiance), mis_weight(p->direction_pdf, pmf * pdf));
 }
 #endif
 
 #if FEATURE_AREA_LIGHTS
-// What a path brings that meets a light; `pick`: the probability with which it would have been picked.
-INLINE Vec3 emission_contribution(const SceneView* scene, const Path* p, const Surface* s, float pick)
+// Weighted radiance of an emitter that the ray hit. `pmf`: of selecting it at the previous vertex.
+INLINE Vec3 emission_contribution(const SceneView* scene, const Path* p, const Surface* s, float pmf)
 {
-    const Light light_record = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? s->light : 0u), *light = &light_record;
-    const float pdf = pick * light_pdf(scene, light, p->mis_origin, p->direction, p->mis_distance, s->normal);
-    return scale3(mul3(p->throughput, emitted_radiance(scene, light, s)), mis_weight(p->direction_pdf, pdf));
+    const Light light = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? s->light : 0u);
+    const float pdf = pmf * light_pdf(scene, &light, p->mis_origin, p->direction, p->mis_distance, s->normal);
+    return scale3(mul3(p->throughput, emitted_radiance(scene, &light, s)), mis_weight(p->direction_pdf, pdf));
 }
 #endif
 
-// The surface that the path met, if it met one.
 INLINE Surface hit_surface(const SceneView* scene, const PathState* paths, size_t i, const Path* p)
 {
     if (p->primitive == NONE) return empty_surface();
 #if FEATURE_INSTANCES
-    return instanced_surface_of_hit(scene, paths->instance[i], p->primitive, p->origin, p->direction,
-                                p->distance, p->u, p->v);
+    return instanced_surface_of_hit(scene, paths->instance[i], p->primitive, p->origin, p->direction, p->distance, p->u, p->v);
 #else
     return surface_of_hit(scene, p->primitive, p->origin, p->direction, p->distance, p->u, p->v);
 #endif
 }
 
-// Brings the path to the surface, or to a volume before it that takes its place. Returns whether it may be scattered there.
-// `may_miss`: whether there may be none. `shines`: whether it met a light, whose emission is still to be added.
-INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i, Path* p, Surface* s, bool may_miss, bool* shines)
+// Moves the path to its next vertex: the surface that was hit, or a scattering event in the medium before it. Adds the
+// environment's radiance if the ray escaped. Returns whether the vertex may scatter the path.
+// `may_escape`: the ray may have hit nothing. `hits_emitter`: set if emission is still to be added.
+INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i, Path* p, Surface* s, bool may_escape,
+                        bool* hits_emitter)
 {
-    bool from_volume = false;
-    *shines = false;
+    bool starts_in_volume = false;
+    *hits_emitter = false;
 #if FEATURE_MEDIA
-    float flown = p->distance;
-    if (p->medium != MEDIUM_NONE)
-        p->in_volume = sample_medium(scene->media + p->medium, path_random(scene, p, BLOCK_MEDIUM(dimension_of(p))), &flown, &p->throughput);
-    from_volume = p->start_primitive == NONE;
+    float scatter_distance = p->distance;
+    if (p->medium != MEDIUM_NONE) {
+        const Vec4 u = path_random(scene, p, BLOCK_MEDIUM(dimension_of(p)));
+        p->in_volume = sample_medium(scene->media + p->medium, u, &scatter_distance, &p->throughput);
+    }
+    starts_in_volume = p->start_primitive == NONE;
 #endif
-    if (may_miss && !p->in_volume && p->primitive == NONE) {
+    if (may_escape && !p->in_volume && p->primitive == NONE) {
 #if HAS_ENVIRONMENT_LIGHT
-        if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) ADD3(environment_contribution(scene, p, previous_light_pmf(scene, p, scene->environment_light)), p->sample, paths->samples);
+        if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) {
+            const float pmf = previous_light_pmf(scene, p, scene->environment_light);
+            ADD3(environment_contribution(scene, p, pmf), p->sample, paths->samples);
+        }
 #endif
         return false;
     }
     if (!p->in_volume && dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return false;
 #if FEATURE_TRIANGLES
-    if (!(p->in_volume || from_volume) && !(p->primitive & ANALYTIC_BIT) && origin_lies_in_plane(scene, paths, i, p, s)) return false;
+    const bool is_between_surfaces = !(p->in_volume || starts_in_volume);
+    if (is_between_surfaces && !(p->primitive & ANALYTIC_BIT) && is_false_coplanar_hit(scene, paths, i, p, s)) return false;
 #endif
 #if FEATURE_MEDIA
     if (p->in_volume) {
-        make_medium_vertex(s, p->primitive != NONE, p->origin, p->direction, flown, p->distance, scene->media[p->medium].phase);
+        make_medium_vertex(s, p->primitive != NONE, p->origin, p->direction, scatter_distance, p->distance,
+                           scene->media[p->medium].phase);
         PLANE(3, paths->hit, paths->plane_stride)[i] = as_float(NONE);  // the shadow ray starts on no primitive
     }
 #endif
 #if FEATURE_AREA_LIGHTS
     if (s->light != NONE) {
 #if FEATURE_HIDE_EMITTERS
-        if (p->depth == 0u) {  // seen by the camera, the light is not there
+        if (p->depth == 0u) {  // camera rays do not see emitters
             continue_behind(paths, i, p, s);
 #if FEATURE_VOLPATH
             store_planes3(p->throughput, paths->throughput, i, paths->plane_stride);
@@ -213,13 +221,13 @@ INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i
             return false;
         }
 #endif
-        *shines = dot3(s->normal, p->direction) < 0.0f;
+        *hits_emitter = dot3(s->normal, p->direction) < 0.0f;
     }
 #endif
     return true;
 }
 
-// The material there. Returns whether it lets the path through as if there was none.
+// The BSDF at the vertex, in its shading frame; nested BSDFs are resolved. Returns whether the path passes through unscattered.
 INLINE bool make_bsdf_context(const SceneView* scene, const Path* p, const Surface* s, BsdfContext* ctx)
 {
     ctx->bsdfs = scene->bsdfs;

@@ -1,6 +1,7 @@
 """Kernels that are built and launched by name, with arguments by name."""
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -14,7 +15,8 @@ class Stages:
     """The kernels of a table, built for a set of features.
 
     `arguments` holds the arguments that stay the same from launch to launch; the owner of a buffer enters it there.
-    Kernels named in `small_groups` run in work-groups of `SMALL_LOCAL_SIZE`.
+    Kernels named in `small_groups` run in work-groups of `SMALL_LOCAL_SIZE`. `constants` are macros of all programs,
+    `file_constants` those of one file alone.
     """
 
     def __init__(
@@ -25,12 +27,14 @@ class Stages:
         constants: Mapping[str, int],
         structs: Mapping[str, np.dtype],
         small_groups: Collection[str] = (),
+        file_constants: Mapping[str, Mapping[str, int]] = MappingProxyType({}),
     ):
         self.device = device
         self.arguments: dict[str, object] = {}
         self._kernels: dict[str, object] = {}
         for files in programs(row.file for row in table.values()):
-            self._kernels.update(device.build(*stage_source(files, structs, constants, features, generated_headers())))
+            own = {**constants, **file_constants.get(files[0], {})}
+            self._kernels.update(device.build(*stage_source(files, structs, own, features, generated_headers())))
         self._small_groups = frozenset(small_groups)
         self._names = {name: kernel.arguments_for(features) for name, kernel in table.items()}
 

@@ -95,12 +95,12 @@ class Wavefront:
             | build_constants(needs)
             | {
                 "LANES": self.lanes,
-                "SHADE_LANES": self.shade_lanes,
                 "PATHS_PER_BLOCK": self.block_size,
                 "MAX_CORNERS": MAX_CORNERS,
                 "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS,
             },
             STRUCTS,
+            file_constants={"stages/shade.cl": {"LANES": self.shade_lanes}},
             small_groups=(BATCH_KERNELS | LANE_KERNELS if self.lanes > 1 else BATCH_KERNELS)
             if device.lanes > 1
             else (),

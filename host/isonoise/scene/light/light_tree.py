@@ -32,7 +32,7 @@ MIN_POWER_SHARE = 1e-30
 @dataclass(frozen=True)
 class LightTree:
     nodes: np.ndarray  # (n, LIGHT_NODE_ROWS, BVH_WIDTH) float32; the first is the root
-    places: (
+    parents: (
         np.ndarray
     )  # (lights + n,) uint32: BVH_WIDTH * parent + slot of every light, then of every node; NONE has none
 
@@ -116,7 +116,7 @@ def _records(slots: np.ndarray, bounds: LightBounds, lights: np.ndarray) -> np.n
 
 
 def _places(nodes: np.ndarray, lights: int) -> np.ndarray:
-    """Where lights and nodes stand: LightTree.places."""
+    """Where lights and nodes stand: LightTree.parents."""
     places = np.full(lights + len(nodes), structs.NONE, np.uint32)
     references = nodes[:, 11].view(np.int32)
     node, slot = np.nonzero(nodes[:, 4] > 0)
