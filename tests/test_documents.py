@@ -12,7 +12,7 @@ from isonoise.integrator.kernel_table import KERNELS
 from isonoise.renderer import Renderer
 from isonoise.scene.vocabulary import PLUGINS
 from isonoise.statistics import BASIC_NEEDS, Needs
-from isonoise.strategies.registry import _BUILT_IN, DEFAULT_STRATEGY
+from isonoise.strategies.registry import BUILT_IN, DEFAULT_STRATEGY
 from isonoise.strategies.uniform import Uniform
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -72,7 +72,7 @@ def test_every_plugin_is_named():
 
 def test_every_strategy_is_named():
     section = README[README.index("## Strategies") : README.index("## Limits")]
-    assert sorted(re.findall(r"^\| `([a-z-]+)` \|", section, re.MULTILINE)) == sorted(_BUILT_IN)
+    assert sorted(re.findall(r"^\| `([a-z-]+)` \|", section, re.MULTILINE)) == sorted(BUILT_IN)
     assert re.findall(r"^\| `([a-z-]+)` \|.*; the default \|$", section, re.MULTILINE) == [DEFAULT_STRATEGY]
 
 

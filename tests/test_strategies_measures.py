@@ -14,7 +14,7 @@ from isonoise.strategies.measures import (
     relative_median,
     standard_error,
     tsallis,
-    variance_of_one,
+    variance_per_sample,
     window_sum,
 )
 
@@ -53,13 +53,13 @@ def test_measures_are_their_formulas():
     assert relative_mean(s, 0.1)[0] == pytest.approx([0.25, 0.25, 0.25, 5.0])
     assert relative_median(s, 0.1)[0] == pytest.approx([0.5 / 1.5, 0.5 / 0.25, 0.1, 5.0])
     assert relative_median(s, 0.1, kappa=np.inf)[0] == pytest.approx([0.5 / 1.5, 5.0, 0.1, 5.0])
-    assert variance_of_one(s, relative_mean(s, 0.1))[0] == pytest.approx([1.0, 1.0, 1.0, 400.0])
+    assert variance_per_sample(s, relative_mean(s, 0.1))[0] == pytest.approx([1.0, 1.0, 1.0, 400.0])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 5), (3, 2)])
 @pytest.mark.parametrize("window", [1, 3, 5, 31])
 def test_pooled_is_a_plain_loop_over_the_window(shape, window, monkeypatch):
-    monkeypatch.setattr(measures, "STRIP", 10)  # a few rows at a time
+    monkeypatch.setattr(measures, "STRIP_PIXELS", 10)  # a few rows at a time
     rng = np.random.default_rng(3)
     s = statistics(rng.integers(2, 50, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape))
     n, reach = s.count.astype(float), window // 2
@@ -68,7 +68,7 @@ def test_pooled_is_a_plain_loop_over_the_window(shape, window, monkeypatch):
         variance, mean = (np.average(plane[around], weights=n[around]) for plane in (s.variance, s.mean))
         assert value == pytest.approx(variance / max(mean, 0.5) ** 2, rel=1e-12)
     if window == 1:
-        assert pooled_variance(s, 0.5, 1) == pytest.approx(variance_of_one(s, relative_mean(s, 0.5)), rel=1e-14)
+        assert pooled_variance(s, 0.5, 1) == pytest.approx(variance_per_sample(s, relative_mean(s, 0.5)), rel=1e-14)
 
 
 def test_window_sums_do_not_cancel():
@@ -98,7 +98,7 @@ def test_unknown_is_inf_and_noiseless_is_zero():
     s = statistics([[0, 1, 2, 16, 16]], [[0.0, 3.0, 3.0, 0.0, 3.0]], np.zeros((1, 5)))
     for measure in (relative_mean(s, 0.01), relative_median(s, 0.01)):
         assert measure.tolist() == [[np.inf, np.inf, 0.0, 0.0, 0.0]]
-        assert variance_of_one(s, measure).tolist() == [[np.inf, np.inf, 0.0, 0.0, 0.0]]
+        assert variance_per_sample(s, measure).tolist() == [[np.inf, np.inf, 0.0, 0.0, 0.0]]
 
 
 def test_a_black_image_has_no_floor_and_no_nan():

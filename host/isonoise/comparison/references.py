@@ -21,7 +21,7 @@ from isonoise.renderer import Renderer
 from isonoise.statistics import Statistics
 from isonoise.strategies import Strategy, Wave
 from isonoise.strategies.allocation import deficit
-from isonoise.strategies.measures import image_floor, relative_mean, variance_of_one
+from isonoise.strategies.measures import image_floor, relative_mean, variance_per_sample
 
 BATCHES = 32
 """Independent renders of a reference: its standard errors have 31 degrees of freedom, a relative error of 13 %."""
@@ -193,7 +193,7 @@ def _batch_allocation(make: MakeRenderer, scene: SceneEntry, budget: Stops, kind
 def reference_allocation(statistics: Statistics, spp: int) -> np.ndarray:
     """Map of `spp` (at least 2) samples per pixel on average: half uniform, half by the pilot run's errors."""
     uniform = np.full(statistics.shape, (spp + 1) // 2, np.uint32)
-    variance = variance_of_one(statistics, relative_mean(statistics, image_floor(statistics.mean)))
+    variance = variance_per_sample(statistics, relative_mean(statistics, image_floor(statistics.mean)))
     adaptive = spp * uniform.size - int(uniform.sum(dtype=np.int64))
     return uniform + deficit(uniform, variance, adaptive, 0, clip=VARIANCE_CLIP_QUANTILE, cap=MAX_ALLOCATION_RATIO)
 

@@ -1,4 +1,7 @@
-"""Strategies: schedules of waves, measures and allocation rules."""
+"""Strategies decide how the samples are distributed: a schedule of waves and an allocation map for each.
+
+A built-in strategy is one file (or class) and one row of `registry.py`.
+"""
 
 from isonoise.strategies.base import Strategy, Wave
 from isonoise.strategies.registry import DEFAULT_STRATEGY, available_strategies, describe, make_strategy

@@ -1,4 +1,4 @@
-"""Allocation rules: a budget of samples becomes whole numbers of samples per pixel that sum to it exactly."""
+"""Allocation rules: distribute a budget of samples over the pixels as whole numbers that sum to it exactly."""
 
 from bisect import bisect_right
 
@@ -6,30 +6,43 @@ import numpy as np
 
 from isonoise.strategies.uniform_allocation import MAX_COUNT, check_budget, first_in_hashed_order, uniform_allocation
 
-SAMPLE = 2**14
-"""Pixels on which the water level is sought first."""
-MAX_STEPS = 200
-"""Of the search for the level; a handful is usual, and bisection from any bracket of floats ends well before."""
-ROUNDING = 1e-13
-"""Relative error of a sum of millions of float64 numbers; a level is not known better."""
+SUBSAMPLE_PIXELS = 2**14
+"""Pixels from which the first guess of the water level is computed."""
+MAX_ITERATIONS = 200
+"""Of the search for the water level. A handful is usual; bisection of any bracket of floats needs fewer."""
+SUM_ROUNDING = 1e-13
+"""Relative rounding error of a sum of millions of float64 numbers: the water level cannot be known better."""
 
 
 def proportional(weights: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
-    """Samples in proportion to the weights; whole numbers by largest remainders, ties by a hashed order that changes
-    with the wave.
+    """Distribute samples in proportion to weights, rounded by largest remainders.
 
-    - `weights`: (height, width), finite and not negative; their unit does not matter. All 0 count as all equal.
+    Parameters
+    ----------
+    weights : (height, width)
+        Finite, not negative, in any unit. All 0 counts as all equal.
+    budget : int
+        Samples to distribute.
+    wave_index : int
+        Any number that changes with the wave. It determines the hashed order in which ties are broken.
 
-    Returns uint32 (height, width) that sums to `budget` exactly. Raises ValueError if the budget is negative or gives a
-    pixel more than uint32 counts hold.
+    Returns
+    -------
+    (height, width) uint32
+        Samples per pixel; they sum to `budget` exactly.
+
+    Raises
+    ------
+    ValueError
+        If the budget is negative or gives a pixel more samples than uint32 holds.
     """
-    top = weights.max()
-    if top == 0:
+    max_weight = weights.max()
+    if max_weight == 0:
         return uniform_allocation(weights.shape, budget, wave_index)
-    share = weights.reshape(-1) / np.float64(top)
+    share = weights.reshape(-1) / np.float64(max_weight)
     share *= int(budget) / share.sum()
     check_budget(budget, MAX_COUNT if share.max() >= MAX_COUNT else weights.size * MAX_COUNT)
-    return _rounded(share, int(budget), wave_index).astype(np.uint32).reshape(weights.shape)
+    return _round_to_budget(share, int(budget), wave_index).astype(np.uint32).reshape(weights.shape)
 
 
 def deficit(
@@ -41,30 +54,46 @@ def deficit(
     clip: float = 1.0,
     cap: float = 4.0,
 ) -> np.ndarray:
-    """Water-filling: the allocation that makes V_i / n_i equal over the pixels, as far as the budget goes.
+    """Water-filling: make the error V_i / n_i equal over the pixels, as far as the budget allows.
 
-    With V the variance of one sample in the measure's terms, n the samples so far and g the cap, it finds lambda with
+    With V the variance of one sample, n the samples so far and g the cap, find lambda with
 
         sum over i of min(max(0, V_i / lambda - n_i), (g - 1) n_i) = budget
 
-    exactly: the left side is piecewise linear in 1 / lambda and changes slope at n_i / V_i and g n_i / V_i. When every
-    pixel with V > 0 is at its cap, the rest is spread evenly over the pixels below theirs, and when all are, evenly
-    over the image. Where no pixel has any, all count as equal. Shares are rounded by largest remainders; ties go by a
-    hashed order that changes with the wave.
+    exactly: the left side is piecewise linear in 1 / lambda and changes slope at n_i / V_i and g n_i / V_i. If all
+    pixels with V > 0 reach their cap, the rest is spread evenly over the pixels below theirs; if all pixels do, evenly
+    over the image. If no pixel has a variance, all count as equal. Shares are rounded by largest remainders.
 
-    - `count`: uint32 (height, width). A pixel without samples has no variance to speak of: g times nothing is nothing.
-    - `variance`: float64 (height, width); its unit does not matter. NaN and negative values are no evidence and count
-      as 0; +inf (unknown, as from fewer than two samples) counts as the largest finite value.
-    - `budget`: samples to give out.
-    - `wave_index`: any number that changes with the wave.
-    - `clip`: V is cut at this quantile of the pixels with V > 0; 1 is off.
-    - `cap`: g, a whole number of at least 2, or inf for none: no pixel more than g-folds its count while others have
-      room below theirs.
+    Parameters
+    ----------
+    count : (height, width) uint32
+        n. A pixel without samples has no known variance and a cap of 0.
+    variance : (height, width) float64
+        V, in any unit. NaN and negative values count as 0; +inf (unknown, as with fewer than two samples) counts as
+        the largest finite value.
+    budget : int
+        Samples to distribute.
+    wave_index : int
+        Any number that changes with the wave. It determines the hashed order in which ties are broken.
+    clip : float
+        V is cut at this quantile of the pixels with V > 0; 1 is off.
+    cap : float
+        g, a whole number of at least 2, or inf for none. No pixel more than g-folds its count while others are below
+        their cap.
 
-    Returns uint32 (height, width) that sums to `budget` exactly. Scaling V by a power of two changes nothing, by
-    another factor nothing beyond rounding. Raises ValueError if budget, `clip` or `cap` is out of range.
+    Returns
+    -------
+    (height, width) uint32
+        Samples per pixel; they sum to `budget` exactly. Scaling V by a power of two changes nothing, by another factor
+        nothing beyond rounding.
+
+    Raises
+    ------
+    ValueError
+        If `budget`, `clip` or `cap` is out of range.
     """
-    return _allocate(count, _clipped(variance.reshape(-1), clip), count.reshape(-1), budget, wave_index, cap)
+    slope = _clip_variance(variance.reshape(-1), clip)
+    return _allocate_capped(count, slope, count.reshape(-1), budget, wave_index, cap)
 
 
 def proportional_to_error(
@@ -77,144 +106,156 @@ def proportional_to_error(
     clip: float = 1.0,
     cap: float = 4.0,
 ) -> np.ndarray:
-    """Samples in proportion to (V / n)^p, p the exponent: the common rule of adaptive sampling.
+    """Distribute samples in proportion to (V / n)^exponent: the common rule of adaptive sampling.
 
-    Repeated, it converges to n ~ V^(p / (p + 1)): it never makes the error V / n the same everywhere.
-    Arguments, cap, rounding and errors as for `deficit`.
+    Repeated, it converges to n ~ V^(p / (p + 1)), p the exponent: the error V / n never becomes equal.
+    Parameters, result and errors are those of `deficit`.
     """
-    weight = _clipped(variance.reshape(-1), clip)
+    weight = _clip_variance(variance.reshape(-1), clip)
     np.divide(weight, count.reshape(-1), out=weight, where=count.reshape(-1) > 0)
-    top = weight.max()
-    if top > 0:
-        weight /= top
-    return _allocate(count, weight**exponent, np.zeros(count.size), budget, wave_index, cap)
+    max_weight = weight.max()
+    if max_weight > 0:
+        weight /= max_weight
+    return _allocate_capped(count, weight**exponent, np.zeros(count.size), budget, wave_index, cap)
 
 
-def _allocate(count, slope, offset, budget: int, wave_index: int, cap: float) -> np.ndarray:
-    """Shares min(max(0, slope t - offset), (g - 1) n) as whole numbers; what does not fit is spread evenly."""
+def _allocate_capped(count, slope, offset, budget: int, wave_index: int, cap: float) -> np.ndarray:
+    """Shares min(max(0, slope t - offset), (cap - 1) count) as whole numbers; the rest is spread evenly."""
     if not (cap == np.inf or (cap >= 2 and cap == int(cap))):
-        raise ValueError(f"cap is a whole number of at least 2, or inf, not {cap}")
+        raise ValueError(f"cap must be a whole number of at least 2, or inf, not {cap}")
     shape, count = count.shape, count.reshape(-1)
     budget = int(budget)
     check_budget(budget, count.size * MAX_COUNT - int(count.sum(dtype=np.int64)))
 
-    def room(limit: float) -> np.ndarray:
-        """Samples that every pixel can get if none may multiply its count by more than `limit`; whole numbers."""
-        left = MAX_COUNT - count.astype(np.float64)
-        return left if limit == np.inf else np.minimum(left, (limit - 1.0) * count, out=left)
-
-    share = _fill(slope, offset, room(cap), budget)
+    capacity = _capacity(count, cap)
+    share = _water_fill(slope, offset, capacity, budget)
     if share is not None:
-        allocation = _rounded(share, budget, wave_index)
+        allocation = _round_to_budget(share, budget, wave_index)
+    elif cap < np.inf:
+        allocation = np.where(slope > 0, capacity, 0).astype(np.int64)
     else:
-        allocation = np.where(slope > 0, room(cap), 0).astype(np.int64) if cap < np.inf else np.zeros(count.size, int)
-    del share, slope
+        allocation = np.zeros(count.size, int)
+    del share, slope, capacity
     for limit in (cap, np.inf):  # evenly below the cap, then evenly everywhere
         missing = budget - int(allocation.sum())
         if missing:
-            allocation += _spread(np.maximum(room(limit).astype(np.int64) - allocation, 0), missing, wave_index)
+            free = np.maximum(_capacity(count, limit).astype(np.int64) - allocation, 0)
+            allocation += _spread_evenly(free, missing, wave_index)
     return allocation.astype(np.uint32).reshape(shape)
 
 
-def _clipped(variance: np.ndarray, clip: float) -> np.ndarray:
-    """A copy of V, finite and not negative, scaled by a power of two so that its largest value is in [1/2, 1)."""
+def _capacity(count: np.ndarray, cap: float) -> np.ndarray:
+    """Samples that every pixel can take if its count is multiplied by `cap` at most; whole numbers, float64."""
+    remaining = MAX_COUNT - count.astype(np.float64)
+    return remaining if cap == np.inf else np.minimum(remaining, (cap - 1.0) * count, out=remaining)
+
+
+def _clip_variance(variance: np.ndarray, clip: float) -> np.ndarray:
+    """A copy of V, finite, not negative, cut, and scaled by a power of two so that its maximum is in [1/2, 1)."""
     if not 0 < clip <= 1:
-        raise ValueError(f"clip is a quantile in (0, 1], not {clip}")
+        raise ValueError(f"clip must be a quantile in (0, 1], not {clip}")
     variance = np.array(variance, dtype=np.float64)
     unknown = np.isposinf(variance)
     variance[~(variance > 0) | unknown] = 0.0
     positive = variance[variance > 0]
-    if positive.size == 0:  # nothing is known to be worse than the rest
+    if positive.size == 0:
         variance[unknown if unknown.any() else np.s_[:]] = 0.5
         return variance
-    top = positive.max()
+    max_variance = positive.max()
     if clip < 1:
         # An element of the data, not an interpolated value: scaling V must not move the cut by a rounding.
-        at = min(int(clip * positive.size), positive.size - 1)
-        positive.partition(at)
-        top = positive[at]
-        np.minimum(variance, top, out=variance)
-    variance[unknown] = top
-    return np.ldexp(variance, -np.frexp(top)[1], out=variance)
+        rank = min(int(clip * positive.size), positive.size - 1)
+        positive.partition(rank)
+        max_variance = positive[rank]
+        np.minimum(variance, max_variance, out=variance)
+    variance[unknown] = max_variance
+    return np.ldexp(variance, -np.frexp(max_variance)[1], out=variance)
 
 
-def _fill(slope: np.ndarray, offset: np.ndarray, room: np.ndarray, budget: int) -> np.ndarray | None:
-    """Real shares min(max(0, slope t - offset), room) that sum to the budget; None if together they hold less."""
-    if float(room.sum(where=slope > 0)) <= budget:
+def _water_fill(slope: np.ndarray, offset: np.ndarray, capacity: np.ndarray, budget: int) -> np.ndarray | None:
+    """Real shares min(max(0, slope t - offset), capacity) that sum to the budget; None if all capacity is less."""
+    if float(capacity.sum(where=slope > 0)) <= budget:
         return None
-    start = None
-    if slope.size > 4 * SAMPLE:  # a sample of the pixels says nearly where the level is
-        some = np.s_[:: slope.size // SAMPLE]
-        part = slope[some], offset[some], room[some]
-        start = _level(*part, budget * part[0].size / slope.size, None)[0] if part[0].any() else None
-    return _level(slope, offset, room, budget, start)[1]
+    first_guess = None
+    if slope.size > 4 * SUBSAMPLE_PIXELS:
+        subsample = np.s_[:: slope.size // SUBSAMPLE_PIXELS]
+        part = slope[subsample], offset[subsample], capacity[subsample]
+        if part[0].any():
+            first_guess = _find_level(*part, budget * part[0].size / slope.size, None)[0]
+    return _find_level(slope, offset, capacity, budget, first_guess)[1]
 
 
-def _level(slope, offset, room, budget: float, start: float | None) -> tuple[float, np.ndarray]:
-    """The t at which the shares sum to the budget, and the shares: Newton's method, kept within the bracket so far.
+def _find_level(slope, offset, capacity, budget: float, first_guess: float | None) -> tuple[float, np.ndarray]:
+    """The t at which the shares sum to the budget, and the shares: Newton's method with bisection as a safeguard.
 
-    The sum is piecewise linear in t, so the method ends when it has found the piece.
+    The sum is piecewise linear in t, so the method ends when it has found the right piece.
     """
     low, high = 0.0, np.inf
-    t = start or (budget + float(offset.sum())) / float(slope.sum())  # what all pixels would need if all took part
-    for _ in range(MAX_STEPS):
+    t = first_guess or (budget + float(offset.sum())) / float(slope.sum())  # exact if every pixel gets a share
+    for _ in range(MAX_ITERATIONS):
         share = slope * t
         share -= offset
-        filling = share > 0
-        filling &= share < room
-        np.clip(share, 0, room, out=share)
+        interior = share > 0
+        interior &= share < capacity
+        np.clip(share, 0, capacity, out=share)
         missing = budget - float(share.sum())
-        if abs(missing) <= ROUNDING * budget:
+        if abs(missing) <= SUM_ROUNDING * budget:
             break
         low, high = (t, high) if missing > 0 else (low, t)
-        growth = float(slope.sum(where=filling))
-        step = t + missing / growth if growth > 0 else np.inf
-        if not low < step < high:
-            step = 2 * t if high == np.inf else 0.5 * (low + high)
-            if not low < step < high:
+        derivative = float(slope.sum(where=interior))
+        next_t = t + missing / derivative if derivative > 0 else np.inf
+        if not low < next_t < high:
+            next_t = 2 * t if high == np.inf else 0.5 * (low + high)
+            if not low < next_t < high:
                 break
-        t = step
+        t = next_t
     return t, share
 
 
-def _rounded(share: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
-    """Whole numbers (int64) of sum `budget` from shares of that sum, by largest remainders. Spoils `share`."""
-    out = share.astype(np.int64)  # shares are not negative: this is the floor
-    share -= out
-    missing = budget - int(out.sum())
-    # Once in general. More often only where rounding of the shares left their sum an integer or more off.
+def _round_to_budget(share: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
+    """Whole numbers (int64) of sum `budget` from shares of that sum, by largest remainders. Overwrites `share`."""
+    allocation = share.astype(np.int64)  # shares are not negative: this is the floor
+    share -= allocation
+    missing = budget - int(allocation.sum())
+    # One pass in general; more only if rounding moved the sum of the shares by 1 or more.
     while missing > 0:
         candidates = np.flatnonzero(share > 0) if missing <= np.count_nonzero(share > 0) else np.arange(share.size)
-        given = candidates[_largest(share[candidates], min(missing, candidates.size), candidates, wave_index)]
-        out[given] += 1
-        missing -= given.size
+        chosen = candidates[_k_largest(share[candidates], min(missing, candidates.size), candidates, wave_index)]
+        allocation[chosen] += 1
+        missing -= chosen.size
     while missing < 0:
-        candidates = np.flatnonzero(out)
-        taken = candidates[_largest(-share[candidates], min(-missing, candidates.size), candidates, wave_index)]
-        out[taken] -= 1
-        missing += taken.size
-    return out
+        candidates = np.flatnonzero(allocation)
+        chosen = candidates[_k_largest(-share[candidates], min(-missing, candidates.size), candidates, wave_index)]
+        allocation[chosen] -= 1
+        missing += chosen.size
+    return allocation
 
 
-def _spread(room: np.ndarray, total: int, wave_index: int) -> np.ndarray:
-    """min(c, room_i) with one level c, and one more in hashed order where it does not come out even; sums to `total`
-    or fills all the room."""
-    if total >= int(room.sum()):
-        return room
-    ascending = np.sort(room)
-    below = np.cumsum(ascending)
-    # At level ascending[i] the pixels up to i are full and all others hold as much: increasing in i.
-    at = bisect_right(range(room.size), total, key=lambda i: int(below[i] + ascending[i] * (room.size - 1 - i)))
-    held = int(below[at - 1]) if at else 0
-    level, missing = divmod(total - held, room.size - at)
-    open_pixels = np.flatnonzero(room > level)
-    spread = np.minimum(room, level)
-    spread[open_pixels[first_in_hashed_order(open_pixels.astype(np.uint32), missing, wave_index)]] += 1
+def _spread_evenly(capacity: np.ndarray, total: int, wave_index: int) -> np.ndarray:
+    """min(c, capacity_i) with one level c, plus one for some pixels in hashed order, so that the sum is `total`.
+
+    All of the capacity if it is less than `total`.
+    """
+    if total >= int(capacity.sum()):
+        return capacity
+    ascending = np.sort(capacity)
+    cumulative = np.cumsum(ascending)
+
+    def sum_at_level(i: int) -> int:
+        """Sum of min(ascending[i], capacity): pixels up to i are full, all others hold as much as pixel i."""
+        return int(cumulative[i] + ascending[i] * (capacity.size - 1 - i))
+
+    full = bisect_right(range(capacity.size), total, key=sum_at_level)
+    held = int(cumulative[full - 1]) if full else 0
+    level, missing = divmod(total - held, capacity.size - full)
+    above = np.flatnonzero(capacity > level)
+    spread = np.minimum(capacity, level)
+    spread[above[first_in_hashed_order(above.astype(np.uint32), missing, wave_index)]] += 1
     return spread
 
 
-def _largest(values: np.ndarray, k: int, pixels: np.ndarray, wave_index: int) -> np.ndarray:
-    """Indices of the k largest values; among equal ones, those of the pixels that come first in the hashed order."""
+def _k_largest(values: np.ndarray, k: int, pixels: np.ndarray, wave_index: int) -> np.ndarray:
+    """Indices of the k largest values; ties go to the pixels that come first in the hashed order."""
     if k == 0:
         return np.zeros(0, dtype=np.intp)
     threshold = np.partition(values, values.size - k)[values.size - k]

@@ -1,4 +1,4 @@
-"""The strategy `oracle`: the variance of every pixel is known beforehand. The bound of every estimate."""
+"""The strategy `oracle`: the variance of every pixel is read from a file. For experiments."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,12 +14,15 @@ LAYER = "variance"
 
 @dataclass(kw_only=True, eq=False)
 class Oracle(Adaptive):
-    """Follows relative variances from an independent long run: what no strategy that estimates them can beat, unless
-    it gives up that the image is unbiased. For experiments.
+    """Equalises the relative error with variances from an independent long run: the bound for unbiased strategies.
 
-    - `file`: an .exr file with a float layer `variance`: that of one sample over max(mean, floor)^2, the same for every
-      pixel's luminance. `isonoise compare` makes one where the strategy is named without a file.
-    - and those of `Adaptive`.
+    Parameters
+    ----------
+    file : str
+        An .exr file with a float layer `variance`: for every pixel the luminance variance of one sample over
+        max(mean, floor)^2. `isonoise compare` makes one if the strategy is named without a file.
+
+    Further parameters: those of `Adaptive`.
     """
 
     name = "oracle"
@@ -44,6 +47,3 @@ class Oracle(Adaptive):
             sizes = ["x".join(map(str, shape[::-1])) for shape in (self._variance.shape, statistics.shape)]
             raise UserError(f"strategy oracle: '{self.file}' is {sizes[0]} and the image {sizes[1]}")
         return self._variance.copy()
-
-    def measure(self, statistics: Statistics, floor: float) -> np.ndarray:
-        return np.sqrt(self._variance / np.maximum(statistics.count, 1))

@@ -1,4 +1,4 @@
-"""Schedules of waves, pure arithmetic: waves grow with the samples so far, so that their number is logarithmic."""
+"""Schedules of waves. Waves grow with the samples so far, so that their number is logarithmic."""
 
 import math
 from collections.abc import Iterator
@@ -6,22 +6,29 @@ from collections.abc import Iterator
 from isonoise.strategies.base import Wave
 
 
-def uniform_waves(first: float, growth: float) -> Iterator[Wave]:
-    """Uniform waves without end: `first` samples per pixel, then `growth` times the samples so far, rounded."""
-    spp = first
-    yield Wave("uniform", first)
+def uniform_waves(warmup: float, growth: float) -> Iterator[Wave]:
+    """Uniform waves without end: `warmup` samples per pixel, then `growth` times the samples so far, rounded."""
+    spp = warmup
+    yield Wave("uniform", warmup)
     while True:
-        size = max(1, round(growth * spp))
-        yield Wave("uniform", size)
-        spp += size
+        wave_spp = max(1, round(growth * spp))
+        yield Wave("uniform", wave_spp)
+        spp += wave_spp
+
+
+def warmup_then_adaptive(warmup: float, wave_spp: float | None) -> Iterator[Wave]:
+    """One uniform wave, then adaptive waves of `wave_spp` samples per pixel without end."""
+    yield Wave("uniform", warmup)
+    while True:
+        yield Wave("adaptive", wave_spp)
 
 
 def alternating_waves(warmup: int, ratio: float, growth: float) -> Iterator[Wave]:
     """A uniform warm-up, then adaptive and uniform waves in turn without end.
 
-    Each pair brings `growth` times the samples so far, `ratio` of them adaptive for one uniform. Uniform waves have a
-    whole number of samples per pixel, so that every pixel gets the same. With `ratio` inf no uniform wave follows the
-    warm-up, and an adaptive one brings half of a pair's samples, as it does with ratio 1.
+    A pair of waves has `growth` times the samples so far, `ratio` adaptive ones for each uniform one. Uniform waves
+    have a whole number of samples per pixel, so that every pixel gets the same. With `ratio` inf there is no uniform wave
+    after the warm-up; adaptive waves have half of a pair's samples, as with ratio 1.
     """
     spp = float(warmup)
     yield Wave("uniform", warmup)
@@ -29,7 +36,7 @@ def alternating_waves(warmup: int, ratio: float, growth: float) -> Iterator[Wave
         yield Wave("adaptive", 0.5 * growth * spp)
         spp *= 1 + 0.5 * growth
     while True:
-        uniform = max(1, round(growth * spp / (1 + ratio)))
-        yield Wave("adaptive", ratio * uniform)
-        yield Wave("uniform", uniform)
-        spp += (1 + ratio) * uniform
+        uniform_spp = max(1, round(growth * spp / (1 + ratio)))
+        yield Wave("adaptive", ratio * uniform_spp)
+        yield Wave("uniform", uniform_spp)
+        spp += (1 + ratio) * uniform_spp

@@ -1,4 +1,4 @@
-"""Samples spread evenly: what uniform waves need of the allocation, and all rules share."""
+"""Even distribution of samples, and the hashed pixel order that breaks ties: shared by uniform waves and all rules."""
 
 import numpy as np
 
@@ -7,37 +7,50 @@ MAX_COUNT = 2**32 - 1
 
 
 def uniform_allocation(shape: tuple[int, int], budget: int, wave_index: int) -> np.ndarray:
-    """The same count in every pixel; the remainder goes, one sample each, by a hashed order that changes with the wave.
+    """Give every pixel the same count; the remainder goes, one sample each, to the first pixels in hashed order.
 
-    Returns uint32 of `shape` (height, width) that sums to `budget` exactly.
-    Raises ValueError if the budget is negative or more than uint32 counts hold.
+    Parameters
+    ----------
+    shape : (height, width)
+        Shape of the image.
+    budget : int
+        Samples to distribute.
+    wave_index : int
+        Any number that changes with the wave. It determines the hashed order.
+
+    Returns
+    -------
+    (height, width) uint32
+        Samples per pixel; they sum to `budget` exactly.
+
+    Raises
+    ------
+    ValueError
+        If the budget is negative or more than uint32 counts hold.
     """
     pixels = shape[0] * shape[1]
     check_budget(budget, pixels * MAX_COUNT)
-    each, rest = divmod(int(budget), pixels)
+    each, remainder = divmod(int(budget), pixels)
     allocation = np.full(pixels, each, dtype=np.uint32)
-    allocation[first_in_hashed_order(np.arange(pixels, dtype=np.uint32), rest, wave_index)] += np.uint32(1)
+    allocation[first_in_hashed_order(np.arange(pixels, dtype=np.uint32), remainder, wave_index)] += np.uint32(1)
     return allocation.reshape(shape)
 
 
-def check_budget(budget: int, most: int) -> None:
-    if not 0 <= budget <= most:
-        raise ValueError(f"a wave of {budget} samples is outside of 0 to {most}, what the pixels can count")
+def check_budget(budget: int, max_budget: int) -> None:
+    if not 0 <= budget <= max_budget:
+        raise ValueError(f"a wave of {budget} samples is out of range: the pixels can count 0 to {max_budget}")
 
 
 def first_in_hashed_order(pixels: np.ndarray, k: int, wave_index: int) -> np.ndarray:
-    """Indices into `pixels` (uint32, distinct) of the k that come first in the wave's order."""
+    """Indices into `pixels` (uint32, distinct) of the k that come first in the wave's pseudo-random order."""
     if k == 0 or k == pixels.size:
         return np.arange(k)
-    salt = _mix(np.array([wave_index & MAX_COUNT], dtype=np.uint32)) ^ np.uint32((wave_index >> 32) & MAX_COUNT)
-    return np.argpartition(_mix(_mix(pixels) ^ salt), k)[:k]
+    salt = _hash(np.array([wave_index & MAX_COUNT], dtype=np.uint32)) ^ np.uint32((wave_index >> 32) & MAX_COUNT)
+    return np.argpartition(_hash(_hash(pixels) ^ salt), k)[:k]
 
 
-def _mix(x: np.ndarray) -> np.ndarray:
-    """A bijection of the 32-bit integers that looks random: C. Wellons' lowbias32 (github.com/skeeto/hash-prospector).
-
-    One to one, so that no two pixels of a wave share a place in the order.
-    """
+def _hash(x: np.ndarray) -> np.ndarray:
+    """lowbias32 by C. Wellons (github.com/skeeto/hash-prospector): a bijection of uint32, so the order has no ties."""
     x = x ^ (x >> np.uint32(16))
     x *= np.uint32(0x7FEB352D)
     x ^= x >> np.uint32(15)
