@@ -6,6 +6,7 @@ sampling noise: a quantile of 256x256 pixels has a standard error of 0.5 % at p5
 
 import numpy as np
 import pytest
+from synthetic_statistics import make_statistics, statistics_of_samples
 
 from isonoise.error.stated_error import half_width_95, relative_standard_error, stated_error
 from isonoise.statistics import Statistics
@@ -15,22 +16,11 @@ QUANTILES = (0.5, 0.95, 0.99)
 HALF_NORMAL = np.array([0.67448975, 1.95996398, 2.57582930])  # quantiles of |Z|
 
 
-def statistics(count, mean, variance) -> Statistics:
-    mean = np.asarray(mean, dtype=np.float64)
-    count = np.broadcast_to(np.asarray(count, dtype=np.uint32), mean.shape)
-    variance = np.broadcast_to(np.asarray(variance, dtype=np.float64), mean.shape)
-    return Statistics(count, np.zeros_like(count), np.zeros((*mean.shape, 3), np.float32), mean, variance, None)
-
-
-def of_samples(x) -> Statistics:
-    return statistics(len(x), x.mean(axis=0), x.var(axis=0, ddof=1))
-
-
 def of_counts(x, count) -> Statistics:
     """Statistics of the first `count` samples of every pixel."""
     taken = np.arange(len(x))[:, None, None] < count
     mean = (x * taken).sum(axis=0) / count
-    return statistics(count, mean, ((x - mean) ** 2 * taken).sum(axis=0) / (count - 1))
+    return make_statistics(count, mean, ((x - mean) ** 2 * taken).sum(axis=0) / (count - 1))
 
 
 def true_quantiles(s, r):
@@ -47,14 +37,14 @@ def smooth_field(rng, size, detail):
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 5), (64, 64), (130, 67), (200, 1500), (30_000, 1), (1, 30_000)])
 def test_equal_errors_are_normal_quantiles(shape):
-    s = statistics(100, np.full(shape, 2.0), 4.0)  # se / mean = 0.1
+    s = make_statistics(100, np.full(shape, 2.0), 4.0)  # se / mean = 0.1
     assert stated_error(s, QUANTILES) == pytest.approx(0.1 * HALF_NORMAL, rel=1e-3)
 
 
 def test_a_mixture_of_two_errors():
     variance = np.ones((128, 128))
     variance[:64] = 9.0
-    stated = stated_error(statistics(100, np.ones((128, 128)), variance), (0.5, 0.9, 0.99))
+    stated = stated_error(make_statistics(100, np.ones((128, 128)), variance), (0.5, 0.9, 0.99))
     # Half of P(|Z| <= e / 0.1) and half of P(|Z| <= e / 0.3), solved with a root finder.
     assert stated == pytest.approx([0.10785457, 0.38456824, 0.69790436], rel=1e-3)
 
@@ -62,31 +52,31 @@ def test_a_mixture_of_two_errors():
 def test_noiseless_pixels_count_as_zero():
     variance = np.ones((128, 128))
     variance[:64] = 0.0
-    stated = stated_error(statistics(100, np.ones((128, 128)), variance), (0.4, 0.5, 0.95))
+    stated = stated_error(make_statistics(100, np.ones((128, 128)), variance), (0.4, 0.5, 0.95))
     assert stated[:2].tolist() == [0.0, 0.0]
     assert stated[2] == pytest.approx(0.1 * 1.64485363, rel=1e-3)  # 2 (q - 1/2) = 0.9 of the noisy half
 
 
 @pytest.mark.parametrize("value", [0.0, 3.0])
 def test_a_constant_image_has_no_error(value):
-    assert stated_error(statistics(16, np.full((9, 9), value), 0.0), QUANTILES).tolist() == [0.0] * 3
+    assert stated_error(make_statistics(16, np.full((9, 9), value), 0.0), QUANTILES).tolist() == [0.0] * 3
 
 
 def test_without_two_samples_no_error_is_small_enough():
     ones = np.ones((10, 10))
     for count in (0, 1):
-        assert np.isposinf(stated_error(statistics(count, ones, 0.0), (0.01, 0.5, 0.99))).all()
+        assert np.isposinf(stated_error(make_statistics(count, ones, 0.0), (0.01, 0.5, 0.99))).all()
     count = np.full((10, 10), 16)
     count[0, :2] = [0, 1]
-    stated = stated_error(statistics(count, ones, np.where(count > 1, 1.0, 0.0)), (0.5, 0.97, 0.98, 0.99))
+    stated = stated_error(make_statistics(count, ones, np.where(count > 1, 1.0, 0.0)), (0.5, 0.97, 0.98, 0.99))
     assert stated[0] == pytest.approx(0.25 * 0.69063345, rel=1e-3)  # |Z| at 0.5 / 0.98
     assert np.isfinite(stated[1])
     assert np.isposinf(stated[2:]).all()
 
 
 def test_noise_around_black_has_no_scale():
-    assert np.isposinf(stated_error(statistics(16, np.zeros((8, 8)), 1.0), QUANTILES)).all()
-    assert stated_error(statistics(16, np.zeros((8, 8)), 1.0), QUANTILES, floor=1.0) == pytest.approx(
+    assert np.isposinf(stated_error(make_statistics(16, np.zeros((8, 8)), 1.0), QUANTILES)).all()
+    assert stated_error(make_statistics(16, np.zeros((8, 8)), 1.0), QUANTILES, floor=1.0) == pytest.approx(
         0.25 * HALF_NORMAL, rel=1e-3
     )
 
@@ -94,22 +84,22 @@ def test_noise_around_black_has_no_scale():
 @pytest.mark.parametrize("q", [0.0, 1.0, -0.1, np.nan])
 def test_quantiles_out_of_range(q):
     with pytest.raises(ValueError, match="quantiles"):
-        stated_error(statistics(16, np.ones((4, 4)), 1.0), (0.5, q))
+        stated_error(make_statistics(16, np.ones((4, 4)), 1.0), (0.5, q))
 
 
 def test_scaling_the_light_changes_nothing():
     x = np.random.default_rng(1).gamma(0.4, size=(8, 100, 90))
-    stated = stated_error(of_samples(x), QUANTILES)
+    stated = stated_error(statistics_of_samples(x), QUANTILES)
     for power in (-20, 1, 20):
-        assert (stated_error(of_samples(np.ldexp(x, power)), QUANTILES) == stated).all()
-    assert stated_error(of_samples(x * 0.3), QUANTILES) == pytest.approx(stated, rel=1e-6)
+        assert (stated_error(statistics_of_samples(np.ldexp(x, power)), QUANTILES) == stated).all()
+    assert stated_error(statistics_of_samples(x * 0.3), QUANTILES) == pytest.approx(stated, rel=1e-6)
 
 
 def test_strips_do_not_show():
     """3 x 256 rows of 1024 pixels are worked on in several strips; the same image in one is a quarter of the width."""
     x = np.random.default_rng(2).exponential(size=(4, 256, 256))
-    s = of_samples(x)
-    tiled = statistics(4, np.tile(s.mean, (3, 4)), np.tile(s.variance, (3, 4)))
+    s = statistics_of_samples(x)
+    tiled = make_statistics(4, np.tile(s.mean, (3, 4)), np.tile(s.variance, (3, 4)))
     assert stated_error(tiled, QUANTILES) == pytest.approx(stated_error(s, QUANTILES), rel=1e-9)
 
 
@@ -118,7 +108,7 @@ def test_strips_do_not_show():
 def test_equal_normal_noise(n, sigma):
     """A few degrees of freedom would widen the tail: unshrunk, p99 is 19 % high at n = 4 (48 % for sigma 0.5)."""
     rng = np.random.default_rng(n)
-    s = of_samples(1 + sigma * rng.normal(size=(n, 256, 256)))
+    s = statistics_of_samples(1 + sigma * rng.normal(size=(n, 256, 256)))
     expected = sigma / np.sqrt(n) * HALF_NORMAL
     assert stated_error(s, QUANTILES) == pytest.approx(expected, rel=0.05)
     assert stated_error(s, QUANTILES) == pytest.approx(true_quantiles(s, np.ones(s.shape)), rel=0.06)
@@ -130,7 +120,7 @@ def test_smoothly_varying_noise(n, spread):
     rng = np.random.default_rng(10 + n)
     r = np.exp(0.5 * smooth_field(rng, 256, 6))
     sigma = 0.05 * np.exp(spread * smooth_field(rng, 256, 8))
-    s = of_samples(r * (1 + sigma * rng.normal(size=(n, 256, 256))))
+    s = statistics_of_samples(r * (1 + sigma * rng.normal(size=(n, 256, 256))))
     assert stated_error(s, QUANTILES) == pytest.approx(true_quantiles(s, r), rel=0.05)
 
 
@@ -138,7 +128,7 @@ def test_smoothly_varying_noise(n, spread):
 def test_noise_that_varies_from_pixel_to_pixel(n):
     rng = np.random.default_rng(20 + n)
     sigma = 0.05 * np.exp(0.3 * rng.normal(size=(256, 256)))
-    s = of_samples(1 + sigma * rng.normal(size=(n, 256, 256)))
+    s = statistics_of_samples(1 + sigma * rng.normal(size=(n, 256, 256)))
     assert stated_error(s, QUANTILES) == pytest.approx(true_quantiles(s, np.ones(s.shape)), rel=0.06)
 
 
@@ -147,7 +137,7 @@ def test_noise_that_varies_from_pixel_to_pixel(n):
 def test_skewed_samples(n, shape):
     """Gamma samples (exponential for shape 1). Skewness makes |x - r| itself not normal: 12 % at n = 8."""
     x = np.random.default_rng(30 + n).gamma(shape, size=(n, 256, 256)) / shape
-    s = of_samples(x)
+    s = statistics_of_samples(x)
     assert stated_error(s, QUANTILES) == pytest.approx(true_quantiles(s, np.ones(s.shape)), rel=0.12)
     assert stated_error(s, QUANTILES) == pytest.approx((n * shape) ** -0.5 * HALF_NORMAL, rel=0.08)
 
@@ -157,7 +147,7 @@ def test_fireflies_seen_here_count_for_pixels_that_saw_none(n):
     """One sample in 50 holds all the light: a pixel of 16 samples has seen it in 28 % of the cases, and looks black or
     noiseless else. Unshrunk, the median error is 0 (n = 16) or half of the true one (n = 64)."""
     x = np.where(np.random.default_rng(40 + n).random((n, 256, 256)) < 0.02, 50.0, 0.0)
-    stated = stated_error(of_samples(x), QUANTILES)
+    stated = stated_error(statistics_of_samples(x), QUANTILES)
     assert stated == pytest.approx(np.sqrt(49 / n) * HALF_NORMAL, rel=0.2)
 
 
@@ -165,7 +155,7 @@ def test_a_noiseless_background_beside_noise():
     rng = np.random.default_rng(50)
     sigma, r = np.full((256, 256), 0.3), np.ones((256, 256))
     sigma[:, :100], r[:, :100] = 0.0, 0.5
-    s = of_samples(r * (1 + sigma * rng.normal(size=(8, 256, 256))))
+    s = statistics_of_samples(r * (1 + sigma * rng.normal(size=(8, 256, 256))))
     stated = stated_error(s, (0.3, *QUANTILES[1:]))
     assert stated[0] == 0
     assert stated[1:] == pytest.approx(true_quantiles(s, r)[1:], rel=0.05)
@@ -181,7 +171,7 @@ def test_counts_that_vary():
 
 
 def test_relative_standard_error_is_plain():
-    s = statistics([[16, 16, 16, 1, 0]], [[2.0, 0.01, 0.0, 1.0, 0.0]], [[4.0, 4.0, 0.0, 0.0, 0.0]])
+    s = make_statistics([[16, 16, 16, 1, 0]], [[2.0, 0.01, 0.0, 1.0, 0.0]], [[4.0, 4.0, 0.0, 0.0, 0.0]])
     layer = relative_standard_error(s, 0.1)
     assert layer.dtype == np.float32
     assert layer[0].tolist() == [0.25, 5.0, 0.0, np.inf, np.inf]
@@ -204,15 +194,15 @@ def test_half_width_is_students_t():
         10001: 1.9602012636213575,
         4294967295: 1.959963985094,
     }
-    s = statistics([list(quantiles)], np.ones((1, len(quantiles))), 9.0)
+    s = make_statistics([list(quantiles)], np.ones((1, len(quantiles))), 9.0)
     expected = [3 / np.sqrt(n) * t for n, t in quantiles.items()]
     assert half_width_95(s)[0] == pytest.approx(expected, rel=5e-6)
-    assert np.isposinf(half_width_95(statistics([[0, 1]], [[0.0, 1.0]], 0.0))).all()
+    assert np.isposinf(half_width_95(make_statistics([[0, 1]], [[0.0, 1.0]], 0.0))).all()
 
 
 @pytest.mark.parametrize("n", [2, 4, 16])
 def test_half_width_covers_95_percent(n):
-    s = of_samples(5 + np.random.default_rng(70 + n).normal(size=(n, 300, 300)))
+    s = statistics_of_samples(5 + np.random.default_rng(70 + n).normal(size=(n, 300, 300)))
     covered = np.mean(np.abs(s.mean - 5) <= half_width_95(s))
     assert abs(covered - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 90_000)  # false alarms: 7e-6
 
@@ -221,6 +211,6 @@ def test_counts_mixed_at_random_or_by_halves_state_the_same():
     """Where one count borders on another makes no difference to what sigma_i^2 = variance / count is stated from."""
     rng = np.random.default_rng(80)
     count = rng.choice([100, 400], size=(128, 128))
-    stated = stated_error(statistics(count, np.ones(count.shape), 1.0), (0.5, 0.99))
-    half = statistics(np.where(np.arange(128) < 64, 100, 400)[None].repeat(128, 0), np.ones(count.shape), 1.0)
+    stated = stated_error(make_statistics(count, np.ones(count.shape), 1.0), (0.5, 0.99))
+    half = make_statistics(np.where(np.arange(128) < 64, 100, 400)[None].repeat(128, 0), np.ones(count.shape), 1.0)
     assert stated == pytest.approx(stated_error(half, (0.5, 0.99)), rel=0.01)

@@ -1,13 +1,17 @@
 """Measures and the floor: closed forms, the edge cases, and what scaling the light leaves unchanged."""
 
+import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic_statistics import make_statistics, noisy_statistics, statistics_of_samples
 
-from isonoise.statistics import Statistics
 from isonoise.strategies import make_strategy, measures
 from isonoise.strategies.measures import (
+    confidence,
+    half_buffer,
     image_floor,
     pooled_variance,
     relative_mean,
@@ -17,20 +21,6 @@ from isonoise.strategies.measures import (
     variance_per_sample,
     window_sum,
 )
-
-
-def statistics(count, mean, variance, median=None) -> Statistics:
-    count, mean, variance = (np.atleast_2d(np.asarray(a)) for a in (count, mean, variance))
-    rgb = np.repeat(mean[..., None], 3, axis=-1).astype(np.float32)
-    median = np.zeros(mean.shape) if median is None else np.atleast_2d(np.asarray(median, dtype=np.float64))
-    count = np.broadcast_to(count, mean.shape).astype(np.uint32)
-    return Statistics(count, np.zeros_like(count), rgb, mean.astype(np.float64), variance.astype(np.float64), median)
-
-
-def of_samples(x) -> Statistics:
-    """Statistics of samples (n, height, width), with M_x the mean of the medians of chunks of 5."""
-    chunks = x[: len(x) // 5 * 5].reshape(-1, 5, *x.shape[1:])
-    return statistics(len(x), x.mean(axis=0), x.var(axis=0, ddof=1), np.median(chunks, axis=1).mean(axis=0))
 
 
 def test_floor_is_one_percent_of_the_geometric_mean():
@@ -48,7 +38,7 @@ def test_floor_scales_exactly_with_powers_of_two(power):
 
 
 def test_measures_are_their_formulas():
-    s = statistics(16, [[2.0, 2.0, 2.0, 0.01]], [[4.0, 4.0, 4.0, 4.0]], [[1.5, 0.1, 5.0, 0.0]])
+    s = make_statistics(16, [[2.0, 2.0, 2.0, 0.01]], [[4.0, 4.0, 4.0, 4.0]], median=[[1.5, 0.1, 5.0, 0.0]])
     assert standard_error(s) == pytest.approx(np.full((1, 4), 0.5))
     assert relative_mean(s, 0.1)[0] == pytest.approx([0.25, 0.25, 0.25, 5.0])
     assert relative_median(s, 0.1)[0] == pytest.approx([0.5 / 1.5, 0.5 / 0.25, 0.1, 5.0])
@@ -61,7 +51,7 @@ def test_measures_are_their_formulas():
 def test_pooled_is_a_plain_loop_over_the_window(shape, window, monkeypatch):
     monkeypatch.setattr(measures, "STRIP_PIXELS", 10)  # a few rows at a time
     rng = np.random.default_rng(3)
-    s = statistics(rng.integers(2, 50, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape))
+    s = make_statistics(rng.integers(2, 50, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape))
     n, reach = s.count.astype(float), window // 2
     for (y, x), value in np.ndenumerate(pooled_variance(s, 0.5, window)):
         around = np.s_[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
@@ -81,7 +71,7 @@ def test_window_sums_do_not_cancel():
 def test_tsallis_is_the_entropy_of_the_shares(q):
     x = np.random.default_rng(4).lognormal(0, 1.5, size=(20, 3, 4))
     power = np.mean(x * np.log(x) if q == 1 else x**q, axis=0)
-    s = replace(statistics(20, x.mean(axis=0), x.var(axis=0, ddof=1)), power=power)
+    s = replace(make_statistics(20, x.mean(axis=0), x.var(axis=0, ddof=1)), power=power)
     p = x / x.sum(axis=0)
     if q == 1:
         expected = np.sqrt(1 - -(p * np.log(p)).sum(axis=0) / np.log(20))
@@ -90,22 +80,22 @@ def test_tsallis_is_the_entropy_of_the_shares(q):
     assert tsallis(s, q) == pytest.approx(expected, rel=1e-9)
     if q == 2:  # relative-mean exactly, where the mean is above the floor
         assert tsallis(s, 2) == pytest.approx(relative_mean(s, 0.0), rel=1e-15)
-    dark = statistics([[0, 1, 9]], [[0.0, 1.0, 0.0]], np.zeros((1, 3)))
+    dark = make_statistics([[0, 1, 9]], [[0.0, 1.0, 0.0]], np.zeros((1, 3)))
     assert tsallis(replace(dark, power=np.zeros((1, 3))), q).tolist() == [[0, 0, 0]]
 
 
 def test_unknown_is_inf_and_noiseless_is_zero():
-    s = statistics([[0, 1, 2, 16, 16]], [[0.0, 3.0, 3.0, 0.0, 3.0]], np.zeros((1, 5)))
+    s = make_statistics([[0, 1, 2, 16, 16]], [[0.0, 3.0, 3.0, 0.0, 3.0]], median=0.0)
     for measure in (relative_mean(s, 0.01), relative_median(s, 0.01)):
         assert measure.tolist() == [[np.inf, np.inf, 0.0, 0.0, 0.0]]
         assert variance_per_sample(s, measure).tolist() == [[np.inf, np.inf, 0.0, 0.0, 0.0]]
 
 
 def test_a_black_image_has_no_floor_and_no_nan():
-    s = statistics(16, np.zeros((2, 2)), np.zeros((2, 2)))
+    s = make_statistics(16, np.zeros((2, 2)), median=0.0)
     assert (relative_mean(s, image_floor(s.mean)) == 0).all()
     assert (relative_median(s, image_floor(s.mean)) == 0).all()
-    noisy = statistics(16, [[0.0, -1.0]], [[1.0, 1.0]])  # negative samples can do it: noise without a scale
+    noisy = make_statistics(16, [[0.0, -1.0]], [[1.0, 1.0]])  # negative samples can do it: noise without a scale
     assert np.isposinf(relative_mean(noisy, image_floor(noisy.mean))).all()
 
 
@@ -113,7 +103,7 @@ def test_with_the_bare_floor_pixels_of_zero_median_take_the_whole_budget():
     """One sample in 8 is 24, the rest 0, among pixels of the same relative variance 7: kappa bounds what it claims."""
     x = np.random.default_rng(2).lognormal(0, np.sqrt(np.log(8)), size=(800, 10, 10))
     x[:, 5, 5] = np.where(np.arange(800) % 8 == 0, 24.0, 0.0)
-    s = of_samples(x)
+    s = statistics_of_samples(x, chunk=5)
     assert s.median[5, 5] == 0
     floor = image_floor(s.mean)
     by_mean = relative_mean(s, floor)
@@ -143,11 +133,11 @@ def test_scaling_the_light_changes_no_allocation(spec):
     rng = np.random.default_rng(3)
     x = rng.gamma(0.3, size=(20, 30, 40)) * np.exp(rng.normal(0, 2, size=(30, 40)))
     strategy = make_strategy(spec)
-    plain = strategy.allocate(of_samples(x), 5000)
+    plain = strategy.allocate(statistics_of_samples(x, chunk=5), 5000)
     assert plain.sum() == 5000
     for power in (-20, -3, 20):
-        assert (strategy.allocate(of_samples(np.ldexp(x, power)), 5000) == plain).all()
-    change = strategy.allocate(of_samples(x * 0.3), 5000).astype(int) - plain
+        assert (strategy.allocate(statistics_of_samples(np.ldexp(x, power), chunk=5), 5000) == plain).all()
+    change = strategy.allocate(statistics_of_samples(x * 0.3, chunk=5), 5000).astype(int) - plain
     assert np.abs(change).max() <= 1
     assert np.count_nonzero(change) <= 4  # pixels whose remainders tie but for the last bit
 
@@ -158,14 +148,44 @@ def test_the_map_sends_samples_where_the_relative_error_is():
     sigma = np.where(np.arange(64) < 32, 0.1, 0.2)
     brightness = np.exp(rng.normal(0, 1, size=(64, 64)))  # takes no part in a relative error
     x = brightness * (1 + sigma * rng.normal(size=(400, 64, 64)))
-    counts = 400 + make_strategy("relative-mean:clip=1,cap=inf").allocate(of_samples(x), 1600 * 64 * 64)
+    counts = 400 + make_strategy("relative-mean:clip=1,cap=inf").allocate(
+        statistics_of_samples(x, chunk=5), 1600 * 64 * 64
+    )
     # 2000 on average: 800 and 3200. The variance's noise, sqrt(2 / 399) a pixel, averages out over 2048 pixels.
     assert counts[:, :32].mean() == pytest.approx(800, rel=0.02)
     assert counts[:, 32:].mean() == pytest.approx(3200, rel=0.02)
 
 
 def test_a_black_image_is_sampled_uniformly():
-    s = statistics(16, np.zeros((6, 5)), np.zeros((6, 5)))
+    s = make_statistics(16, np.zeros((6, 5)), median=0.0)
     for spec in ("relative-mean", "relative-median"):
         allocation = make_strategy(spec).allocate(s, 30 * 4)
         assert (allocation == 4).all()
+
+
+def test_half_buffer_is_its_formula():
+    s = noisy_statistics((5, 7))
+    for y, x in itertools.product(range(5), range(7)):
+        whole, half = ([float(v) for v in image[y, x]] for image in (s.rgb, s.half))
+        expected = sum(abs(a - b) for a, b in zip(whole, half, strict=True)) / math.sqrt(sum(whole))
+        assert half_buffer(s)[y, x] == pytest.approx(expected, rel=1e-12)
+
+
+def test_half_buffer_of_unknown_and_black_pixels():
+    s = make_statistics([[0, 1, 2, 2]], [[0.0, 3.0, 3.0, 0.0]], half=[[0.0, 0.0, 3.0, 0.0]])
+    assert half_buffer(s).tolist() == [[math.inf, math.inf, 0.0, 0.0]]
+
+
+def test_confidence_is_half_of_the_interval():
+    s = make_statistics([[2, 2, 10, 0, 1]], np.ones((1, 5)), [[2.0, 0.0, 10.0, 0.0, 0.0]])
+    assert confidence(s, 0.05)[0] == pytest.approx([12.7062047, 0.0, 2.26215716, math.inf, math.inf])
+    assert confidence(s, 0.5)[0, 0] == pytest.approx(1.0)  # tan(pi / 4)
+
+
+def test_the_interval_holds_the_mean_as_often_as_it_says():
+    """Of 4 normal samples in 100,000 pixels; 4.4 standard deviations of a binomial share (false alarms: 1e-5)."""
+    rng = np.random.default_rng(2)
+    s = statistics_of_samples(np.repeat(5 + rng.normal(size=(4, 250, 400, 1)), 3, axis=-1))
+    for significance in (0.01, 0.05, 0.3):
+        missed = np.mean(np.abs(s.mean - 5) > confidence(s, significance))
+        assert missed == pytest.approx(significance, abs=4.4 * math.sqrt(significance / 1e5))

@@ -1,5 +1,6 @@
 """Strategies by name: specs, parameters, schedules, and the messages for what is wrong."""
 
+import inspect
 import itertools
 from importlib.metadata import EntryPoint
 
@@ -122,6 +123,18 @@ def test_describe_is_a_spec_that_makes_the_same(spec):
 def test_describe_writes_every_parameter():
     assert describe(make_strategy("uniform:wave_spp=4")) == "uniform:wave_spp=4,warmup=16,growth=0.25"
     assert "kappa=8," in describe(make_strategy("relative-median"))
+
+
+@pytest.mark.parametrize("name", registry.BUILT_IN)
+def test_built_in_strategies_describe_themselves_and_document_their_parameters(name):
+    strategy = make_strategy(f"{name}:file=variance.exr" if name == "oracle" else name)
+    assert strategy.name == name
+    again = make_strategy(describe(strategy))
+    assert type(again) is type(strategy)
+    assert vars(again) == vars(strategy)
+    documentation = "".join(cls.__doc__ for cls in type(strategy).__mro__ if issubclass(cls, Strategy))
+    for parameter in inspect.signature(type(strategy)).parameters:
+        assert f"\n    {parameter} : " in documentation, parameter
 
 
 @pytest.mark.usefixtures("user_module")

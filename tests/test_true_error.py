@@ -2,21 +2,10 @@
 
 import numpy as np
 import pytest
+from synthetic_statistics import grey, make_statistics, statistics_of_samples
 
 from isonoise.error.true_error import is_reference_accurate, true_error
 from isonoise.luminance import luminance
-from isonoise.statistics import Statistics
-
-
-def grey(values):
-    return np.repeat(np.asarray(values, dtype=np.float32)[..., None], 3, axis=-1)
-
-
-def of_samples(x) -> Statistics:
-    """Statistics of grey samples (n, height, width)."""
-    count = np.full(x.shape[1:], len(x), np.uint32)
-    mean = x.mean(axis=0)
-    return Statistics(count, np.zeros_like(count), grey(mean), mean, x.var(axis=0, ddof=1), None)
 
 
 def test_luminance_is_rec_709():
@@ -81,7 +70,7 @@ def test_coverage_and_energy_ratio_of_a_simulation():
     shape, n, reference_n, sigma = (20, 20), 6, 50, 0.5
     covered, off = [], []
     for _ in range(200):
-        s = of_samples(1 + sigma * rng.normal(size=(n, *shape)))
+        s = statistics_of_samples(1 + sigma * rng.normal(size=(n, *shape)))
         reference = grey(1 + sigma / np.sqrt(reference_n) * rng.normal(size=shape))
         e = true_error(s.rgb, reference, grey(np.full(shape, sigma / np.sqrt(reference_n))), s)
         covered.append(e.coverage)
@@ -94,15 +83,13 @@ def test_coverage_and_energy_ratio_of_a_simulation():
 
 def test_coverage_allows_for_rounding_and_leaves_out_pixels_without_interval():
     reference = grey([[1 / 3, 1.0, 1.0]])
-    count = np.array([[16, 16, 1]], np.uint32)
-    mean = np.array([[1 / 3, 1.1, 5.0]])
-    s = Statistics(count, np.zeros_like(count), grey(mean), mean, np.zeros((1, 3)), None)
+    s = make_statistics([[16, 16, 1]], [[1 / 3, 1.1, 5.0]])
     e = true_error(s.rgb, reference, None, s)
     assert e.coverage == 0.5  # the first is right but for rounding, the second is wrong, the third claims nothing
     assert e.energy_ratio_se == np.inf
 
 
-def test_a_reference_serves_at_a_quarter_of_the_smallest_error():
+def test_a_reference_is_accurate_up_to_a_quarter_of_the_smallest_error():
     reference, se = grey(np.ones((10, 10))), grey(np.full((10, 10), 0.01))
     assert is_reference_accurate([0.0401, 0.2], reference, se)
     assert not is_reference_accurate([0.0399, 0.2], reference, se)

@@ -27,8 +27,8 @@ def alternating_waves(warmup: int, ratio: float, growth: float) -> Iterator[Wave
     """A uniform warm-up, then adaptive and uniform waves in turn without end.
 
     A pair of waves has `growth` times the samples so far, `ratio` adaptive ones for each uniform one. Uniform waves
-    have a whole number of samples per pixel, so that every pixel gets the same. With `ratio` inf there is no uniform wave
-    after the warm-up; adaptive waves have half of a pair's samples, as with ratio 1.
+    have a whole number of samples per pixel, so that every pixel gets the same. With `ratio` inf there is no uniform
+    wave after the warm-up; adaptive waves have half of a pair's samples, as with ratio 1.
     """
     spp = float(warmup)
     yield Wave("uniform", warmup)

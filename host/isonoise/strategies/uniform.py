@@ -12,9 +12,14 @@ from isonoise.strategies.schedule import uniform_waves
 class Uniform(Strategy):
     """The same number of samples in every pixel. It plans no adaptive wave, so `allocate` is never called.
 
-    - `wave_spp`: samples per pixel of every wave; 0 lets the waves grow with the samples so far.
-    - `warmup`: samples per pixel of the first wave, 1 to 65536.
-    - `growth`: later waves have this many times the samples so far, 0.01 to 4.
+    Parameters
+    ----------
+    wave_spp : int
+        Samples per pixel of every wave; 0 lets the waves grow with the samples so far.
+    warmup : int
+        Samples per pixel of the first wave, 1 to 65536.
+    growth : float
+        Later waves have this many times the samples so far, 0.01 to 4.
     """
 
     name = "uniform"
