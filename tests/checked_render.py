@@ -66,12 +66,17 @@ CASES = {
 # What the checks have to find: what a file's text is spoiled by, and what Oclgrind then says.
 FAULTS = {
     "uninitialised": ("stages/intersect.cl", "hit_u = 0.0f, hit_v = 0.0f;", "hit_u, hit_v;", "Uninitialized value"),
-    "not written": ("stages/generate.cl", "PLANE(PATH_DEPTH, path, pool)[slot] = 0u;", "", "Uninitialized value"),
+    "not written": (
+        "stages/generate.cl",
+        "PLANE(PATH_DEPTH, path, plane_stride)[slot] = 0u;",
+        "",
+        "Uninitialized value",
+    ),
     "race": ("stages/compact.cl", "block_alive[block] = sum;", "block_alive[0] = sum;", "Write-write data race"),
     "outside": (
         "stages/generate.cl",
-        "STORE3(all3(0.0f), sample,",
-        "STORE3(all3(0.0f), sample + 4000u,",
+        "STORE3(splat3(0.0f), sample,",
+        "STORE3(splat3(0.0f), sample + 4000u,",
         "Invalid write",
     ),
 }

@@ -36,11 +36,11 @@ __kernel void node_probabilities(__global const float8* nodes, __global const ui
     if (i >= n) return;
     __global const float8* node = nodes + LIGHT_NODE_ROWS * which[i];
     Float8Lanes weight;
-    weight.all = light_node_importance(node, LOAD3(i, points), LOAD4(i, normals));
-    const float total = sum8(weight.all);
+    weight.vector = light_node_importance(node, LOAD3(i, points), LOAD4(i, normals));
+    const float total = sum8(weight.vector);
     for (uint k = 0u; k < 8u; ++k)
         weight.lane[k] = child_pmf(weight.lane[k], total, ((__global const float*)(node + 4))[k]);
-    out[i] = weight.all;
+    out[i] = weight.vector;
 }
 
 __kernel void probability(__global const float8* nodes, __global const uint* places, uint lights,

@@ -1,12 +1,12 @@
-// Spheres, disks and cylinders: where a ray meets them.
+// Ray intersection of spheres, disks and cylinders. Used by both intersectors (BVH and brute force).
 #pragma once
 #include "util/math.h"
 
-#define ANALYTIC_BIT 0x80000000u  // set in a primitive number: the rest is an index into `analytics`
+#define ANALYTIC_BIT 0x80000000u  // set in a primitive number whose other bits are an index into `analytics`
 
 #if FEATURE_SPHERES
-// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, 2019: the discriminant from the
-// distance of the centre to the line, the smaller root from the product of the roots.
+// The discriminant from the distance of the centre to the line, the smaller root from the product of the roots.
+// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, 2019.
 INLINE float sphere_distance(Vec3 origin, Vec3 direction, Vec3 center, float radius, float t_max)
 {
     const Vec3 f = sub3(origin, center);
@@ -56,15 +56,16 @@ INLINE float cylinder_distance(Vec3 origin, Vec3 direction, float t_max)
 #endif
 
 #if FEATURE_ANALYTICS
-// Distance along the ray to an analytic primitive, INFINITY if it is not met in (0, t_max). The plane of a disk is not met by
-// rays that start or end on it. Neither is a sphere or cylinder by those that end on it: `sample_light` names it only
-// where nothing of it lies before, and far away its own rounding would. A ray that starts on it may meet its far side; there
-// the offset of the origin decides.
-INLINE float analytic_distance(__global const Analytic* analytics, uint index, Vec3 origin, Vec3 direction, uint skip_start,
-                               uint skip_end, float t_max)
+// Distance along the ray to an analytic primitive; INFINITY if there is no hit in (0, t_max).
+// `start_primitive`, `end_primitive`: what the ray starts and ends on. A ray that starts or ends on a disk cannot hit
+// it. A shadow ray that ends on a sphere or cylinder is not tested against it: `sample_light` sets end_primitive only
+// if the shape does not occlude its own point, and far away rounding would say it does. A ray that starts on one may
+// hit its far side; there the offset of the ray origin avoids false hits.
+INLINE float analytic_distance(__global const Analytic* analytics, uint index, Vec3 origin, Vec3 direction,
+                               uint start_primitive, uint end_primitive, float t_max)
 {
     __global const Analytic* shape = analytics + index;
-    if (skip_end == (ANALYTIC_BIT | index)) return INFINITY;
+    if (end_primitive == (ANALYTIC_BIT | index)) return INFINITY;
 #if FEATURE_SPHERES
     if (shape->kind & ANALYTIC_SPHERE)
         return sphere_distance(origin, direction, LOAD3(0, shape->center), shape->radius, t_max);
@@ -72,12 +73,12 @@ INLINE float analytic_distance(__global const Analytic* analytics, uint index, V
 #if FEATURE_DISKS || FEATURE_CYLINDERS
     float to_object[12];
     load_matrix(shape->to_object, to_object);
-    // affine: distances along the ray are the same in object space
+    // affine: distances along the ray stay the same in object space
     const Vec3 o = transform_point(to_object, origin), d = transform_direction(to_object, direction);
 #endif
 #if FEATURE_DISKS
     if (shape->kind & ANALYTIC_DISK)
-        return skip_start == (ANALYTIC_BIT | index) ? INFINITY : disk_distance(o, d, t_max);
+        return start_primitive == (ANALYTIC_BIT | index) ? INFINITY : disk_distance(o, d, t_max);
 #endif
 #if FEATURE_CYLINDERS
     if (shape->kind & ANALYTIC_CYLINDER) return cylinder_distance(o, d, t_max);

@@ -1,9 +1,10 @@
-// Instances: groups of shapes that have a space of their own and stand in several places of the world.
+// Instances: groups of shapes with an object space of their own, placed in the world by affine transforms.
+// Used by traversal (geometry/traverse.h) and by surfaces of hits (geometry/surface.h).
 #pragma once
 #include "geometry/analytic.h"
 
 #if FEATURE_INSTANCES
-// A ray of the world in the space of the instance's group. Affine: distances along it stay the same.
+// Takes a ray from world space to the instance's object space. The transform is affine, so distances t stay the same.
 INLINE void ray_to_object(__global const Instance* instance, Vec3* origin, Vec3* direction)
 {
     float m[12];
@@ -12,10 +13,10 @@ INLINE void ray_to_object(__global const Instance* instance, Vec3* origin, Vec3*
     *direction = transform_direction(m, *direction);
 }
 
-// The primitive that a ray starts on, as seen in the group of the instance `inside`: numbers of primitives are those of the group,
-// so that in other instances of it they mean other surfaces. `start_instance`: the instance of that primitive, NONE if it stands in the world.
-INLINE uint skip_in_instance(uint primitive, uint start_instance, uint inside)
+// The primitive to skip inside `instance` for a ray that starts on `start_primitive` of `start_instance` (NONE: the
+// world). Primitive numbers are those of the group, so in other instances the same number is another surface.
+INLINE uint skip_in_instance(uint start_primitive, uint start_instance, uint instance)
 {
-    return start_instance == NONE || start_instance == inside ? primitive : NONE;
+    return start_instance == NONE || start_instance == instance ? start_primitive : NONE;
 }
 #endif

@@ -1,4 +1,5 @@
-// From a hit to the surface there: position with its error bound, normals, shape.
+// Surface interaction of a hit: position with error bound, normals, BSDF, light, media, texture coordinates.
+// Called by `shade` and `shadow_transmittance`. Also declares SceneView, their view of the scene's buffers.
 #pragma once
 #include "geometry/instance.h"
 #include "light/envmap.h"
@@ -7,25 +8,26 @@
 #include "texture/texture.h"
 #include "util/math.h"
 
-#define GAMMA(n) ((n) * 0x1p-24f / (1.0f - (n) * 0x1p-24f))  // Higham's bound on n rounded operations
+// Higham's bound on the relative error of n rounded operations.
+#define GAMMA(n) ((n) * 0x1p-24f / (1.0f - (n) * 0x1p-24f))
 
 typedef struct {
     Vec3 position, error;   // |true position - position| <= error, per axis
     Vec3 geometric_normal;  // unit; zero for a triangle without area
     Vec3 normal;            // unit shading normal
-    uint bsdf, light;         // indices; light is NONE if the surface does not shine
+    uint bsdf, light;       // indices; light is NONE if the surface is not an emitter
 #if FEATURE_MEDIA
-    uint media;  // within | without << 16, where the normal points; NONE if the surface separates none
+    uint media;  // interior | exterior << 16, the normal points outside; NONE if it is not a medium interface
 #endif
 #if FEATURE_UVS
     Vec2 uv;
-    Vec3 dp_du, dp_dv;  // how the position changes with uv
-    uint triangle;        // NONE on other surfaces
+    Vec3 dp_du, dp_dv;  // partial derivatives of the position
+    uint triangle;      // NONE on analytic shapes
     Vec2 barycentric;   // weights of the triangle's second and third corner
 #endif
 } Surface;
 
-// Every member has a value, as in `empty_bsdf_sample`.
+// Every member gets a value: in a vectorised loop an unset one may keep the value of another path.
 INLINE Surface empty_surface(void)
 {
     Surface s;
@@ -51,11 +53,11 @@ INLINE TexturePoint texture_point(const Surface* s)
 }
 #endif
 
-// The scene as a stage sees it: buffers and counts. Members that the scene does not need are absent.
+// Buffers and counts of the scene. Members that depend on a feature are absent without it.
 typedef struct {
     __global const float* triangles;  // records of TRIANGLE_FLOATS: host/isonoise/scene/structs.py
     __global const uint* faces;
-    __global const float* corner_normals;  // of the corners of every triangle
+    __global const float* corner_normals;  // three per triangle
     __global const float* uvs;
     __global const Analytic* analytics;
     __global const Shape* shapes;
@@ -69,11 +71,11 @@ typedef struct {
 #endif
 #if FEATURE_TEXTURES
     Textures textures;
-    uint textured_slots;  // bits of the BSDF slots in which some material has a texture
+    uint textured_slots;  // bit mask of the BSDF slots that some material textures
 #endif
 #if FEATURE_INSTANCES
     __global const Instance* instances;
-    uint world_triangles;  // triangles below this number are in no group
+    uint world_triangles;  // triangles below this number belong to no instance group
 #endif
 #if FEATURE_MEDIA
     __global const Medium* media;
@@ -91,17 +93,18 @@ typedef struct {
 #define TRIANGLE_FLOATS 16u
 
 #if FEATURE_UVS && FEATURE_TRIANGLES
-// Texture coordinates of a triangle, and how its points change with them. Without any they are the barycentric ones of its
-// corners in the mesh's order; where they change nowhere, the changes are some basis. As in Mitsuba 3 (3.9.1).
-INLINE void triangle_uv(const SceneView* scene, uint triangle, float u, float v, Vec3 edge1, Vec3 edge2, uint flags, Surface* s)
+// Texture coordinates of a triangle, dp_du and dp_dv. A mesh without UVs gets barycentric coordinates, in the corner
+// order of the mesh. Degenerate UVs give an arbitrary dp_du and dp_dv. As in Mitsuba 3 (3.9.1).
+INLINE void triangle_uv(const SceneView* scene, uint triangle, float u, float v, Vec3 edge1, Vec3 edge2, uint flags,
+                        Surface* s)
 {
     s->triangle = triangle;
     s->uv = s->barycentric = vec2(u, v);
     if (!(flags & SHAPE_UVS)) {
-        const bool rewound = flags & TRIANGLE_REWOUND;
-        if (rewound) s->uv = vec2(u, 1.0f - u - v);
-        s->dp_du = rewound ? sub3(edge1, edge2) : edge1;
-        s->dp_dv = rewound ? neg3(edge2) : edge2;
+        const bool is_rewound = flags & TRIANGLE_REWOUND;
+        if (is_rewound) s->uv = vec2(u, 1.0f - u - v);
+        s->dp_du = is_rewound ? sub3(edge1, edge2) : edge1;
+        s->dp_dv = is_rewound ? neg3(edge2) : edge2;
         return;
     }
     coordinate_system(s->geometric_normal, &s->dp_du, &s->dp_dv);
@@ -127,7 +130,7 @@ INLINE Surface triangle_surface(const SceneView* scene, uint triangle, float u, 
     const uint flags = as_uint(scene->triangles[record + 11]);
     Surface s = empty_surface();
     s.position = add3(corner, add3(along1, along2));
-    // the edges are differences of corners: their rounding is bounded by GAMMA(1) of themselves
+    // an edge is the difference of two corners, with a rounding error of at most GAMMA(1) of itself
     s.error = scale3(add3(add3(abs3(corner), abs3(along1)), abs3(along2)), GAMMA(5));
     s.geometric_normal = s.normal = LOAD3_AT(record + 12, scene->triangles);
     s.bsdf = as_uint(scene->triangles[record + 3]);
@@ -138,8 +141,9 @@ INLINE Surface triangle_surface(const SceneView* scene, uint triangle, float u, 
 #if FEATURE_VERTEX_NORMALS
     if (flags & SHAPE_VERTEX_NORMALS) {
         const int first = 3 * (int)triangle;
-        const Vec3 interpolated = normalize3(weighted_sum3(1.0f - u - v, LOAD3(first, scene->corner_normals), u,
-                                                LOAD3(first + 1, scene->corner_normals), v, LOAD3(first + 2, scene->corner_normals)));
+        const Vec3 interpolated = normalize3(weighted_sum3(
+            1.0f - u - v, LOAD3(first, scene->corner_normals), u, LOAD3(first + 1, scene->corner_normals), v,
+            LOAD3(first + 2, scene->corner_normals)));
         s.normal = dot3(interpolated, interpolated) > 0.0f ? interpolated : s.geometric_normal;
     }
 #endif
@@ -151,30 +155,30 @@ INLINE Surface triangle_surface(const SceneView* scene, uint triangle, float u, 
 #endif
 
 #if FEATURE_ANALYTICS && FEATURE_UVS
-// Texture coordinates of a point of an analytic shape, as Mitsuba 3 has them: of a sphere the angles around and from z, of a
-// disk the radius and the angle, of a cylinder the angle and the height. At a pole, where they have no direction, dp_du is 0.
+// Texture coordinates of an analytic shape, as in Mitsuba 3: azimuth and polar angle of a sphere, radius and angle of a
+// disk, angle and height of a cylinder. At the poles of a sphere dp_du is 0.
 INLINE void analytic_uv(const Analytic* shape, Surface* s)
 {
     const Vec3 p = transform_point(shape->to_object, s->position);
-    const float radius = SQRT(p.x * p.x + p.y * p.y), turn = atan2_float(p.y, p.x) * (0.5f * M_1_PI_F);
-    const Vec2 out = radius > 0.0f ? vec2(p.x / radius, p.y / radius) : vec2(1.0f, 0.0f), on = vec2(-p.y, p.x);
-    const float angle = turn < 0.0f ? turn + 1.0f : turn;
+    const float radius = SQRT(p.x * p.x + p.y * p.y), turns = atan2_float(p.y, p.x) * (0.5f * M_1_PI_F);
+    const Vec2 radial = radius > 0.0f ? vec2(p.x / radius, p.y / radius) : vec2(1.0f, 0.0f), tangent = vec2(-p.y, p.x);
+    const float angle = turns < 0.0f ? turns + 1.0f : turns;
     s->triangle = NONE;
     s->barycentric = splat2(0.0f);
     s->uv = vec2(angle, p.z);
-    s->dp_du = scale3(vec3(on.x, on.y, 0.0f), 2.0f * M_PI_F);
+    s->dp_du = scale3(vec3(tangent.x, tangent.y, 0.0f), 2.0f * M_PI_F);
     s->dp_dv = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_SPHERES
     if (shape->kind & ANALYTIC_SPHERE) {
         s->uv = vec2(angle, atan2_float(radius, p.z) * M_1_PI_F);
-        s->dp_dv = scale3(vec3_from(scale2(out, p.z), -radius), M_PI_F);
+        s->dp_dv = scale3(vec3_from(scale2(radial, p.z), -radius), M_PI_F);
     }
 #endif
 #if FEATURE_DISKS
     if (shape->kind & ANALYTIC_DISK) {
         s->uv = vec2(radius, angle);
-        s->dp_du = vec3_from(out, 0.0f);
-        s->dp_dv = vec3(-out.y, out.x, 0.0f);
+        s->dp_du = vec3_from(radial, 0.0f);
+        s->dp_dv = vec3(-radial.y, radial.x, 0.0f);
     }
 #endif
     s->dp_du = transform_direction(shape->to_world, s->dp_du);
@@ -183,7 +187,7 @@ INLINE void analytic_uv(const Analytic* shape, Surface* s)
 #endif
 
 #if FEATURE_ANALYTICS
-// What a surface point of an analytic shape has from its shape, once position and outward normal are known.
+// Fills in the members that come from the shape. Position and outward normal are already set.
 INLINE void finish_analytic_surface(const SceneView* scene, uint index, const Analytic* analytic, Surface* s)
 {
     const Shape shape_record = Shape_at(scene->shapes, analytic->shape), *shape = &shape_record;
@@ -203,35 +207,35 @@ INLINE void finish_analytic_surface(const SceneView* scene, uint index, const An
 #if FEATURE_SPHERES
 INLINE void sphere_surface(const Analytic* sphere, Vec3 outward, Surface* s)
 {
-    const Vec3 center = LOAD3(0, sphere->center), arm = scale3(outward, sphere->radius);
-    s->position = add3(center, arm);
-    s->error = scale3(add3(abs3(center), abs3(arm)), GAMMA(6));
+    const Vec3 center = LOAD3(0, sphere->center), from_center = scale3(outward, sphere->radius);
+    s->position = add3(center, from_center);
+    s->error = scale3(add3(abs3(center), abs3(from_center)), GAMMA(6));
     s->normal = outward;
 }
 #endif
 
 #if FEATURE_DISKS || FEATURE_CYLINDERS || FEATURE_INSTANCES
-// How far a point may be off that was taken from object space to world space and that the intersection stage takes back.
-INLINE Vec3 round_trip_error(const float* to_world, const float* to_object, Vec3 on_object, Vec3 in_world)
+// Error bound of a point that was transformed from object to world space; the intersector will transform it back.
+INLINE Vec3 round_trip_error(const float* to_world, const float* to_object, Vec3 object_point, Vec3 world_point)
 {
-    float m[12], inverse[12];
+    float abs_to_world[12], abs_to_object[12];
 #pragma unroll
-    for (int i = 0; i < 12; ++i) m[i] = abs_float(to_world[i]);
+    for (int i = 0; i < 12; ++i) abs_to_world[i] = abs_float(to_world[i]);
 #pragma unroll
-    for (int i = 0; i < 12; ++i) inverse[i] = abs_float(to_object[i]);
-    const Vec3 there = transform_point(m, abs3(on_object));
-    const Vec3 and_back = transform_direction(m, transform_point(inverse, abs3(in_world)));
-    return add3(scale3(there, GAMMA(6)), scale3(and_back, GAMMA(5)));
+    for (int i = 0; i < 12; ++i) abs_to_object[i] = abs_float(to_object[i]);
+    const Vec3 forward = transform_point(abs_to_world, abs3(object_point));
+    const Vec3 backward = transform_direction(abs_to_world, transform_point(abs_to_object, abs3(world_point)));
+    return add3(scale3(forward, GAMMA(6)), scale3(backward, GAMMA(5)));
 }
 #endif
 
 #if FEATURE_DISKS || FEATURE_CYLINDERS
-// A point of object space that lies on the surface exactly, and its normal there, taken to world space.
-INLINE void transformed_surface(const Analytic* shape, Vec3 on_shape, Vec3 shape_normal, Surface* s)
+// Transforms an exact surface point and its normal from object to world space.
+INLINE void transformed_surface(const Analytic* shape, Vec3 object_point, Vec3 object_normal, Surface* s)
 {
-    s->position = transform_point(shape->to_world, on_shape);
-    s->normal = normalize3(transform_normal(shape->to_object, shape_normal));
-    s->error = round_trip_error(shape->to_world, shape->to_object, on_shape, s->position);
+    s->position = transform_point(shape->to_world, object_point);
+    s->normal = normalize3(transform_normal(shape->to_object, object_normal));
+    s->error = round_trip_error(shape->to_world, shape->to_object, object_point, s->position);
 }
 #endif
 
@@ -242,23 +246,23 @@ INLINE Surface analytic_surface(const SceneView* scene, uint index, Vec3 origin,
     const Analytic analytic_record = Analytic_at(scene->analytics, index), *shape = &analytic_record;
 #if FEATURE_SPHERES
     if (shape->kind & ANALYTIC_SPHERE) {
-        // from the centre, not from the world's origin: far from that a point has few digits left, a normal none
+        // relative to the centre: a world-space point far from the origin has too few digits for a normal
         const Vec3 from_center = add3(sub3(origin, LOAD3(0, shape->center)), scale3(direction, t));
         sphere_surface(shape, normalize3(from_center), &s);
     }
 #endif
 #if FEATURE_DISKS || FEATURE_CYLINDERS
     if (!(shape->kind & ANALYTIC_SPHERE)) {
-        Vec3 on_shape = transform_point(shape->to_object, add3(origin, scale3(direction, t)));
-        Vec3 shape_normal = vec3(0.0f, 0.0f, 1.0f);
+        Vec3 point = transform_point(shape->to_object, add3(origin, scale3(direction, t)));
+        Vec3 normal = vec3(0.0f, 0.0f, 1.0f);
         if (shape->kind & ANALYTIC_DISK) {
-            on_shape.z = 0.0f;
+            point.z = 0.0f;
         } else {
-            const float from_axis = SQRT(on_shape.x * on_shape.x + on_shape.y * on_shape.y);
-            on_shape = vec3(on_shape.x / from_axis, on_shape.y / from_axis, on_shape.z);
-            shape_normal = vec3(on_shape.x, on_shape.y, 0.0f);
+            const float from_axis = SQRT(point.x * point.x + point.y * point.y);
+            point = vec3(point.x / from_axis, point.y / from_axis, point.z);
+            normal = vec3(point.x, point.y, 0.0f);
         }
-        transformed_surface(shape, on_shape, shape_normal, &s);
+        transformed_surface(shape, point, normal, &s);
     }
 #endif
     finish_analytic_surface(scene, index, shape, &s);
@@ -266,8 +270,9 @@ INLINE Surface analytic_surface(const SceneView* scene, uint index, Vec3 origin,
 }
 #endif
 
-// The surface where a ray met `primitive`.
-INLINE Surface surface_of_hit(const SceneView* scene, uint primitive, Vec3 origin, Vec3 direction, float t, float u, float v)
+// Surface interaction of a hit on `primitive`.
+INLINE Surface surface_of_hit(const SceneView* scene, uint primitive, Vec3 origin, Vec3 direction, float t, float u,
+                              float v)
 {
 #if FEATURE_TRIANGLES && FEATURE_ANALYTICS
     if (!(primitive & ANALYTIC_BIT)) return triangle_surface(scene, primitive, u, v);
@@ -277,26 +282,26 @@ INLINE Surface surface_of_hit(const SceneView* scene, uint primitive, Vec3 origi
 #if FEATURE_ANALYTICS
     return analytic_surface(scene, primitive & ~ANALYTIC_BIT, origin, direction, t);
 #elif !FEATURE_TRIANGLES
-    return empty_surface();  // an empty scene: nothing is ever met
+    return empty_surface();  // an empty scene has no hits
 #endif
 }
 
 #if FEATURE_INSTANCES
-// The surface where a ray met `primitive` in an instance, NONE for one that stands in the world.
-INLINE Surface instanced_surface_of_hit(const SceneView* scene, uint instance, uint primitive,
-                                    Vec3 origin, Vec3 direction, float t, float u, float v)
+// Surface interaction of a hit on `primitive` of an instance; NONE is the world.
+INLINE Surface instanced_surface_of_hit(const SceneView* scene, uint instance, uint primitive, Vec3 origin,
+                                        Vec3 direction, float t, float u, float v)
 {
     if (instance != NONE) ray_to_object(scene->instances + instance, &origin, &direction);
     Surface s = surface_of_hit(scene, primitive, origin, direction, t, u, v);
     if (instance == NONE) return s;
-    float m[12], inverse[12], magnitude[12];
+    float m[12], inverse[12], abs_m[12];
     load_matrix(scene->instances[instance].to_world, m);
     load_matrix(scene->instances[instance].to_object, inverse);
 #pragma unroll
-    for (int i = 0; i < 12; ++i) magnitude[i] = abs_float(m[i]);
-    const Vec3 on_object = s.position;
-    s.position = transform_point(m, on_object);
-    s.error = add3(transform_direction(magnitude, s.error), round_trip_error(m, inverse, on_object, s.position));
+    for (int i = 0; i < 12; ++i) abs_m[i] = abs_float(m[i]);
+    const Vec3 object_point = s.position;
+    s.position = transform_point(m, object_point);
+    s.error = add3(transform_direction(abs_m, s.error), round_trip_error(m, inverse, object_point, s.position));
     s.geometric_normal = normalize3(transform_normal(inverse, s.geometric_normal));
     s.normal = normalize3(transform_normal(inverse, s.normal));
 #if FEATURE_UVS

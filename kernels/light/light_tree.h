@@ -18,9 +18,9 @@ typedef struct {
 INLINE float8 sqrt8(float8 v)
 {
     Float8Lanes lanes;
-    lanes.all = v;
+    lanes.vector = v;
     for (int i = 0; i < 8; ++i) lanes.lane[i] = SQRT(lanes.lane[i]);
-    return lanes.all;
+    return lanes.vector;
 }
 
 // The lanes moved up by so many places, after zeros.
@@ -92,22 +92,22 @@ INLINE uint select_from_tree(const LightTree* tree, Vec3 point, Vec4 normal, flo
     do {
         __global const float8* node = tree->nodes + LIGHT_NODE_ROWS * node_index;
         Float8Lanes weight, part, begin;
-        part.all = weight.all = light_node_importance(node, point, normal);
-        const float total = sum8(weight.all);
+        part.vector = weight.vector = light_node_importance(node, point, normal);
+        const float total = sum8(weight.vector);
         float scale = (1.0f - POWER_FRACTION) / total;
         if (!(total > MIN_TOTAL_IMPORTANCE)) {
-            part.all = node[4];
+            part.vector = node[4];
             scale = 1.0f;
         } else if (u >= 1.0f - POWER_FRACTION) {
-            part.all = node[4];
+            part.vector = node[4];
             scale = 1.0f;
             u = (u - (1.0f - POWER_FRACTION)) / POWER_FRACTION;
             rest /= POWER_FRACTION;
         }
         // sums of the parts before each lane
-        const float8 one = SHIFT_LANES_1(part.all), two = one + SHIFT_LANES_1(one), four = two + SHIFT_LANES_2(two);
-        begin.all = scale * (four + SHIFT_LANES_4(four));
-        const uint child = last_set_lane((begin.all <= u) & (part.all > 0.0f));
+        const float8 one = SHIFT_LANES_1(part.vector), two = one + SHIFT_LANES_1(one), four = two + SHIFT_LANES_2(two);
+        begin.vector = scale * (four + SHIFT_LANES_4(four));
+        const uint child = last_set_lane((begin.vector <= u) & (part.vector > 0.0f));
 
         const float width = scale * part.lane[child], inverse = 1.0f / width;
         const float past = u - begin.lane[child], lost = (u - past) - begin.lane[child], whole = past * inverse;
@@ -131,8 +131,8 @@ INLINE float light_tree_pmf(const LightTree* tree, uint light, Vec3 point, Vec4 
         const uint parent = place >> 3, slot = place & 7u;
         __global const float8* node = tree->nodes + LIGHT_NODE_ROWS * parent;
         Float8Lanes weight;
-        weight.all = light_node_importance(node, point, normal);
-        probability *= child_pmf(weight.lane[slot], sum8(weight.all), ((__global const float*)(node + 4))[slot]);
+        weight.vector = light_node_importance(node, point, normal);
+        probability *= child_pmf(weight.lane[slot], sum8(weight.vector), ((__global const float*)(node + 4))[slot]);
         place = tree->places[tree->lights + parent];
     }
     return probability;

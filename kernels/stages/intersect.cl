@@ -38,9 +38,9 @@ __kernel void intersect(
                 uint hits = intersect_triangle_block(block, &traversal.ray, traversal.skip, t_max, &t8, &u8, &v8);
                 if (!hits) continue;
                 Float8Lanes t, u, v;
-                t.all = t8;
-                u.all = u8;
-                v.all = v8;
+                t.vector = t8;
+                u.vector = u8;
+                v.vector = v8;
                 for (; hits; hits &= hits - 1u) {
                     const uint lane = lowest_set_bit(hits);
                     if (t.lane[lane] < t_max) {
@@ -49,7 +49,7 @@ __kernel void intersect(
                         hit_v = v.lane[lane];
                         primitive = ((__global const uint*)(block + 9))[lane];
 #if FEATURE_INSTANCES
-                        hit_instance = traversal.inside;
+                        hit_instance = traversal.instance;
 #endif
                     }
                 }
@@ -63,7 +63,7 @@ __kernel void intersect(
                     t_max = t;
                     primitive = ANALYTIC_BIT | index;
 #if FEATURE_INSTANCES
-                    hit_instance = traversal.inside;
+                    hit_instance = traversal.instance;
 #endif
                 }
             }
@@ -74,7 +74,7 @@ __kernel void intersect(
         instance[i] = hit_instance;
 #endif
 #if FEATURE_COUNT_TESTS
-        tests[i] = (uint2)(traversal.nodes, blocks_tested);
+        tests[i] = (uint2)(traversal.nodes_tested, blocks_tested);
 #endif
     }
 }

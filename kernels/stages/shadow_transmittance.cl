@@ -113,12 +113,12 @@ __kernel void shadow_transmittance(
         if (leaf < first_analytic) {
             __global const float8* block = blocks + leaf;
             Float8Lanes t, u, v;
-            for (uint hits = intersect_triangle_block(block, &traversal.ray, traversal.skip, t_max, &t.all, &u.all, &v.all); hits; hits &= hits - 1u) {
+            for (uint hits = intersect_triangle_block(block, &traversal.ray, traversal.skip, t_max, &t.vector, &u.vector, &v.vector); hits; hits &= hits - 1u) {
                 const uint lane = lowest_set_bit(hits), primitive = ((__global const uint*)(block + 9))[lane];
                 const uint flags = as_uint(triangles[TRIANGLE_FLOATS * primitive + 11u]);
                 if (!(flags & SHAPE_PASS_THROUGH)) return;
 #if FEATURE_INSTANCES
-                const Surface s = instanced_surface_of_hit(&scene, instances, traversal.inside, primitive, origin, direction,
+                const Surface s = instanced_surface_of_hit(&scene, instances, traversal.instance, primitive, origin, direction,
                                                        t.lane[lane], u.lane[lane], v.lane[lane]);
 #else
                 const Surface s = triangle_surface(&scene, primitive, u.lane[lane], v.lane[lane]);
@@ -141,7 +141,7 @@ __kernel void shadow_transmittance(
                 Surface s = analytic_surface(&scene, index, from, towards, on);
                 from = spawn_origin(&s, towards);
 #if FEATURE_INSTANCES
-                s = instanced_surface_of_hit(&scene, instances, traversal.inside, ANALYTIC_BIT | index, origin, direction, t,
+                s = instanced_surface_of_hit(&scene, instances, traversal.instance, ANALYTIC_BIT | index, origin, direction, t,
                                          0.0f, 0.0f);
 #endif
                 if (!attenuate(&scene, bsdfs, &s, direction, t, &shadow)) return;

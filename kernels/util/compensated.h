@@ -1,5 +1,7 @@
-// Sums of two floats (high, low) that carry 48 bits. Built without contraction and without fast-math.
-// Knuth, TAOCP vol. 2, 4.2.2 (two_sum); Dekker, "A floating-point technique for extending the available precision", 1971.
+// Double-float arithmetic: sums of two floats (high, low) with 48 bits of precision. Used by the statistics kernels.
+// Needs a build without contraction and without fast-math.
+// Knuth, TAOCP vol. 2, 4.2.2 (two_sum).
+// Dekker, "A floating-point technique for extending the available precision", 1971.
 #pragma once
 #include "util/vec.h"
 
@@ -7,7 +9,7 @@ typedef struct {
     float high, low;
 } Compensated;
 
-// a + b exactly, as the rounded sum and its error. An overflow stays an infinity instead of becoming NaN.
+// a + b exactly, as the rounded sum and its rounding error. If the sum overflows, the error is 0, not NaN.
 INLINE Compensated two_sum(float a, float b)
 {
     const float sum = a + b;
@@ -17,7 +19,7 @@ INLINE Compensated two_sum(float a, float b)
     return result;
 }
 
-// The same where |a| >= |b| or a = 0.
+// The same for |a| >= |b| or a = 0.
 INLINE Compensated quick_two_sum(float a, float b)
 {
     const float sum = a + b;
@@ -31,7 +33,7 @@ INLINE Compensated add_compensated(Compensated a, float b)
     return quick_two_sum(sum.high, sum.low + a.low);
 }
 
-// a / n for a whole number n that no float may hold exactly.
+// a / n. An integer n above 2^24 may not be exact as one float, so it is split in two.
 INLINE Compensated divide_compensated(Compensated a, uint n)
 {
     const float n_high = (float)(n & 0xFFFFF000u), n_low = (float)(n & 0xFFFu);

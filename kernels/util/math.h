@@ -1,4 +1,4 @@
-// Small vector helpers that several stages share.
+// Geometry and trigonometry of Vec2 and Vec3, affine transforms, ray offsets. Included by most kernel files.
 #pragma once
 #include "util/vec.h"
 
@@ -23,39 +23,41 @@ INLINE Vec3 vec3_from(Vec2 v, float z)
     return vec3(v.x, v.y, z);
 }
 
-// Unit vector along v, zero for zero. What would vanish or overflow when squared is scaled first, by a power of two.
+// Unit vector along v; zero for zero. If the square would underflow or overflow, v is first scaled by a power of two.
 INLINE Vec3 normalize3(Vec3 v)
 {
     const float square = dot3(v, v);
     v = scale3(v, square < 1e-30f ? 0x1p100f : square > 1e30f ? 0x1p-80f : 1.0f);
-    const float scaled = dot3(v, v);
-    return scale3(v, scaled > 0.0f ? 1.0f / SQRT(scaled) : 0.0f);
+    const float scaled_square = dot3(v, v);
+    return scale3(v, scaled_square > 0.0f ? 1.0f / SQRT(scaled_square) : 0.0f);
 }
 
-// Cosine and sine of an angle in [-pi/4, pi/4]: Taylor's polynomials, whose first omitted terms are below 3e-8 there.
+// Cosine and sine of an angle in [-pi/4, pi/4]: Taylor polynomials. The first omitted terms are below 3e-8.
 INLINE Vec2 cos_sin_small(float angle)
 {
     const float a2 = angle * angle;
     const float c = 1.0f + a2 * (-0.5f + a2 * (4.1666667e-2f + a2 * (-1.3888889e-3f + a2 * 2.4801587e-5f)));
-    const float s = angle * (1.0f + a2 * (-1.6666667e-1f + a2 * (8.3333333e-3f + a2 * (-1.9841270e-4f + a2 * 2.7557319e-6f))));
+    const float s =
+        angle * (1.0f + a2 * (-1.6666667e-1f + a2 * (8.3333333e-3f + a2 * (-1.9841270e-4f + a2 * 2.7557319e-6f))));
     return vec2(c, s);
 }
 
-// The angle of (x, y) in [-pi, pi]. The polynomial is fitted to atan(q) / q over |q| <= tan(pi / 8), off by 2e-8 of it.
+// The angle of (x, y) in [-pi, pi]. The polynomial is fitted to atan(q) / q for |q| <= tan(pi / 8), relative error
+// 2e-8.
 INLINE float atan2_float(float y, float x)
 {
-    const float ax = abs_float(x), ay = abs_float(y), less = MIN(ax, ay), more = MAX(ax, ay);
-    const bool steep = less > 0.41421356f * more;  // then the angle is counted from the diagonal
-    const float q = (steep ? less - more : less) / MAX(steep ? less + more : more, 1e-37f);
+    const float ax = abs_float(x), ay = abs_float(y), smaller = MIN(ax, ay), larger = MAX(ax, ay);
+    const bool near_diagonal = smaller > 0.41421356f * larger;  // then the angle is measured from the diagonal
+    const float q =
+        (near_diagonal ? smaller - larger : smaller) / MAX(near_diagonal ? smaller + larger : larger, 1e-37f);
     const float q2 = q * q;
-    float angle =
-        q + q * q2 * (-0.33332956f + q2 * (0.19977924f + q2 * (-0.13879836f + q2 * 0.080602668f)));
-    angle += steep ? M_PI_4_F : 0.0f;
+    float angle = q + q * q2 * (-0.33332956f + q2 * (0.19977924f + q2 * (-0.13879836f + q2 * 0.080602668f)));
+    angle += near_diagonal ? M_PI_4_F : 0.0f;
     angle = ay > ax ? M_PI_2_F - angle : angle;
     return copy_sign(x < 0.0f ? M_PI_F - angle : angle, y);
 }
 
-// Point of the unit circle at u turns, u in [0, 1].
+// Cosine and sine of u turns, u in [0, 1].
 INLINE Vec2 cos_sin_turns(float u)
 {
     const int quadrant = (int)(4.0f * u + 0.5f);
@@ -64,13 +66,13 @@ INLINE Vec2 cos_sin_turns(float u)
     return quadrant & 2 ? neg2(rotated) : rotated;
 }
 
-INLINE void load_matrix(__global const float* from, float* to)
+INLINE void load_matrix(__global const float* source, float* matrix)
 {
 #pragma unroll
-    for (int i = 0; i < 12; ++i) to[i] = from[i];
+    for (int i = 0; i < 12; ++i) matrix[i] = source[i];
 }
 
-// Rows of an affine 3x4 matrix applied to a point and to a direction.
+// An affine 3x4 matrix, stored by rows, applied to a point or a direction.
 INLINE Vec3 transform_point(const float* m, Vec3 p)
 {
     return vec3(m[0] * p.x + m[1] * p.y + m[2] * p.z + m[3], m[4] * p.x + m[5] * p.y + m[6] * p.z + m[7],
@@ -83,7 +85,7 @@ INLINE Vec3 transform_direction(const float* m, Vec3 d)
                 m[8] * d.x + m[9] * d.y + m[10] * d.z);
 }
 
-// Transposed linear part: takes a normal of object space to world space if m is the world-to-object matrix.
+// Applies the transposed linear part of m: with the world-to-object matrix a normal goes from object to world space.
 INLINE Vec3 transform_normal(const float* m, Vec3 n)
 {
     return vec3(m[0] * n.x + m[4] * n.y + m[8] * n.z, m[1] * n.x + m[5] * n.y + m[9] * n.z,
@@ -101,23 +103,25 @@ INLINE void coordinate_system(Vec3 n, Vec3* s, Vec3* t)
     *t = vec3(b, sign + n.y * n.y * a, -n.y);
 }
 
-// The unit square to the unit disk, areas kept. Shirley and Chiu, "A Low Distortion Map Between Disk and Square", 1997.
+// Area-preserving map from the unit square to the unit disk.
+// Shirley and Chiu, "A Low Distortion Map Between Disk and Square", 1997.
 INLINE Vec2 square_to_disk(Vec2 u)
 {
     const Vec2 c = sub2(scale2(u, 2.0f), splat2(1.0f));
-    const bool wide = abs_float(c.x) > abs_float(c.y);
-    const float r = wide ? c.x : c.y;
+    const bool x_is_larger = abs_float(c.x) > abs_float(c.y);
+    const float r = x_is_larger ? c.x : c.y;
     if (r == 0.0f) return splat2(0.0f);
-    const Vec2 p = scale2(cos_sin_small(M_PI_4_F * ((wide ? c.y : c.x) / r)), r);
-    return vec2(wide ? p.x : p.y, wide ? p.y : p.x);  // scalars: a choice of vectors becomes a jump
+    const Vec2 p = scale2(cos_sin_small(M_PI_4_F * ((x_is_larger ? c.y : c.x) / r)), r);
+    // per component: selecting structs compiles to a jump
+    return vec2(x_is_larger ? p.x : p.y, x_is_larger ? p.y : p.x);
 }
 
-// Where a ray that leaves a surface may start without meeting it again: the point moved along the geometric normal past its
-// own error bound, to the side of `direction`. Pharr, Jakob, Humphreys, Physically Based Rendering, 4th ed., 6.8.6.
+// Origin of a ray that leaves a surface and must not hit it again: the point, moved along the geometric normal by its
+// error bound to the side of `direction`. Pharr, Jakob, Humphreys, Physically Based Rendering, 4th ed., 6.8.6.
 INLINE Vec3 offset_ray_origin(Vec3 p, Vec3 error, Vec3 normal, Vec3 direction)
 {
     const float distance = dot3(abs3(normal), error);
     const Vec3 offset = scale3(normal, copy_sign(distance, dot3(direction, normal)));
-    // one more step of the float grid, for the rounding of this sum
+    // one more float spacing, for the rounding of this sum
     return add3(add3(p, offset), copy_sign3(scale3(p, 0x1p-23f), offset));
 }

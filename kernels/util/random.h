@@ -1,25 +1,26 @@
-// Random numbers: a pure function of (seed, pixel, stream, sample index, dimension), nothing is stored per pixel.
-// Whoever needs numbers names a dimension block and gets its four numbers; how they come about is known here alone.
+// Random numbers: a pure function of (seed, pixel, sample index, dimension block). Used by `generate` and `shade`.
+// Nothing is stored per pixel. A caller names a dimension block and gets its four numbers.
 #pragma once
 #include "util/vec.h"
 
 // Dimension blocks. The camera has one; every path vertex has BLOCKS_PER_VERTEX, whatever the features.
-#define BLOCK_CAMERA 0u          // filter x, filter y, lens x, lens y
+#define BLOCK_CAMERA 0u  // filter x, filter y, lens x, lens y
 #define BLOCKS_PER_VERTEX 2u
-#define BLOCK_BSDF(depth) (1u + BLOCKS_PER_VERTEX * (depth))   // lobe, direction x, direction y, roulette
-#define BLOCK_LIGHT(depth) (2u + BLOCKS_PER_VERTEX * (depth))  // pick, position x, position y, pick (low bits)
-#define BLOCK_MATERIAL(depth) (0x80000000u + (depth))          // choice of a wrapped material
-#define BLOCK_MEDIUM(depth) (0xC0000000u + (depth))            // colour, distance, distance (low bits)
+#define BLOCK_BSDF(depth) (1u + BLOCKS_PER_VERTEX * (depth))   // lobe, direction x, direction y, Russian roulette
+#define BLOCK_LIGHT(depth) (2u + BLOCKS_PER_VERTEX * (depth))  // light, position x, position y, light (low bits)
+#define BLOCK_MATERIAL(depth) (0x80000000u + (depth))          // choice of a nested material
+#define BLOCK_MEDIUM(depth) (0xC0000000u + (depth))            // channel, distance, distance (low bits)
 
-// Four numbers in [0, 1), multiples of 2^-24, of one dimension block of one sample: Philox4x32 with 7 rounds, the fewest that
-// pass BigCrush. Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011, section 3.3 and table 2.
+// The four numbers of one dimension block of one sample: in [0, 1), multiples of 2^-24. Philox4x32 with 7 rounds, the
+// smallest number of rounds that passes BigCrush.
+// Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011, section 3.3 and table 2.
 INLINE Vec4 random_block(uint2 seed, uint pixel, uint index, uint block)
 {
     uint a = pixel, b = index, c = block, d = 0u;
-    // unrolled: a loop over paths that has another one within becomes no vector instructions
+    // unrolled: LLVM does not vectorise a loop over paths that contains another loop
 #pragma unroll
     for (uint round = 0; round < 7u; ++round) {
-        // high halves by products of 64 bits, because mul_hi may be a call; low ones apart, which vector units do cheaply
+        // high halves from 64-bit products: mul_hi may be a call; low halves separately, which is cheap in vectors
         const uint low_a = 0xD2511F53u * a, low_c = 0xCD9E8D57u * c;
         const uint high_a = (uint)(((ulong)0xD2511F53u * a) >> 32), high_c = (uint)(((ulong)0xCD9E8D57u * c) >> 32);
         a = high_c ^ b ^ (seed.x + round * 0x9E3779B9u);

@@ -1,9 +1,9 @@
-// What the stages of the per-pixel statistics share: how the state lies in memory, merging of blocks, medians.
-// The state is planes of one float a pixel, `stride` apart; a sum of two floats has two of them, high and low.
+// Per-pixel statistics, used by `reduce` and `summarise`: access to the state, merging of blocks, medians.
+// The state consists of planes with one float per pixel, `stride` floats apart; a Compensated sum takes two planes.
 #pragma once
 #include "util/compensated.h"
 
-#define MEAN_ROUNDING 0x1p-44f  // a mean is known to 2^-48 of itself: equal samples must not seem to vary by its rounding
+#define MEAN_ROUNDING 0x1p-44f  // relative; a mean is exact to 2^-48, and its rounding must not look like variance
 
 INLINE Compensated load_sum(__global const float* plane, uint stride)
 {
@@ -17,22 +17,25 @@ INLINE void store_sum(Compensated sum, __global float* plane, uint stride)
     plane[stride] = sum.low;
 }
 
-// M2 of n samples and a block of k more. The block's sums are about `shift`: the mean of the n, rounded to a float (so `rest`
-// is what the rounding left), or, for n = 0, the block's own first sample.
-// Chan, Golub, LeVeque, "Algorithms for Computing the Sample Variance", 1983. What leaves float32 stays as large as it can be.
-INLINE Compensated merge_m2(Compensated m2, uint n, uint k, float shift, float rest, float sum, float squares)
+// Merges M2, the sum of squared differences from the mean, of n samples with a block of k more.
+// Chan, Golub, LeVeque, "Algorithms for Computing the Sample Variance", 1983.
+// `block_sum`, `block_squares`: sums of x - shift and of its square over the block.
+// The mean of the n samples is shift + shift_error, `shift` being a float; for n = 0 `shift` is the block's first
+// sample. A result beyond float32 becomes FLT_MAX.
+INLINE Compensated merge_m2(Compensated m2, uint n, uint k, float shift, float shift_error, float block_sum,
+                            float block_squares)
 {
-    const float block_mean = sum / (float)k;
-    m2 = add_compensated(m2, is_finite(squares) ? MAX(squares - sum * block_mean, 0.0f) : FLT_MAX);
-    const float difference = block_mean - rest;
+    const float block_mean = block_sum / (float)k;
+    m2 = add_compensated(m2, is_finite(block_squares) ? MAX(block_squares - block_sum * block_mean, 0.0f) : FLT_MAX);
+    const float difference = block_mean - shift_error;
     if (n != 0 && abs_float(difference) >= MEAN_ROUNDING * abs_float(shift))
         m2 = add_compensated(m2, difference * difference * ((float)k / (1.0f + (float)k / (float)n)));
-    const Compensated most = {FLT_MAX, 0.0f};
-    return is_finite(m2.high) ? m2 : most;
+    const Compensated maximum = {FLT_MAX, 0.0f};
+    return is_finite(m2.high) ? m2 : maximum;
 }
 
 #if FEATURE_CHUNK_MEDIANS
-// The median of `count` values, by sorting them; of an even number the mean of the middle two.
+// Median of `count` values, which are sorted in place; for an even count the mean of the middle two.
 INLINE float chunk_median(float* values, int count)
 {
     for (int i = 1; i < count; ++i)

@@ -1,9 +1,10 @@
-// Vector arithmetic written out. A driver that keeps its library behind calls (PoCL 3.0 does, even for dot and fabs) pays more
-// for the call than for the work; operators and casts are inlined everywhere. What is left of the library is rare or heavy.
+// Scalar and vector arithmetic, included by every kernel file.
+// It is written out because PoCL 3.0 calls its library even for dot and fabs, and the call costs more than the work.
+// Operators and casts are inlined everywhere. Library functions are used only where they are rare or expensive.
 #pragma once
 
-// Functions of a few lines become part of their caller, so that results travel in registers. A build option may say otherwise,
-// as it may of HAS_BUILTIN: tools that interpret kernels have neither.
+// Inlined functions return their results in registers. A build option may replace INLINE and HAS_BUILTIN: tools that
+// interpret kernels support neither.
 #ifndef INLINE
 #define INLINE inline __attribute__((always_inline))
 #endif
@@ -11,11 +12,11 @@
 // `<Record>_at(table, index)` functions: host/isonoise/device/program.py, `record_reader`.
 #include "generated/records.h"
 
-// Long functions of many callers stay functions: with textures in a dozen parameters of each of three materials `shade` took
-// PoCL 46 s to compile, and takes 5.
+// For long functions with many callers. PoCL compiled `shade`, with textures in a dozen parameters of each of three
+// materials, in 46 s with these functions inlined and in 5 s without.
 #define NOINLINE static __attribute__((noinline, unused))
 
-// Plain comparisons: one instruction where fmin and fmax need three for their NaN rules.
+// One instruction each; fmin and fmax need three because of their rules for NaN.
 #define MIN(a, b) ((a) < (b) ? (a) : (b))
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
 
@@ -32,14 +33,14 @@
 #define SQRT(x) sqrt(x)
 #endif
 
-// A call to `fma` costs PoCL several times what the instruction does.
+// On PoCL a call of `fma` costs several times as much as the instruction.
 #ifdef __FMA__
 #define FMA(a, b, c) __builtin_fmaf(a, b, c)
 #else
 #define FMA(a, b, c) fma(a, b, c)
 #endif
 
-// 8 lanes times a scalar and a scalar: rounded once where that costs nothing, else twice.
+// a * b + c for 8 lanes of `a` and scalars b, c: rounded once where the device has a fast fma, else twice.
 #if defined(__FMA__) && HAS_BUILTIN(__builtin_ia32_vfmaddps256)
 #define MAD8(a, b, c) __builtin_ia32_vfmaddps256(a, (float8)(b), (float8)(c))
 #elif defined(FP_FAST_FMAF)
@@ -48,30 +49,29 @@
 #define MAD8(a, b, c) ((a) * (b) + (c))
 #endif
 
-// Has the cache line at byte `at` of a buffer fetched, where a work-item runs on a core of its own and would wait for it.
+// Prefetches the cache line at `byte_offset` of a buffer, on CPUs: there a work-item would wait for it.
 #if (defined(__x86_64__) || defined(__aarch64__)) && HAS_BUILTIN(__builtin_prefetch)
-#define PREFETCH(buffer, at) __builtin_prefetch((const void*)((size_t)(buffer) + (at)))
+#define PREFETCH(buffer, byte_offset) __builtin_prefetch((const void*)((size_t)(buffer) + (byte_offset)))
 #else
-#define PREFETCH(buffer, at)
+#define PREFETCH(buffer, byte_offset)
 #endif
 
-// Triples and the like are records of numbers, not OpenCL's vectors: a compiler that makes one vector instruction of the same
-// operation of several paths (PoCL's does) has no lanes for vectors of vectors. C rounds no differently: each function stands
-// for one operator, number by number. The members that nobody reads make a record longer than 16 bytes: shorter ones x86 hands
-// to functions as pieces of registers, that is as vectors again.
+// Structs of scalars, not OpenCL vectors: LLVM vectorises loops over paths, and it cannot vectorise operations that are
+// vectors already. Each function below is one operator, applied per component, so rounding is that of C.
+// `padding` is never read. It makes the structs longer than 16 bytes: x86 passes shorter ones in vector registers.
 typedef struct {
     float x, y;
-    float unused[3];
+    float padding[3];
 } Vec2;
 
 typedef struct {
     float x, y, z;
-    float unused[2];
+    float padding[2];
 } Vec3;
 
 typedef struct {
     float x, y, z, w;
-    float unused;
+    float padding;
 } Vec4;
 
 INLINE Vec2 vec2(float x, float y)
@@ -171,7 +171,7 @@ INLINE Vec3 scale3(Vec3 v, float s)
     return vec3(v.x * s, v.y * s, v.z * s);
 }
 
-// One division, which costs as much as a dozen products; |s| has to be above 2^-126, else its inverse is infinite.
+// One division, which costs as much as a dozen multiplications. |s| must be above 2^-126, else its inverse is infinite.
 INLINE Vec3 div_scalar3(Vec3 v, float s)
 {
     return scale3(v, 1.0f / s);
@@ -218,24 +218,24 @@ INLINE float max_component3(Vec3 v)
     return MAX(MAX(v.x, v.y), v.z);
 }
 
-// By the bits: a compiler may fold isfinite away.
+// Tests the bits: a compiler may fold isfinite away.
 INLINE bool is_finite(float x)
 {
     return (as_uint(x) & 0x7F800000u) != 0x7F800000u;
 }
 
-// Lanes by number.
+// Vectors whose lanes can be accessed by index.
 typedef union {
-    float8 all;
+    float8 vector;
     float lane[8];
 } Float8Lanes;
 
 typedef union {
-    float4 all;
+    float4 vector;
     float lane[4];
 } Float4Lanes;
 
-// The lanes of a mask as bits: one or two instructions where the compiler can be told which.
+// One bit per lane of a mask. Builtins need one or two instructions.
 INLINE uint mask_bits(int8 mask)
 {
 #if defined(__AVX512VL__) && defined(__AVX512DQ__) && HAS_BUILTIN(__builtin_ia32_cvtd2mask256)
@@ -245,12 +245,12 @@ INLINE uint mask_bits(int8 mask)
 #else
     const int8 lanes = mask & (int8)(1, 2, 4, 8, 16, 32, 64, 128);
     const int4 half_lanes = lanes.lo | lanes.hi;
-    const int2 quarter = half_lanes.lo | half_lanes.hi;
-    return (uint)(quarter.x | quarter.y);
+    const int2 quarter_lanes = half_lanes.lo | half_lanes.hi;
+    return (uint)(quarter_lanes.x | quarter_lanes.y);
 #endif
 }
 
-// Place of the lowest bit of a number that is not zero.
+// Index of the lowest set bit; `bits` must not be 0.
 INLINE uint lowest_set_bit(uint bits)
 {
 #if HAS_BUILTIN(__builtin_ctz)
@@ -260,16 +260,16 @@ INLINE uint lowest_set_bit(uint bits)
 #endif
 }
 
-// Three numbers from one place of an array on, and its i-th triple. Macros: the address space of `p` may be any.
-#define LOAD3_AT(at, p) vec3((p)[(int)(at)], (p)[(int)(at) + 1], (p)[(int)(at) + 2])
+// The three floats from `offset` on, and the i-th triple of an array. Macros, so that `p` may have any address space.
+#define LOAD3_AT(offset, p) vec3((p)[(int)(offset)], (p)[(int)(offset) + 1], (p)[(int)(offset) + 2])
 #define LOAD3(i, p) LOAD3_AT(3 * (int)(i), p)
 
-#define STORE3(v, i, p)                \
-    do {                               \
-        const Vec3 stored_ = (v);      \
-        (p)[3 * (int)(i)] = stored_.x;      \
-        (p)[3 * (int)(i) + 1] = stored_.y;  \
-        (p)[3 * (int)(i) + 2] = stored_.z;  \
+#define STORE3(v, i, p)                    \
+    do {                                   \
+        const Vec3 stored_ = (v);          \
+        (p)[3 * (int)(i)] = stored_.x;     \
+        (p)[3 * (int)(i) + 1] = stored_.y; \
+        (p)[3 * (int)(i) + 2] = stored_.z; \
     } while (0)
 
 #define ADD3(v, i, p) STORE3(add3(LOAD3(i, p), v), i, p)
