@@ -7,9 +7,9 @@ from small_scene import lamp_over_floor
 import isonoise
 from isonoise.errors import SceneError
 from isonoise.scene.mesh.load_mesh import load_mesh
-from isonoise.scene.mesh.obj import _indexed, read_obj
+from isonoise.scene.mesh.obj import _index_corners, read_obj
 from isonoise.scene.mesh.ply import read_ply
-from isonoise.scene.mesh.ply_attributes import attributes_of
+from isonoise.scene.mesh.ply_attributes import find_attributes
 
 TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt .25 .75\nvt .5 .125 9\nvt -3 1e3\nvn 0 0 1\nvn 0 0.6 0.8\n"
 
@@ -108,7 +108,7 @@ def test_obj_keys_of_millions_of_corners_do_not_overflow():
     normals = np.broadcast_to(1.0, (last + 1, 3))
     uvs = np.broadcast_to(np.float32(1), (last + 1, 2))
     corners = np.array([[0, last, last], [2**20, last, last], [1, last, last]])
-    mesh = _indexed(vertices, normals, uvs, corners, np.array([[0, 1, 2]]))
+    mesh = _index_corners(vertices, normals, uvs, corners, np.array([[0, 1, 2]]))
     assert mesh.vertices[mesh.faces[0], 0].tolist() == [0, 2**20, 1]
 
 
@@ -205,7 +205,7 @@ def test_values_of_polygons_go_to_all_their_triangles(write):
 def test_grouping_of_names():
     names = ["", "a_x", "a_y", "a_z", "a_x", "b_1", "r", "c_r", "c_g", "c_b", "g", "b", "color_x"]
     expected = {"face_color": [6, 10, 11], "face_b": [5], "face_c_color": [7, 8, 9]}
-    assert attributes_of(names, "face") == expected  # a has four in a row that form no scheme
+    assert find_attributes(names, "face") == expected  # a has four in a row that form no scheme
 
 
 def test_rectangle(mitsuba):

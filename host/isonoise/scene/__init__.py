@@ -1,4 +1,4 @@
-"""Scenes: files and dicts in Mitsuba 3's vocabulary, and the flat arrays that the device renders."""
+"""Scenes: reads files and dicts in Mitsuba 3's vocabulary and compiles them to flat arrays for the device."""
 
 from isonoise.scene.builtin import builtin_scenes
 from isonoise.scene.compile import compile_scene

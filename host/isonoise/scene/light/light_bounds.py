@@ -117,7 +117,7 @@ def joined(tree: BinaryTree, leaves: LightBounds) -> LightBounds:
     """Bounds of all nodes of a binary tree."""
     count = len(tree.left)
     bounds = LightBounds(*(np.zeros((*values.shape[:-1], count)) for values in vars(leaves).values()))
-    bounds[: tree.leaves] = leaves
+    bounds[: tree.leaf_count] = leaves
     for begin, end in tree.rounds():
         a, b = bounds[tree.left[begin:end]], bounds[tree.right[begin:end]]
         lower, upper = np.minimum(a.lower, b.lower), np.maximum(a.upper, b.upper)

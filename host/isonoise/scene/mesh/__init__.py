@@ -1,1 +1,1 @@
-"""Meshes and analytic shapes: file readers, and the arrays made of them."""
+"""Mesh file readers, and the surfaces made from meshes and analytic shapes."""

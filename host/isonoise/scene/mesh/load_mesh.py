@@ -1,4 +1,4 @@
-"""The triangles of a shape: read from its file, or those of a rectangle or cube."""
+"""Loads the triangles of a shape: from its file, or those of a rectangle or cube. Called by `surfaces.py`."""
 
 from pathlib import Path
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from isonoise.scene.mesh.mesh import Mesh
 
-_NONE = np.zeros((0, 3))
+_NO_NORMALS = np.zeros((0, 3))
 _UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 _RECTANGLE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
 _RECTANGLE_FACES = np.array([[0, 1, 2], [2, 3, 0]])
-# Four corners a side, so that each has texture coordinates of its own; order, corners and coordinates are Mitsuba 3's.
+# Four vertices a side, because each side has its own texture coordinates. Order and coordinates are Mitsuba 3's.
 _CUBE = np.array(
     [
         *([1, -1, -1], [1, -1, 1], [-1, -1, 1], [-1, -1, -1]),
@@ -27,13 +27,13 @@ _CUBE_UVS = np.tile(_UNIT_SQUARE[[3, 2, 1, 0]], (6, 1))
 
 
 def load_mesh(shape: dict) -> Mesh:
-    """The triangles of a shape of the description that is made of them. Raises SceneError where its file is bad."""
+    """The triangles of a shape of the description. Raises SceneError where its file is invalid."""
     if shape["type"] == "rectangle":
-        return Mesh(_RECTANGLE, _RECTANGLE_FACES, _NONE, _UNIT_SQUARE)
+        return Mesh(_RECTANGLE, _RECTANGLE_FACES, _NO_NORMALS, _UNIT_SQUARE)
     if shape["type"] == "cube":
-        return Mesh(_CUBE, _CUBE_FACES, _NONE, _CUBE_UVS)
+        return Mesh(_CUBE, _CUBE_FACES, _NO_NORMALS, _CUBE_UVS)
     if shape["type"] == "mesh":
-        return Mesh(shape["vertices"], shape["faces"], shape.get("normals", _NONE))
+        return Mesh(shape["vertices"], shape["faces"], shape.get("normals", _NO_NORMALS))
     path = Path(shape["filename"])
     if shape["type"] == "obj":
         from isonoise.scene.mesh.obj import read_obj

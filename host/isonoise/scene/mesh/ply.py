@@ -1,6 +1,6 @@
-"""Stanford PLY (ASCII and binary), read with numpy; polygons become fans of triangles.
+"""Reads Stanford PLY files, ASCII and binary, with numpy. Polygons become triangle fans.
 
-A header's counts are held against the size of the file before anything is allocated.
+The counts in a header are checked against the size of the file before anything is allocated.
 """
 
 import struct
@@ -13,27 +13,30 @@ from typing import NoReturn
 import numpy as np
 
 from isonoise.scene.files import read_bytes
-from isonoise.scene.mesh.mesh import Mesh, checked, parse_numbers, texture_coordinates
-from isonoise.scene.mesh.ply_attributes import attribute_values, attributes_of
+from isonoise.scene.mesh.mesh import Mesh, make_uvs, parse_numbers, validate_mesh
+from isonoise.scene.mesh.ply_attributes import attribute_values, find_attributes
 from isonoise.scene.parse.elements import SourceLocation
 
+# numpy type of each PLY type
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
 _TYPES |= {"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
 _TYPES |= {"half": "f2", "float16": "f2", "long": "i8", "ulong": "u8"}  # Mitsuba 3's own
+# `struct` code of each numpy type
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f2": "e", "f4": "f", "f8": "d"}
 _CODES |= {"i8": "q", "u8": "Q"}
-_UVS = (("u", "v"), ("texture_u", "texture_v"), ("s", "t"))
-_HEADER = 1 << 16  # bytes in which a header has to end
-_LIST = 1 << 16  # longest list of one face
-_GATHERED = 1 << 22  # bytes of records that are collected at once
+_BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_UV_NAMES = (("u", "v"), ("texture_u", "texture_v"), ("s", "t"))
+_MAX_HEADER_BYTES = 1 << 16
+_MAX_LIST_LENGTH = 1 << 16
+_GATHER_BYTES = 1 << 22  # records of irregular length that are copied at once
 
 
 @dataclass
 class _Property:
     name: str
     type: str  # numpy type of the value, or of the items of a list
-    count: str = ""  # numpy type of a list's length; '' for a single value
+    count_type: str = ""  # numpy type of a list's length; '' for a single value
 
 
 @dataclass
@@ -42,221 +45,230 @@ class _Element:
     count: int
     properties: list[_Property]
 
+    def columns(self) -> list[str]:
+        """A unique field name for each property."""
+        return [f"{number} {item.name}" for number, item in enumerate(self.properties)]
+
 
 def read_ply(path: Path, flip_tex_coords: bool = False) -> Mesh:
-    """Read a file; `flip_tex_coords`: its v runs downwards.
+    """Read a file. `flip_tex_coords` replaces v by 1 - v.
 
-    Raises SceneError where it is not a PLY mesh, is cut off, or its indices or numbers are bad.
+    Raises SceneError if it is not a PLY mesh, is truncated, or has invalid vertex indices or numbers.
     """
     location = SourceLocation(str(path))
     data = read_bytes(path)
-    order, elements, start = _header(data, location)
-    body = _Body(data, start, order, location)
-    vertices = faces = None
+    byte_order, elements, start = _read_header(data, location)
+    body = _Body(data, start, byte_order, location)
+    mesh = faces = None
     for element in elements:
         if element.name == "vertex":
-            vertices = _vertices(element, body.table(element), flip_tex_coords, location)
+            mesh = _read_vertices(element, body.read_columns(element), flip_tex_coords, location)
         elif element.name == "face":
-            faces = body.triangles(element)
+            faces = body.read_triangles(element)
         else:
-            body.triangles(element)
-        if vertices is not None and faces is not None:
+            body.read_triangles(element)
+        if mesh is not None and faces is not None:
             break
-    if vertices is None or faces is None or not len(faces[0]):
+    if mesh is None or faces is None or not len(faces[0]):
         location.raise_error("a mesh needs vertices and faces")
-    vertices.faces = faces[0]
-    vertices.attributes |= faces[1]
-    return checked(vertices, location)
+    mesh.faces = faces[0]
+    mesh.attributes |= faces[1]
+    return validate_mesh(mesh, location)
 
 
-def _vertices(element: _Element, columns: dict[str, np.ndarray], flip: bool, location: SourceLocation) -> Mesh:
-    """A mesh that lacks its faces."""
+def _read_vertices(element: _Element, columns: dict[str, np.ndarray], flip: bool, location: SourceLocation) -> Mesh:
+    """A mesh without faces."""
     if any(axis not in columns for axis in "xyz"):
         location.raise_error("its vertices lack x, y or z")
-    mesh = Mesh(_stacked(columns, "xyz", np.float64), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
+    mesh = Mesh(_stack_columns(columns, "xyz"), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
     if all(f"n{axis}" in columns for axis in "xyz"):
-        mesh.normals = _stacked(columns, ("nx", "ny", "nz"), np.float64)
-    uv = next((pair for pair in _UVS if all(name in columns for name in pair)), None)
-    if uv:
-        mesh.uvs = texture_coordinates(_stacked(columns, uv, np.float64), flip)
+        mesh.normals = _stack_columns(columns, ("nx", "ny", "nz"))
+    uv_names = next((pair for pair in _UV_NAMES if all(name in columns for name in pair)), None)
+    if uv_names:
+        mesh.uvs = make_uvs(_stack_columns(columns, uv_names), flip)
     names = [item.name for item in element.properties]
-    for name, positions in attributes_of(names, "vertex").items():
-        parts = [columns[names[i]] for i in positions]
-        mesh.attributes[name] = attribute_values(parts, [element.properties[i].type for i in positions])
+    for name, positions in find_attributes(names, "vertex").items():
+        components = [columns[names[i]] for i in positions]
+        mesh.attributes[name] = attribute_values(components, [element.properties[i].type for i in positions])
     return mesh
 
 
-def _stacked(columns: dict[str, np.ndarray], names, dtype) -> np.ndarray:
-    with np.errstate(invalid="ignore"):  # the check of the mesh tells
-        return np.stack([columns[name] for name in names], axis=1).astype(dtype)
+def _stack_columns(columns: dict[str, np.ndarray], names) -> np.ndarray:
+    with np.errstate(invalid="ignore"):  # validate_mesh checks the numbers
+        return np.stack([columns[name] for name in names], axis=1).astype(np.float64)
 
 
-def _header(data: bytes, location: SourceLocation) -> tuple[str, list[_Element], int]:
-    """(byte order '<', '>' or '' for ASCII, elements, where the body begins)."""
+def _read_header(data: bytes, location: SourceLocation) -> tuple[str, list[_Element], int]:
+    """(byte order '<', '>' or '' for ASCII, elements, offset of the body)."""
     if data[:3] != b"ply":
         location.raise_error("not a PLY file")
-    marker = data.find(b"end_header", 0, _HEADER)
+    marker = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
     end = data.find(b"\n", marker)
     if marker < 0 or end < 0:
         location.raise_error("its header has no end")
-    order, elements = None, []
+    byte_order, elements = None, []
     for line in data[:marker].decode("ascii", "replace").splitlines():
         words = line.split()
         if words[:1] == ["format"]:
-            order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(
-                words[1] if len(words) > 1 else ""
-            )
+            byte_order = _BYTE_ORDERS.get(words[1] if len(words) > 1 else "")
         elif words[:1] == ["element"]:
             if len(words) != 3 or not words[2].isdigit() or len(words[2]) > 15:
-                location.raise_error(f"unreadable header line '{line[:60]}'")
+                location.raise_error(f"invalid header line '{line[:60]}'")
             elements.append(_Element(words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
             if not elements:
-                location.raise_error("its header names a property before any element")
-            elements[-1].properties.append(_property(words, line, location))
-    if order is None:
-        location.raise_error("its format is neither ascii nor binary_little_endian nor binary_big_endian")
-    return order, elements, end + 1
+                location.raise_error("its header has a property before any element")
+            elements[-1].properties.append(_parse_property(words, line, location))
+    if byte_order is None:
+        location.raise_error(f"its format is none of {', '.join(_BYTE_ORDERS)}")
+    return byte_order, elements, end + 1
 
 
-def _property(words: list[str], line: str, location: SourceLocation) -> _Property:
+def _parse_property(words: list[str], line: str, location: SourceLocation) -> _Property:
     is_list = words[1:2] == ["list"]
     types = words[2:4] if is_list else words[1:2]
     if len(words) != (5 if is_list else 3) or any(type_ not in _TYPES for type_ in types):
-        location.raise_error(f"unreadable header line '{line[:60]}'")
+        location.raise_error(f"invalid header line '{line[:60]}'")
     return _Property(words[-1], _TYPES[types[-1]], _TYPES[types[0]] if is_list else "")
 
 
 class _Body:
-    """The records after the header, read in order. An ASCII body is one of 64-bit floats throughout."""
+    """The records after the header, read in order. An ASCII body is parsed to 64-bit floats first."""
 
-    def __init__(self, data: bytes, start: int, order: str, location: SourceLocation):
-        self.location, self.order = location, order
-        self.data = memoryview(data)[start:] if order else memoryview(parse_numbers(data[start:]).tobytes())
+    def __init__(self, data: bytes, start: int, byte_order: str, location: SourceLocation):
+        self.location, self.byte_order = location, byte_order
+        self.data = memoryview(data)[start:] if byte_order else memoryview(parse_numbers(data[start:]).tobytes())
         self.position = 0
 
-    def type(self, name: str) -> str:
-        return self.order + name if self.order else "f8"
+    def dtype(self, name: str) -> str:
+        return self.byte_order + name if self.byte_order else "f8"
 
     def layout(self, element: _Element, lengths: tuple[int, ...]) -> np.dtype:
-        """The record of an element whose lists have these lengths; list lengths are 'length 0', 'length 1', ..."""
-        fields, remaining = [], list(lengths)
-        for number, item in enumerate(element.properties):
-            if item.count:
-                fields.append((f"length {len(lengths) - len(remaining)}", self.type(item.count)))
-                fields.append((f"{number} {item.name}", self.type(item.type), (remaining.pop(0),)))
+        """dtype of a record whose lists have these lengths; the lengths themselves are 'length 0', 'length 1', ..."""
+        fields, list_number = [], 0
+        for column, item in zip(element.columns(), element.properties, strict=True):
+            if item.count_type:
+                fields.append((f"length {list_number}", self.dtype(item.count_type)))
+                fields.append((column, self.dtype(item.type), (lengths[list_number],)))
+                list_number += 1
             else:
-                fields.append((f"{number} {item.name}", self.type(item.type)))
+                fields.append((column, self.dtype(item.type)))
         return np.dtype(fields)
 
-    def table(self, element: _Element) -> dict[str, np.ndarray]:
-        """Columns by name of an element without lists."""
-        if any(item.count for item in element.properties) or not element.properties:
-            self.location.raise_error(f"element '{element.name}' has to have properties that are single numbers")
-        layout = self.layout(element, ())
-        records = self.view(element, layout, element.count)
+    def read_columns(self, element: _Element) -> dict[str, np.ndarray]:
+        """Columns by property name of an element without lists."""
+        if any(item.count_type for item in element.properties) or not element.properties:
+            self.location.raise_error(f"the properties of element '{element.name}' have to be single numbers")
+        records = self.view(element, self.layout(element, ()), element.count)
         self.position += records.nbytes
-        return {item.name: records[f"{n} {item.name}"] for n, item in enumerate(element.properties)}
+        names = (item.name for item in element.properties)
+        return {name: records[column] for name, column in zip(names, element.columns(), strict=True)}
 
-    def triangles(self, element: _Element) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """((t, 3) vertex indices, attributes) of an element of polygons; passes over an element of any other kind."""
-        fields = [f"{n} {item.name}" for n, item in enumerate(element.properties)]
-        indices = next((f for f in fields if f.endswith((" vertex_indices", " vertex_index"))), "")
-        attributes = attributes_of(["" if p.count else p.name for p in element.properties], element.name)
+    def read_triangles(self, element: _Element) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """((t, 3) vertex indices, attributes) of an element of polygons; skips an element of any other kind."""
+        columns = element.columns()
+        index_column = next((c for c in columns if c.endswith((" vertex_indices", " vertex_index"))), "")
+        names = ["" if item.count_type else item.name for item in element.properties]
+        attributes = find_attributes(names, element.name) if index_column else {}
         faces, owners = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
-        parts: dict[str, list[np.ndarray]] = {name: [] for name in attributes} if indices else {}
-        for numbers, records in self.groups(element):
-            if not indices:
+        value_parts: dict[str, list[np.ndarray]] = {name: [] for name in attributes}
+        for numbers, records in self.records_by_length(element):
+            if not index_column:
                 continue
-            polygons = records[indices]
-            with np.errstate(invalid="ignore"):  # what is no number names no vertex
-                faces.append(_fans(polygons.astype(np.int64), self.location))
-            owners.append(np.repeat(numbers, polygons.shape[1] - 2))
-            for name, of_group in parts.items():
-                columns = [records[fields[i]] for i in attributes[name]]
-                values = attribute_values(columns, [element.properties[i].type for i in attributes[name]])
-                of_group.append(np.repeat(values, polygons.shape[1] - 2, axis=0))
+            polygons = records[index_column]
+            fan_size = polygons.shape[1] - 2
+            with np.errstate(invalid="ignore"):  # a NaN becomes an index that validate_mesh rejects
+                faces.append(_triangle_fans(polygons.astype(np.int64), self.location))
+            owners.append(np.repeat(numbers, fan_size))
+            for name, positions in attributes.items():
+                components = [records[columns[i]] for i in positions]
+                values = attribute_values(components, [element.properties[i].type for i in positions])
+                value_parts[name].append(np.repeat(values, fan_size, axis=0))
         order = np.argsort(np.concatenate(owners), kind="stable") if len(faces) > 2 else slice(None)
-        values = {name: np.concatenate(of_group)[order] for name, of_group in parts.items() if of_group}
+        values = {name: np.concatenate(parts)[order] for name, parts in value_parts.items() if parts}
         return np.concatenate(faces)[order], values
 
-    def groups(self, element: _Element) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """(numbers, records) of those records of an element whose lists are equally long; each is in one group.
+    def records_by_length(self, element: _Element) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(record numbers, records) of the element, in groups whose lists have equal lengths.
 
-        In most files that is one run of all. After the first that differs, records are found one by one.
+        In most files all records have the lengths of the first one: they are one array. From the first record that
+        differs, records are found one by one.
         """
         if not element.count or not element.properties:
             return
-        steps = self.steps(element)
-        lengths, _ = self.lengths(element, steps, self.position)
+        lists = self.list_layout(element)
+        lengths, _ = self.list_lengths(element, lists, self.position)
         layout = self.layout(element, lengths)
-        fits = (len(self.data) - self.position) // layout.itemsize if layout.itemsize else element.count
-        records = self.view(element, layout, max(min(element.count, fits), 1))
-        same = np.ones(len(records), bool)
+        max_count = (len(self.data) - self.position) // layout.itemsize if layout.itemsize else element.count
+        records = self.view(element, layout, max(min(element.count, max_count), 1))
+        is_same = np.ones(len(records), bool)
         for number, length in enumerate(lengths):
-            same &= records[f"length {number}"] == length
-        run = len(records) if same.all() else int(np.argmin(same))
+            is_same &= records[f"length {number}"] == length
+        run = len(records) if is_same.all() else int(np.argmin(is_same))
         yield np.arange(run), records[:run]
         self.position += run * layout.itemsize
-        positions, kinds, known = array("q"), array("q"), {}
+        positions, groups, group_of_lengths = array("q"), array("q"), {}
         for _ in range(element.count - run):
-            lengths, end = self.lengths(element, steps, self.position)
+            lengths, end = self.list_lengths(element, lists, self.position)
             positions.append(self.position)
-            kinds.append(known.setdefault(lengths, len(known)))
+            groups.append(group_of_lengths.setdefault(lengths, len(group_of_lengths)))
             self.position = end
-        if known:
-            yield from self.gathered(element, run, np.asarray(positions), np.asarray(kinds), list(known))
+        if group_of_lengths:
+            layouts = [self.layout(element, lengths) for lengths in group_of_lengths]
+            yield from self.gather(run, np.asarray(positions), np.asarray(groups), layouts)
 
-    def gathered(self, element: _Element, first: int, positions: np.ndarray, kinds: np.ndarray, known: list[tuple]):
-        """The groups of records that lie at these positions, a bounded number of bytes at a time."""
-        data, order = np.frombuffer(self.data, np.uint8), np.argsort(kinds, kind="stable")
-        for of_kind in np.split(order, np.flatnonzero(np.diff(kinds[order])) + 1):
-            layout = self.layout(element, known[kinds[of_kind[0]]])
-            for numbers in np.array_split(of_kind, -(-len(of_kind) * layout.itemsize // _GATHERED)):
+    def gather(self, first: int, positions: np.ndarray, groups: np.ndarray, layouts: list[np.dtype]):
+        """(record numbers, records) at these positions by group, a bounded number of bytes at a time."""
+        data, order = np.frombuffer(self.data, np.uint8), np.argsort(groups, kind="stable")
+        for members in np.split(order, np.flatnonzero(np.diff(groups[order])) + 1):
+            layout = layouts[groups[members[0]]]
+            for numbers in np.array_split(members, -(-len(members) * layout.itemsize // _GATHER_BYTES)):
                 records = data[positions[numbers][:, None] + np.arange(layout.itemsize)]
                 yield first + numbers, records.view(layout)[:, 0]
 
     def view(self, element: _Element, layout: np.dtype, count: int) -> np.ndarray:
         if count * layout.itemsize > len(self.data) - self.position:
-            self.raise_cut_off(element)
+            self.raise_truncated(element)
         return np.frombuffer(self.data, layout, count, self.position)
 
-    def steps(self, element: _Element) -> list[tuple[int, struct.Struct, int]]:
-        """(bytes before its length, what the length is, bytes of an item) of every list; the last one has no items."""
-        steps, before = [], 0
-        for item in element.properties:
-            size = np.dtype(self.type(item.type)).itemsize
-            if item.count:
-                steps.append((before, struct.Struct((self.order or "=") + _CODES[self.type(item.count)[-2:]]), size))
-                before = 0
-            else:
-                before += size
-        return [*steps, (before, struct.Struct("0s"), 0)]
+    def list_layout(self, element: _Element) -> list[tuple[int, struct.Struct, int]]:
+        """(bytes before the length, struct of the length, bytes of an item) of every list.
 
-    def lengths(self, element: _Element, steps: list, position: int) -> tuple[tuple[int, ...], int]:
-        """(lengths of the lists of the record at a position, where the next one begins)."""
+        A last entry without items gives the bytes after the last list.
+        """
+        lists, bytes_before = [], 0
+        for item in element.properties:
+            size = np.dtype(self.dtype(item.type)).itemsize
+            if item.count_type:
+                code = (self.byte_order or "=") + _CODES[self.dtype(item.count_type)[-2:]]
+                lists.append((bytes_before, struct.Struct(code), size))
+                bytes_before = 0
+            else:
+                bytes_before += size
+        return [*lists, (bytes_before, struct.Struct("0s"), 0)]
+
+    def list_lengths(self, element: _Element, lists: list, position: int) -> tuple[tuple[int, ...], int]:
+        """(lengths of the lists of the record at a position, position of the next record)."""
         lengths = []
         try:
-            for before, number, size in steps[:-1]:
-                length = number.unpack_from(self.data, position + before)[0]
-                if not 0 <= length <= _LIST or length != int(length):
+            for bytes_before, length_struct, item_size in lists[:-1]:
+                length = length_struct.unpack_from(self.data, position + bytes_before)[0]
+                if not 0 <= length <= _MAX_LIST_LENGTH or length != int(length):
                     self.location.raise_error(f"a list of element '{element.name}' has {length} entries")
                 lengths.append(int(length))
-                position += before + number.size + int(length) * size
+                position += bytes_before + length_struct.size + int(length) * item_size
         except struct.error:
-            self.raise_cut_off(element)
-        position += steps[-1][0]
+            self.raise_truncated(element)
+        position += lists[-1][0]
         if position > len(self.data):
-            self.raise_cut_off(element)
+            self.raise_truncated(element)
         return tuple(lengths), position
 
-    def raise_cut_off(self, element: _Element) -> NoReturn:
-        self.location.raise_error(
-            f"cut off, or its header promises too much: {element.count} of element '{element.name}'"
-        )
+    def raise_truncated(self, element: _Element) -> NoReturn:
+        self.location.raise_error(f"truncated: its header states {element.count} of element '{element.name}'")
 
 
-def _fans(polygons: np.ndarray, location: SourceLocation) -> np.ndarray:
+def _triangle_fans(polygons: np.ndarray, location: SourceLocation) -> np.ndarray:
     corners = polygons.shape[1]
     if corners < 3:
         location.raise_error("a face has fewer than three corners")

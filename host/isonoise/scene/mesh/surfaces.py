@@ -1,7 +1,8 @@
-"""Shapes as world-space triangles or analytic primitives, oriented as in Mitsuba 3.
+"""Turns a shape of the description into world-space triangles or an analytic primitive, oriented as in Mitsuba 3.
 
-Mitsuba 3 takes the side of the shading normal for front (emission, one-sided materials). Here the winding of a triangle
-says it: where a mirroring transform or a file turns shading and geometric normals apart, triangles are rewound.
+Mitsuba 3 takes the side of the shading normal as the front (for emission and one-sided bsdfs). isonoise takes the
+geometric normal, which follows from a triangle's winding. So where shading and geometric normal disagree, because of a
+mirroring transform or the file itself, the winding is reversed.
 """
 
 import math
@@ -14,9 +15,9 @@ from isonoise.errors import SceneError
 from isonoise.scene import structs, transforms
 from isonoise.scene.accel.bounds import analytic_extents
 from isonoise.scene.mesh.load_mesh import load_mesh
-from isonoise.scene.mesh.mesh import lengths, normalize, smooth_normals, used_vertices
+from isonoise.scene.mesh.mesh import normalize, smooth_normals, used_vertices, vector_lengths
 
-_EMPTY_NORMALS = np.zeros((0, 3), np.float32)
+_NO_NORMALS = np.zeros((0, 3), np.float32)
 
 
 @dataclass
@@ -26,13 +27,12 @@ class Surface:
     vertices: np.ndarray  # (v, 3) float32, world space
     faces: np.ndarray  # (t, 3) uint32
     normals: np.ndarray  # (v, 3) float32 unit vectors, or (0, 3) for flat shading
-    analytic: np.ndarray | None = None  # (1,) structs.ANALYTIC without its shape
-    flip: bool = False  # analytic only: the front is the other side
+    analytic: np.ndarray | None = None  # (1,) structs.ANALYTIC; the index of the shape is not set
+    flip_normals: bool = False  # analytic primitives only: the front is the other side
     uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))  # (v, 2) float32, or (0, 2)
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  # 'vertex_...', 'face_...': see `mesh.Mesh`
-    reversed_winding: np.ndarray = field(
-        default_factory=lambda: np.zeros(0, bool)
-    )  # (t,) where the mesh's winding was turned
+    # (t,) bool: the corners are in reverse order of the mesh file
+    reversed_winding: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def areas(self) -> np.ndarray:
@@ -43,47 +43,47 @@ class Surface:
 
     @property
     def bounds(self) -> np.ndarray:
-        """(2, 3) corners of the box around it, float64."""
+        """(2, 3) float64 corners of the bounding box."""
         if self.analytic is None:
             used = used_vertices(self.vertices, self.faces)
             return np.stack([used.min(axis=0), used.max(axis=0)]).astype(float)
         return np.concatenate(analytic_extents(self.analytic))
 
 
-def make_surface(shape: dict, where: str) -> Surface:
-    """The surface of a shape of the description. `where` names it in errors."""
+def make_surface(shape: dict, name: str) -> Surface:
+    """The surface of a shape of the description. `name` names it in errors."""
     to_world = shape.get("to_world", np.eye(4))
     make = {"sphere": _sphere, "disk": _disk, "cylinder": _cylinder}.get(shape["type"], _triangles)
-    with np.errstate(over="ignore", invalid="ignore"):  # the checks here and of the bounds tell
-        return make(shape, to_world, where)
+    with np.errstate(over="ignore", invalid="ignore"):  # checked here and when the bounds are computed
+        return make(shape, to_world, name)
 
 
-def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
+def _triangles(shape: dict, to_world: np.ndarray, name: str) -> Surface:
     mesh = load_mesh(shape)
     vertices = transforms.transform_points(to_world, mesh.vertices)
     faces = mesh.faces
-    mirrors = np.linalg.det(to_world[:3, :3]) < 0
     if shape["type"] in ("rectangle", "cube"):
-        faces = faces[:, ::-1] if mirrors else faces  # their normals come along with the transform
-        normals = _EMPTY_NORMALS
+        is_mirrored = np.linalg.det(to_world[:3, :3]) < 0
+        faces = faces[:, ::-1] if is_mirrored else faces  # their normals are transformed with them
+        normals = _NO_NORMALS
     elif shape["face_normals"]:
-        normals = _EMPTY_NORMALS
+        normals = _NO_NORMALS
     elif len(mesh.normals):
         normals = normalize(transforms.transform_normals(to_world, mesh.normals))
-        normals = np.where(np.isfinite(normals), normals, 0.0)  # of transforms at the edge of what numbers can be
-        faces = _wound_like(vertices, faces, normals)
-        absent = ~normals.any(axis=1)
-        if absent.any():
-            normals[absent] = smooth_normals(vertices, faces)[absent]
+        normals = np.where(np.isfinite(normals), normals, 0.0)  # extreme transforms overflow
+        faces = _wind_like_normals(vertices, faces, normals)
+        is_missing = ~normals.any(axis=1)
+        if is_missing.any():
+            normals[is_missing] = smooth_normals(vertices, faces)[is_missing]
     else:
         normals = smooth_normals(vertices, faces)
     if len(normals):
-        normals = np.where(normals.any(axis=1)[:, None], normals, (0.0, 0.0, 1.0))  # corners of zero area have none
+        # vertices whose triangles all have zero area have no normal
+        normals = np.where(normals.any(axis=1)[:, None], normals, (0.0, 0.0, 1.0))
     if shape["flip_normals"]:
         faces, normals = faces[:, ::-1], -normals
-    vertices = np.ascontiguousarray(vertices, np.float32)
     return Surface(
-        vertices,
+        np.ascontiguousarray(vertices, np.float32),
         np.ascontiguousarray(faces, np.uint32),
         np.ascontiguousarray(normals, np.float32),
         uvs=mesh.uvs,
@@ -92,69 +92,70 @@ def _triangles(shape: dict, to_world: np.ndarray, where: str) -> Surface:
     )
 
 
-def _wound_like(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Faces rewound where the sum of their vertex normals points away from the geometric normal."""
+def _wind_like_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Faces, reversed where the sum of their vertex normals points away from the geometric normal."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    along = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[faces].sum(axis=1))
-    return np.where((along < 0)[:, None], faces[:, ::-1], faces)
+    cosine_sign = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[faces].sum(axis=1))
+    return np.where((cosine_sign < 0)[:, None], faces[:, ::-1], faces)
 
 
 def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Areas (t,) in float64."""
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    return 0.5 * lengths(np.cross(b - a, c - a))
+    return 0.5 * vector_lengths(np.cross(b - a, c - a))
 
 
-def _analytic(kind: int, to_world: np.ndarray, where: str) -> np.ndarray:
+def _analytic_record(kind: int, to_world: np.ndarray, name: str) -> np.ndarray:
     record = np.zeros(1, structs.ANALYTIC)
     record["kind"] = kind
     record["to_world"] = to_world[:3].ravel()
     record["to_object"] = np.linalg.inv(to_world)[:3].ravel()
     if not (np.isfinite(record["to_world"]).all() and np.isfinite(record["to_object"]).all()):
-        raise SceneError(f"{where}: its size leaves the range of 32-bit floats")
+        raise SceneError(f"{name}: its size exceeds the range of 32-bit floats")
     return record
 
 
-def _sphere(shape: dict, to_world: np.ndarray, where: str) -> Surface:
+def _sphere(shape: dict, to_world: np.ndarray, name: str) -> Surface:
     rotation, stretch = transforms.polar_decomposition(to_world)
-    _warn_if_stretched(stretch, (0, 1, 2), where)
+    _warn_if_non_uniform(stretch, (0, 1, 2), name)
     radius = shape["radius"] * abs(stretch[0, 0])
-    placed = np.eye(4)
-    placed[:3, :3] = rotation * radius
-    placed[:3, 3] = transforms.transform_points(to_world, np.array([shape["center"]]))[0]
-    record = _analytic(structs.ANALYTIC_SPHERE, placed, where)
-    record["center"], record["radius"] = placed[:3, 3], radius
-    return _analytic_surface(record, shape["flip_normals"] != (np.linalg.det(to_world[:3, :3]) < 0))
+    sphere_to_world = np.eye(4)
+    sphere_to_world[:3, :3] = rotation * radius
+    sphere_to_world[:3, 3] = transforms.transform_points(to_world, np.array([shape["center"]]))[0]
+    record = _analytic_record(structs.ANALYTIC_SPHERE, sphere_to_world, name)
+    record["center"], record["radius"] = sphere_to_world[:3, 3], radius
+    is_mirrored = np.linalg.det(to_world[:3, :3]) < 0
+    return _analytic_surface(record, shape["flip_normals"] != is_mirrored)
 
 
-def _disk(shape: dict, to_world: np.ndarray, where: str) -> Surface:
-    return _analytic_surface(_analytic(structs.ANALYTIC_DISK, to_world, where), shape["flip_normals"])
+def _disk(shape: dict, to_world: np.ndarray, name: str) -> Surface:
+    return _analytic_surface(_analytic_record(structs.ANALYTIC_DISK, to_world, name), shape["flip_normals"])
 
 
-def _cylinder(shape: dict, to_world: np.ndarray, where: str) -> Surface:
-    foot, axis = np.array(shape["p0"]), np.subtract(shape["p1"], shape["p0"])
+def _cylinder(shape: dict, to_world: np.ndarray, name: str) -> Surface:
+    p0, axis = np.array(shape["p0"]), np.subtract(shape["p1"], shape["p0"])
     length, radius = np.linalg.norm(axis), shape["radius"]
-    along = transforms.rotation_from_z(axis / length)
-    placed = to_world @ transforms.translate(foot) @ along @ transforms.scale((radius, radius, length))
-    if not np.isfinite(placed).all():
-        raise SceneError(f"{where}: its size leaves the range of numbers")
-    rotation, stretch = transforms.polar_decomposition(placed)
-    _warn_if_stretched(stretch, (0, 1), where)
-    size = (stretch[0, 0], stretch[0, 0], stretch[2, 2])  # negative if mirrored: the tube goes the mirrored way
-    placed[:3, :3] = rotation * size
-    return _analytic_surface(_analytic(structs.ANALYTIC_CYLINDER, placed, where), shape["flip_normals"])
+    rotation = transforms.rotation_from_z(axis / length)
+    cylinder_to_world = to_world @ transforms.translate(p0) @ rotation @ transforms.scale((radius, radius, length))
+    if not np.isfinite(cylinder_to_world).all():
+        raise SceneError(f"{name}: its size exceeds the range of 64-bit floats")
+    rotation, stretch = transforms.polar_decomposition(cylinder_to_world)
+    _warn_if_non_uniform(stretch, (0, 1), name)
+    size = (stretch[0, 0], stretch[0, 0], stretch[2, 2])  # negative if mirrored: then the axis is mirrored too
+    cylinder_to_world[:3, :3] = rotation * size
+    record = _analytic_record(structs.ANALYTIC_CYLINDER, cylinder_to_world, name)
+    return _analytic_surface(record, shape["flip_normals"])
 
 
-def _warn_if_stretched(stretch: np.ndarray, axes: tuple[int, ...], where: str):
-    """Mitsuba 3 warns and goes on with the first axis; so that images agree, so does this."""
+def _warn_if_non_uniform(stretch: np.ndarray, axes: tuple[int, ...], name: str):
+    """Mitsuba 3 warns as well and uses the scale of the first axis; the images agree."""
     diagonal = stretch.diagonal()[list(axes)]
     if np.abs(diagonal - diagonal[0]).max() > 1e-4 * abs(diagonal[0]):
-        warnings.warn(f"{where}: is scaled unevenly; only its first axis counts, as in Mitsuba 3", stacklevel=2)
+        warnings.warn(f"{name}: non-uniform scale; the scale of the first axis is used, as in Mitsuba 3", stacklevel=2)
 
 
-def _analytic_surface(record: np.ndarray, flip: bool) -> Surface:
-    none = np.zeros((0, 3), np.float32)
-    return Surface(none, none.astype(np.uint32), none, record, bool(flip))
+def _analytic_surface(record: np.ndarray, flip_normals: bool) -> Surface:
+    return Surface(_NO_NORMALS, _NO_NORMALS.astype(np.uint32), _NO_NORMALS, record, bool(flip_normals))
 
 
 def _analytic_area(record) -> float:
