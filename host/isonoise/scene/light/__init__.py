@@ -1,1 +1,1 @@
-"""Emitters as device records, and the structures that next-event estimation selects them by."""
+"""Compiles emitters to device records, and builds the structures that select lights for next-event estimation."""
