@@ -555,7 +555,7 @@ PLACED = '<shape type="instance"><transform name="to_world">{}</transform><ref i
 MALFORMED += [
     (GROUP.format("sphere") + PLACED.format('<scale x="0"/>'), "to_world cannot be inverted"),
     (GROUP.format("sphere") + PLACED.format('<scale value="1e-42"/>'), "leaves the range of 32-bit floats"),
-    (GROUP.format("sphere") + PLACED.format('<translate x="1e30"/>'), "instance .* reaches beyond 1e.18"),
+    (GROUP.format("sphere") + PLACED.format('<translate x="1e30"/>'), "instance .* extends beyond 1e.18"),
     (
         GROUP.format("sphere")
         + PLACED.format('<rotate z="1" angle="3"/><scale x="1e-8" y="1e8"/><rotate z="1" angle="9"/>'),

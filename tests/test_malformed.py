@@ -112,12 +112,16 @@ CLAIMS = {  # a file, what it is called, and what is said of it
     "ply vertices": (
         HEAD.format("binary_little_endian", GIANT) + FACE.format(1, "uchar") + "x" * 50,
         "ply",
-        "promises too",
+        "its header states",
     ),
-    "ply faces": (HEAD.format("ascii", 1) + FACE.format(GIANT, "uchar") + "0 0 0\n3 0 0 0", "ply", "promises too much"),
+    "ply faces": (
+        HEAD.format("ascii", 1) + FACE.format(GIANT, "uchar") + "0 0 0\n3 0 0 0",
+        "ply",
+        "truncated: its header states",
+    ),
     "ply list": (HEAD.format("ascii", 1) + FACE.format(1, "uint") + f"0 0 0\n{GIANT} 0 0 0", "ply", "entries"),
     "ply half a corner": (HEAD.format("ascii", 1) + FACE.format(2, "uint") + "0 0 0\n2.5 0 0 0 0 0", "ply", "entries"),
-    "ply minus": (HEAD.format("ascii", -3) + FACE.format(1, "uchar"), "ply", "unreadable header line"),
+    "ply minus": (HEAD.format("ascii", -3) + FACE.format(1, "uchar"), "ply", "invalid header line"),
     "ply wide": (
         HEAD.format("ascii", 1) + "property list uint double a\n" * 2000 + FACE.format(1, "uchar"),
         "ply",
@@ -156,7 +160,7 @@ def scene_around(suffix: str) -> str:
 
 MESHES = {  # bare meshes
     "stl": (bytes(80) + struct.pack("<I", GIANT) + bytes(500), "stl", "not a readable STL|no triangles"),
-    "glb": (glb_of(accessors=[{"componentType": 5126, "type": "VEC3", "count": GIANT}] * 9), "glb", "claim"),
+    "glb": (glb_of(accessors=[{"componentType": 5126, "type": "VEC3", "count": GIANT}] * 9), "glb", "describe"),
     "glb that holds itself": (
         glb_of(nodes=[{"children": [0, 1]}, {"children": [0]}]),
         "glb",

@@ -293,13 +293,13 @@ def test_shapes_beyond_the_range_of_the_device():
         {"type": "cube", "to_world": np.diag([1e30, 1, 1, 1])},
         {"type": "rectangle", "to_world": np.diag([1e38, 1, 1, 1])},
     ):
-        with pytest.raises(SceneError, match=r"shape 'far' reaches beyond 1e\+18"):
+        with pytest.raises(SceneError, match=r"shape 'far' extends beyond 1e\+18"):
             compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "far": shape}))
     for shape in (
         {"type": "cylinder", "radius": 1e38, "p1": [0, 0, 1e38], "to_world": HUGE},
         {"type": "disk", "to_world": TINY},
     ):
-        with pytest.raises(SceneError, match="shape 'odd': its size leaves the range"):
+        with pytest.raises(SceneError, match="shape 'odd': its size exceeds the range"):
             compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "odd": shape}))
 
 

@@ -57,10 +57,10 @@ def test_sphere_takes_center_radius_and_transform_together():
 
 
 def test_uneven_scales_of_spheres_and_cylinders_warn_and_keep_the_first_axis():
-    with pytest.warns(UserWarning, match="shape 'it': is scaled unevenly"):
+    with pytest.warns(UserWarning, match="shape 'it': non-uniform scale"):
         scene = compiled(type="sphere", to_world=np.diag([1, 2, 3, 1]))
     assert scene.bounds.tolist() == [[-1] * 3, [1] * 3]  # as Mitsuba 3.9.1
-    with pytest.warns(UserWarning, match="is scaled unevenly"):
+    with pytest.warns(UserWarning, match="non-uniform scale"):
         compiled(type="cylinder", to_world=np.diag([1, 2, 1, 1]))
 
 

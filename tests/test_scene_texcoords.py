@@ -90,7 +90,7 @@ def test_obj_corners_without_coordinates_have_zero(write):
 
 @pytest.mark.parametrize("line", ["vt .5", "vt a b", "vt .5 x"])
 def test_obj_coordinates_are_two_numbers(line, write):
-    with pytest.raises(SceneError, match="a line that begins with 'vt' does not hold two numbers"):
+    with pytest.raises(SceneError, match="a line that begins with 'vt' needs two numbers"):
         read_obj(write("a.obj", TRIANGLES + line + "\nf 1/1 2/2 3/3\n"))
 
 
