@@ -214,7 +214,7 @@ BROKEN = [
     (
         "a.ply",
         BINARY.format(0, 10**9) + "0" * 100,
-        "truncated: its header states 1000000000|fewer than three|list of element",
+        "states 1000000000|fewer than three|list of element",
     ),
     ("a.ply", PLY.format(10**14, 1) + "0 " * 100, "truncated: its header states"),
 ]

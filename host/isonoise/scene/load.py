@@ -1,4 +1,4 @@
-"""Public entry `isonoise.load`: turns a file, a built-in scene's name or a dict into a normalised scene description."""
+"""From what the user names to the normalised scene description."""
 
 import os
 from collections.abc import Mapping
@@ -13,37 +13,42 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 
 
 def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None) -> dict:
-    """Load a scene and check it.
+    """Read a scene and return its normalised description.
 
     Parameters
     ----------
-    source
-        A Mitsuba 3 XML file, a mesh (OBJ, PLY, STL, GLB), the name of a built-in scene, or a dict in the vocabulary of
-        Mitsuba 3's ``load_dict``. A mesh gets a camera, and a light if it has none.
-    parameters
-        Values that replace ``$name`` in an XML scene.
+    source : str, path or dict
+        A Mitsuba 3 XML file, a mesh (OBJ, PLY, STL, GLB), the name of a built-in scene, or a dict as for Mitsuba's
+        `load_dict`.
+    parameters : dict or None
+        Values for the `$name` placeholders of an XML file.
 
     Returns
     -------
     dict
-        The scene description in Mitsuba 3's vocabulary. Defaults are filled in, and a reference is replaced by the
-        object it refers to. Transforms are float64 arrays of shape (4, 4), file names are absolute.
+        Plain data in Mitsuba 3's vocabulary: defaults are filled in, references resolved, transforms (4, 4) float64,
+        file names absolute.
 
     Raises
     ------
     SceneError
-        If the scene cannot be read, or uses something that isonoise does not support.
+        If the scene cannot be read or uses something unsupported.
+
+    Examples
+    --------
+    >>> isonoise.load("cornell")["integrator"]["type"]
+    'path'
     """
     parameters = {name: str(value) for name, value in (parameters or {}).items()}
     if isinstance(source, Mapping):
         if parameters:
-            raise SceneError("parameters apply to XML scenes only; change the values in the dict instead")
+            raise SceneError("parameters belong to XML scenes; change the dict itself")
         return normalise(read_dict(source))
     path = find_scene(source)
     if path.suffix.lower() in MESH_SUFFIXES:
         from isonoise.scene.default_scene import default_scene
 
         if parameters:
-            raise SceneError(f"{path}: parameters apply to XML scenes only, this is a mesh")
+            raise SceneError(f"{path}: parameters belong to XML scenes, this is a mesh")
         return normalise(read_dict(default_scene(path)))
     return normalise(read_xml(path, parameters))
