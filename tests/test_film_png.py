@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isonoise.film.output import write_image
-from isonoise.film.png import KEY, SHOULDER, tone_map
+from isonoise.film.png import MIDDLE_GREY, SHOULDER, tone_map
 
 
 def srgb(value):
@@ -18,7 +18,7 @@ def grey(luminance):
 
 def test_an_even_image_becomes_middle_grey():
     for level in (1e-20, 0.3, 1.0, 4e10):
-        assert np.unique(tone_map(grey(np.full((3, 5), level)))).tolist() == [srgb(KEY)]
+        assert np.unique(tone_map(grey(np.full((3, 5), level)))).tolist() == [srgb(MIDDLE_GREY)]
 
 
 @pytest.mark.parametrize("scale", [2.0**-60, 0.5, 2.0**40])
@@ -28,9 +28,9 @@ def test_exposure_follows_the_scale(scale):
 
 
 def test_the_curve_is_straight_below_the_shoulder_and_bends_smoothly_above():
-    # the two outer pixels of each triple balance each other, so the log-average stays at 1 and `display` is v * KEY
+    # the two outer pixels of each triple balance each other: the log-average is 1 and `display` is v * MIDDLE_GREY
     display = np.array([0.05, SHOULDER, SHOULDER + 1e-3, 0.9, 5.0])
-    level = display / KEY
+    level = display / MIDDLE_GREY
     image = grey(np.stack([level, 1 / level]))
     mapped = tone_map(image)[0, :, 0]
     above = np.maximum(display - SHOULDER, 0) / (1 - SHOULDER)
@@ -63,7 +63,7 @@ def test_black_and_broken_pixels():
     image[0, 0] = [np.nan, np.inf, -1]
     mapped = tone_map(image)
     assert mapped[0, 0].tolist() == [0, 0, 0]
-    assert mapped[1, 1].tolist() == [srgb(KEY)] * 3
+    assert mapped[1, 1].tolist() == [srgb(MIDDLE_GREY)] * 3
     assert tone_map(grey([[1e-30, 3e38]])).tolist()[0][1] == [255] * 3
 
 

@@ -36,17 +36,17 @@ def test_one_two_and_four_degrees_of_freedom_have_closed_forms(p):
 
 @pytest.mark.parametrize("p", PROBABILITIES)
 def test_the_density_integrates_to_p(p):
-    """Up to the quantile, by the trapezoidal rule in the angle atan(t / sqrt(freedom)): closed forms, table and
+    """Up to the quantile, by the trapezoidal rule in the angle atan(t / sqrt(dof)): closed forms, table and
     expansion alike, 1e-5 relative in t."""
-    for freedom in (1, 2, 3, 5, 10, 11, 40, 200, 1000):
-        t = float(quantile(p, np.array(freedom)[None])[0])
-        scale = math.exp(math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2)) / math.sqrt(math.pi)
+    for dof in (1, 2, 3, 5, 10, 11, 40, 200, 1000):
+        t = float(quantile(p, np.array(dof)[None])[0])
+        scale = math.exp(math.lgamma((dof + 1) / 2) - math.lgamma(dof / 2)) / math.sqrt(math.pi)
         # the tail from t on, in the angle from the far end: small probabilities keep their digits
-        angle = np.linspace(0, math.atan2(math.sqrt(freedom), t), 200_001)
-        values = np.sin(angle) ** (freedom - 1)
+        angle = np.linspace(0, math.atan2(math.sqrt(dof), t), 200_001)
+        values = np.sin(angle) ** (dof - 1)
         tail = scale * angle[1] * (values.sum() - (values[0] + values[-1]) / 2)
-        density = scale * math.cos(math.atan(t / math.sqrt(freedom))) ** (freedom + 1) / math.sqrt(freedom)
-        assert abs(tail - (1 - p)) / density < 1e-5 * t + 1e-10, freedom
+        density = scale * math.cos(math.atan(t / math.sqrt(dof))) ** (dof + 1) / math.sqrt(dof)
+        assert abs(tail - (1 - p)) / density < 1e-5 * t + 1e-10, dof
 
 
 def test_quantiles_fall_with_the_degrees_of_freedom():
@@ -57,9 +57,9 @@ def test_quantiles_fall_with_the_degrees_of_freedom():
 
 
 def test_shapes_and_counts():
-    freedom = np.array([[1, 5], [2**32 - 2, 30]], dtype=np.uint32)
-    t = quantile(0.975, freedom)
-    assert t.shape == freedom.shape
+    dof = np.array([[1, 5], [2**32 - 2, 30]], dtype=np.uint32)
+    t = quantile(0.975, dof)
+    assert t.shape == dof.shape
     assert t.dtype == np.float64
     assert t == pytest.approx(np.array([[12.7062047, 2.57058184], [1.959963985, 2.04227246]]), rel=1e-5)
     assert quantile(0.9, np.zeros((0, 3), np.uint32)).shape == (0, 3)
@@ -67,12 +67,12 @@ def test_shapes_and_counts():
 
 def test_against_scipy():
     stats = pytest.importorskip("scipy.stats")
-    freedom = np.concatenate([np.arange(1, 3000), [10**4, 10**6, 2**32 - 2]])
+    dof = np.concatenate([np.arange(1, 3000), [10**4, 10**6, 2**32 - 2]])
     for p in PROBABILITIES[1:]:  # SciPy's own error is 4e-5 at 4 degrees of freedom next to 1/2
-        assert quantile(p, freedom) == pytest.approx(stats.t.isf(1 - p, freedom), rel=1e-5)
+        assert quantile(p, dof) == pytest.approx(stats.t.isf(1 - p, dof), rel=1e-5)
 
 
-@pytest.mark.parametrize(("p", "freedom"), [(0.5, 1), (1.0, 1), (-0.1, 1), (np.nan, 1), (0.9, 0), (0.9, -1)])
-def test_arguments_out_of_range(p, freedom):
-    with pytest.raises(ValueError, match=r"degrees of freedom|p is in"):
-        quantile(p, np.array([3, freedom]))
+@pytest.mark.parametrize(("p", "dof"), [(0.5, 1), (1.0, 1), (-0.1, 1), (np.nan, 1), (0.9, 0), (0.9, -1)])
+def test_arguments_out_of_range(p, dof):
+    with pytest.raises(ValueError, match=r"degrees of freedom|p must be in"):
+        quantile(p, np.array([3, dof]))

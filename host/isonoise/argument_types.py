@@ -1,14 +1,14 @@
-"""What options may be: from a text on the command line to a value, or an ArgumentTypeError that says what is wrong."""
+"""Conversion of command-line texts to values; raises ArgumentTypeError with a message for the user."""
 
 import argparse
 import math
 import re
 
 MAX_PIXELS = 1 << 28
-"""Largest image that --size takes; beyond it the statistics alone need over 10 GiB, so it is most likely a slip."""
+"""Largest image for --size. Beyond it the statistics alone need over 10 GiB, so it is probably a typing error."""
 
 
-def number(text: str) -> float:
+def finite_number(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -18,44 +18,44 @@ def number(text: str) -> float:
     return value
 
 
-def whole(text: str) -> int:
+def integer(text: str) -> int:
     if not re.fullmatch(r"[+-]?[0-9]+", text):
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number")
     return int(text)
 
 
 def positive(text: str) -> float:
-    value = number(text)
+    value = finite_number(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text} must be more than 0")
     return value
 
 
 def count(text: str) -> int:
-    value = whole(text)
+    value = integer(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} must be 1 or more")
     return value
 
 
 def quantile(text: str) -> float:
-    value = number(text)
+    value = finite_number(text)
     if not 0 < value < 1:
         raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1, as in 0.99")
     return value
 
 
 def seed(text: str) -> int:
-    value = whole(text)
+    value = integer(text)
     if not 0 <= value < 1 << 64:
         raise argparse.ArgumentTypeError(f"{text} must be from 0 to {(1 << 64) - 1}")
     return value
 
 
 def max_depth(text: str) -> int:
-    value = whole(text)
+    value = integer(text)
     if value < 1 and value != -1:
-        raise argparse.ArgumentTypeError(f"{text} must be 1 or more, or -1 for no end")
+        raise argparse.ArgumentTypeError(f"{text} must be 1 or more, or -1 for no limit")
     return value
 
 

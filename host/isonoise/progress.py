@@ -1,11 +1,11 @@
-"""Progress bars, on a terminal only: a render's, with time, samples, stated error and time left, and a bare one."""
+"""Progress bars (on a terminal only), and numbers formatted for people."""
 
 import math
 import sys
 
 
 class ProgressBar:
-    """A bar on stderr while the `with` block runs; where stderr is no terminal nothing is shown."""
+    """A progress bar on stderr during the `with` block. Nothing is shown if stderr is not a terminal."""
 
     def __enter__(self):
         self._progress = None
@@ -29,17 +29,17 @@ class ProgressBar:
             self._progress.stop()
 
     def show(self, completed: float, total: float | None, description: str) -> None:
-        """`completed` of `total` (None: not known) is done; `description` stands beside the bar."""
+        """Show that `completed` of `total` (None: unknown) is done, with `description` beside the bar."""
         if self._progress:
             self._progress.update(self._task, completed=completed, total=total, description=description)
 
 
 class RenderProgressBar(ProgressBar):
-    """The bar of a render; call `update` with the render loop's progress."""
+    """Progress bar of a render."""
 
     def update(self, elapsed_s: float, samples: int, stated_error: float | None, remaining_s: float | None) -> None:
-        """Show where the render stands; None is what is not known yet."""
-        parts = [f"{format_duration(elapsed_s)}", f"{format_count(samples)} samples"]
+        """Show the render loop's progress (`on_progress`); None is unknown."""
+        parts = [format_duration(elapsed_s), f"{format_count(samples)} samples"]
         if stated_error is not None:
             parts.append(f"error {format_percent(stated_error)}")
         if remaining_s is not None:
@@ -49,7 +49,7 @@ class RenderProgressBar(ProgressBar):
 
 
 def format_duration(seconds: float) -> str:
-    """A time for people: '0.31 s', '12.3 s', '4:05', '1:02:03'."""
+    """Seconds as text: '0.31 s', '12.3 s', '4:05', '1:02:03'."""
     if seconds < 9.995:
         return f"{seconds:.2f} s"
     if seconds < 59.95:
@@ -60,7 +60,7 @@ def format_duration(seconds: float) -> str:
 
 
 def format_count(number: float) -> str:
-    """A count for people, with three digits: '950', '1.23 M', '45.6 G'."""
+    """A count with three digits: '950', '1.23 M', '45.6 G'."""
     for unit, size in (("T", 1e12), ("G", 1e9), ("M", 1e6), ("k", 1e3)):
         if number >= 0.9995 * size:
             return f"{number / size:.3g} {unit}"
@@ -68,5 +68,5 @@ def format_count(number: float) -> str:
 
 
 def format_percent(error: float) -> str:
-    """A relative error for people: '1.98 %', '0.0123 %'; 'unknown' where too few pixels have samples to tell."""
+    """A relative error as text: '1.98 %', '0.0123 %'; 'unknown' if it is not finite."""
     return f"{100 * error:.3g} %" if math.isfinite(error) else "unknown"

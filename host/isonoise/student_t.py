@@ -5,37 +5,48 @@ from functools import lru_cache
 
 import numpy as np
 
-AGREE = 1e-6
-"""Relative difference from the exact quantile below which the expansion takes over; the table ends there."""
+TABLE_ACCURACY = 1e-6
+"""The table of exact quantiles ends where the expansion's relative error falls below this."""
 
 
-def quantile(p: float, freedom: np.ndarray) -> np.ndarray:
-    """The quantile at probability p of Student's t distribution with `freedom` degrees of freedom.
+def quantile(p: float, dof: np.ndarray) -> np.ndarray:
+    """The quantile at probability p of Student's t distribution.
 
-    - `p`: in (0.5, 1).
-    - `freedom`: whole numbers from 1, of any shape.
+    Few degrees of freedom are read from a table of exact values. For more, the Cornish-Fisher expansion about the
+    normal quantile is used (Abramowitz and Stegun 1964, 26.7.5).
 
-    Returns float64 of the shape of `freedom`, good to 1e-5 relative as far as the spacing of p near 1 allows
-    (1 - p from about 1e-11).
+    Parameters
+    ----------
+    p : float
+        In (0.5, 1).
+    dof : array of int
+        Degrees of freedom, 1 or more, of any shape.
 
-    Few degrees of freedom are read from a table of exact values; for more, the Cornish-Fisher expansion about the
-    normal quantile (Abramowitz and Stegun 1964, 26.7.5) serves. Raises ValueError if p or `freedom` is out of range.
+    Returns
+    -------
+    float64 array
+        Of the shape of `dof`; relative error 1e-5, as far as the spacing of floats near 1 allows (1 - p > 1e-11).
+
+    Raises
+    ------
+    ValueError
+        If p or `dof` is out of range.
     """
     if not 0.5 < p < 1:
-        raise ValueError(f"p is in (0.5, 1), not {p}")
-    freedom = np.asarray(freedom)
-    if freedom.size and freedom.min() < 1:
-        raise ValueError("there have to be 1 or more degrees of freedom")
-    table = np.array(_table(p))
-    t = np.polynomial.polynomial.polyval(1 / freedom.astype(np.float64), _expansion(p))
-    few = freedom <= table.size
-    t[few] = table[freedom[few].astype(np.intp) - 1]
+        raise ValueError(f"p must be in (0.5, 1), not {p}")
+    dof = np.asarray(dof)
+    if dof.size and dof.min() < 1:
+        raise ValueError("degrees of freedom must be 1 or more")
+    table = np.array(_exact_table(p))
+    t = np.polynomial.polynomial.polyval(1 / dof.astype(np.float64), _expansion(p))
+    in_table = dof <= table.size
+    t[in_table] = table[dof[in_table].astype(np.intp) - 1]
     return t
 
 
 @lru_cache(maxsize=64)
 def _expansion(p: float) -> tuple[float, ...]:
-    """Coefficients of the powers of 1 / freedom."""
+    """Coefficients of the powers of 1 / dof."""
     from statistics import NormalDist  # takes some 10 ms, and not every command needs it
 
     z = NormalDist().inv_cdf(p)
@@ -49,41 +60,41 @@ def _expansion(p: float) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=64)
-def _table(p: float) -> tuple[float, ...]:
-    """Exact quantiles for 1, 2, 3, ... degrees of freedom, up to where the expansion is as good."""
+def _exact_table(p: float) -> tuple[float, ...]:
+    """Exact quantiles for 1, 2, 3, ... degrees of freedom, up to where the expansion is accurate enough."""
     terms = _expansion(p)
     table = []
     while True:
-        freedom = len(table) + 1
-        exact = _exact(p, freedom)
-        expanded = sum(term / freedom**power for power, term in enumerate(terms))
-        if freedom > 3 and abs(expanded - exact) < AGREE * exact:  # the error may change its sign at few degrees
+        dof = len(table) + 1
+        exact = _exact_quantile(p, dof)
+        expanded = sum(term / dof**power for power, term in enumerate(terms))
+        if dof > 3 and abs(expanded - exact) < TABLE_ACCURACY * exact:  # for few dof the error may change its sign
             return tuple(table)
         table.append(exact)
 
 
-def _exact(p: float, freedom: int) -> float:
-    """Newton's method on P(|T| <= t) = 2 p - 1 for the angle atan(t / sqrt(freedom)).
+def _exact_quantile(p: float, dof: int) -> float:
+    """Newton's method on P(|T| <= t) = 2 p - 1 for the angle atan(t / sqrt(dof)).
 
     The probability is concave in the angle, so from 0 the iteration rises to the root without passing it.
     """
-    slope = 2 * math.exp(math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2)) / math.sqrt(math.pi)
+    slope = 2 * math.exp(math.lgamma((dof + 1) / 2) - math.lgamma(dof / 2)) / math.sqrt(math.pi)
     angle = 0.0
     for _ in range(200):
-        step = (2 * p - 1 - _probability(angle, freedom)) / (slope * math.cos(angle) ** (freedom - 1))
+        step = (2 * p - 1 - _probability(angle, dof)) / (slope * math.cos(angle) ** (dof - 1))
         angle += step
         if step <= 1e-15 * angle:
             break
-    return math.sqrt(freedom) * math.tan(angle)
+    return math.sqrt(dof) * math.tan(angle)
 
 
-def _probability(angle: float, freedom: int) -> float:
-    """P(|T| <= t) with t = sqrt(freedom) tan(angle): Abramowitz and Stegun 1964, 26.7.3 and 26.7.4."""
+def _probability(angle: float, dof: int) -> float:
+    """P(|T| <= t) with t = sqrt(dof) tan(angle): Abramowitz and Stegun 1964, 26.7.3 and 26.7.4."""
     cosine = math.cos(angle)
-    odd = freedom % 2
+    odd = dof % 2
     term = cosine if odd else 1.0
     total = 0.0
-    for factor in range(1 + odd, freedom, 2):  # the ratio of neighbours is cos^2 factor / (factor + 1)
+    for factor in range(1 + odd, dof, 2):  # the ratio of neighbouring terms is cos^2 factor / (factor + 1)
         total += term
         term *= cosine * cosine * factor / (factor + 1)
     return 2 / math.pi * (angle + math.sin(angle) * total) if odd else math.sin(angle) * total

@@ -1,1 +1,1 @@
-"""Error estimation: the stated error of a render, and the true error against a reference."""
+"""Stated and true errors of an image."""

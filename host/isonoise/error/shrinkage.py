@@ -1,36 +1,50 @@
-"""Frees the per-pixel relative variances of their own noise, so that their distribution over the image is the true one.
+"""Shrinks noisy per-pixel variances, so that their distribution over the image is the true one. For `stated_error`.
 
 A variance estimated from a few skewed samples is itself noisy, and quantiles over the pixels of such variances are too
-wide. The image is taken apart into sums over 2x2 groups, level by level (a Haar pyramid). On every level the scatter of
-the children about their group's value is compared with what their noise alone would give, and deviations are scaled
-down by sqrt(b), b the true share of the scatter, so that the scatter that remains is the true one (Louis 1984,
-"Estimating a population of parameter values using Bayes and empirical Bayes methods", JASA 79; b itself, plain
-empirical Bayes, gives the best single values and too narrow a distribution). The value of a whole group is kept. So
-variances end up pooled where they are smooth and stay what they were where they are not.
+far apart. The image is decomposed into sums over 2x2 groups, level by level (a Haar pyramid). On every level the
+scatter of the four children about their group's value is compared with the scatter that noise alone would cause.
+Deviations are scaled by sqrt(b), b the true share of the scatter, so that the remaining scatter is the true one (Louis
+1984, "Estimating a population of parameter values using Bayes and empirical Bayes methods", JASA 79; b itself, plain
+empirical Bayes, gives the best single values but too narrow a distribution). Group totals are preserved. So variances
+are pooled where they are smooth and left alone where they are not.
 
-How noisy a variance is depends on the fourth moment of the samples, which is not kept. The third shows in the
-statistics, because Cov(mean, s^2) = mu_3 / n; the fourth is taken from it as in a gamma distribution, where the excess
+How noisy a variance is depends on the samples' fourth moment, which is not stored. The third follows from the
+statistics, because Cov(mean, s^2) = mu_3 / n; the fourth is derived from it as for a gamma distribution, whose excess
 kurtosis is 3/2 of the squared skewness.
 
-Arrays are flat, in an order in which the four children of a group stand one quarter of the array apart on every level:
-`a.reshape(4, -1)` has a group's children in a column, `a.reshape(16, -1)` its grandchildren.
+Arrays are flat, in an order in which the four children of a group are one quarter of the array apart on every level:
+`a.reshape(4, -1)` has a group's children in a column, `a.reshape(16, -1)` its grandchildren. n is a sample count, x a
+mean, s2 a sample variance, dof its degrees of freedom n - 1.
 """
 
 from functools import lru_cache
 
 import numpy as np
 
-LEVELS = 4  # variances are pooled over groups of up to 16x16 pixels
-BLOCK = 64  # pixels a side; on the top level, scatter is averaged over 4x4 groups
-STRUCTURE = 1e3  # scatter of means over their noise above which more of it makes no difference
-SAME_MEAN = 4.0  # a group whose means scatter more than this many times their noise tells nothing about skewness
+LEVELS = 4
+"""Variances are pooled over groups of up to 16x16 pixels."""
+BLOCK = 64
+"""Pixels per side of a block; on the top level, scatter is averaged over 4x4 groups, which is one block."""
+MAX_SCATTER = 1e3
+"""A group's scatter of means is cut at this multiple of its noise."""
+MAX_SKEWNESS_SCATTER = 4.0
+"""Groups whose means scatter by more than this multiple of their noise are not used to estimate the skewness."""
 
 
 def denoised_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.ndarray, floor: float) -> np.ndarray:
-    """(sigma_i / max(mean_i, floor))^2, sigma_i the standard error of the pixel's mean, both freed of their noise.
+    """(sigma_i / max(mean_i, floor))^2, sigma_i the standard error of the pixel's mean, both denoised.
 
-    `count`, `mean`, `variance`: shape (height, width), as in `Statistics`; `floor` > 0. Returns float64, flat, in no
-    particular order: it stands for a distribution. Pixels of fewer than two samples are left out and take no part.
+    Parameters
+    ----------
+    count, mean, variance : (height, width)
+        As in `Statistics`.
+    floor : float
+        Above 0.
+
+    Returns
+    -------
+    1-D float64
+        The values of all pixels with two or more samples, in no particular order.
     """
     order, inside = _pyramid_order(*count.shape)
     n = np.where(inside, count.reshape(-1)[order], 0).astype(np.float64)
@@ -38,123 +52,123 @@ def denoised_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np
     n *= known
     x = mean.reshape(-1)[order] * known
     s2 = variance.reshape(-1)[order] * known
-    freedom = n - known
+    dof = n - known
 
-    scale = _denoised_mean(n, x, freedom, s2)
+    scale = _denoised_mean(n, x, dof, s2)
     np.maximum(scale, floor, out=scale)
     x /= scale
     s2 /= scale
     s2 /= scale
-    return _freed(n, x, freedom, s2)[known] / n[known]
+    return _denoised_variance(n, x, dof, s2)[known] / n[known]
 
 
-def _denoised_mean(n: np.ndarray, x: np.ndarray, freedom: np.ndarray, s2: np.ndarray) -> np.ndarray:
-    """Means with the noise taken out that hides no structure (a Wiener filter in the Haar pyramid).
+def _denoised_mean(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:
+    """Means without the noise that hides no structure: a Wiener filter in the Haar pyramid.
 
-    Within a group the noise of a mean is taken as proportional to the mean, as it is for a count of rare events. So a
-    pixel that has caught a firefly gives way, and a dark one beside a bright one stays dark.
+    Within a group the noise of a mean is assumed proportional to the mean, as for a count of rare events. So a pixel
+    with a firefly is smoothed, and a dark pixel beside a bright one stays dark.
     """
-    means, noises = _pyramid(n, x), _pyramid(freedom, s2)
+    means, noises = _pyramid(n, x), _pyramid(dof, s2)
     result = means[LEVELS][1]
     for level in reversed(range(LEVELS)):
-        weight, value = (a.reshape(4, -1) for a in means[level])
+        weight, value = (array.reshape(4, -1) for array in means[level])
         parent, noise = means[level + 1][1], noises[level + 1][1]
-        off = value - parent
-        scatter = _ratio((weight * off * off).sum(axis=0), _siblings(weight))
-        np.minimum(scatter, STRUCTURE * noise, out=scatter)
+        deviation = value - parent
+        scatter = _divide((weight * deviation * deviation).sum(axis=0), _child_dof(weight))
+        np.minimum(scatter, MAX_SCATTER * noise, out=scatter)
         noise = noise.reshape(4, -1).sum(axis=0)  # over 2x2 groups, for more degrees of freedom
-        structure = np.maximum(_ratio(scatter.reshape(4, -1).sum(axis=0) - noise, noise), 0)
-        structure[noise == 0] = np.inf
+        signal = np.maximum(_divide(scatter.reshape(4, -1).sum(axis=0) - noise, noise), 0)
+        signal[noise == 0] = np.inf
         # b = signal / (signal + noise), noise in proportion to value / parent
-        louder = np.maximum(_ratio(value, parent), 0).reshape(4, 4, -1)
-        louder /= np.maximum(structure, 1e-9)
-        off /= 1 + louder.reshape(4, -1)
-        off += result
-        result = off.reshape(-1)
+        noise_share = np.maximum(_divide(value, parent), 0).reshape(4, 4, -1)
+        noise_share /= np.maximum(signal, 1e-9)
+        deviation /= 1 + noise_share.reshape(4, -1)
+        deviation += result
+        result = deviation.reshape(-1)
     return result
 
 
-def _freed(n: np.ndarray, x: np.ndarray, freedom: np.ndarray, s2: np.ndarray) -> np.ndarray:
-    """Variances s2 whose scatter is freed of noise; `x` are the means in the same scale."""
-    pyramid = _pyramid(freedom, s2)
-    noise_by_level = _noise_per_freedom(n, x, pyramid)
+def _denoised_variance(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:
+    """The variances s2, shrunk; `x` are the means in the same scale."""
+    pyramid = _pyramid(dof, s2)
+    noise_by_level = _variance_noise(n, x, pyramid)
     result = pyramid[LEVELS][1]
     for level in reversed(range(LEVELS)):
-        weight, value = (a.reshape(4, -1) for a in pyramid[level])
+        weight, value = (array.reshape(4, -1) for array in pyramid[level])
         total, parent = pyramid[level + 1]
-        off = value - parent
-        siblings = _siblings(weight)
-        live = (siblings > 0) & (parent > 0)
-        scatter = _ratio((weight * off * off).sum(axis=0), siblings * parent * parent)
+        deviation = value - parent
+        child_dof = _child_dof(weight)
+        valid = (child_dof > 0) & (parent > 0)
+        scatter = _divide((weight * deviation * deviation).sum(axis=0), child_dof * parent * parent)
 
         # Averages over windows of 4x4 groups. With noise phi per degree of freedom, group shares are Dirichlet
-        # distributed as for gamma variables, and the scatter has the mean phi w / (w + phi), w the group's freedom.
-        groups = _window(live)
-        scatter = _ratio(_window(scatter * live), groups)
-        w = _ratio(_window(total * live), groups)
-        child_w = _ratio(_window(total * live), _window((siblings + 1) * live))
+        # distributed as for gamma variables; the scatter has the mean phi w / (w + phi), w the group's total dof.
+        groups = _window_sum(valid)
+        scatter = _divide(_window_sum(scatter * valid), groups)
+        w = _divide(_window_sum(total * valid), groups)
+        child_w = _divide(_window_sum(total * valid), _window_sum((child_dof + 1) * valid))
         phi = noise_by_level[level]
-        apparent = _ratio(scatter, np.maximum(1 - _ratio(scatter, w), 1e-6))
-        true_share = np.maximum(1 - _ratio(phi, apparent), 0) * _ratio(child_w, child_w + phi)
-        keep = np.sqrt(true_share)
+        apparent = _divide(scatter, np.maximum(1 - _divide(scatter, w), 1e-6))
+        true_share = np.maximum(1 - _divide(phi, apparent), 0) * _divide(child_w, child_w + phi)
+        factor = np.sqrt(true_share)
 
-        off = off.reshape(4, 16, -1)
-        off *= keep
-        off = off.reshape(4, -1)
-        off += result
-        # Not below what the group's own value, scaled alike, would leave of a child without variance.
-        least = (result.reshape(16, -1) * (1 - keep)).reshape(-1)
-        result = np.maximum(off, least, out=off).reshape(-1)
+        deviation = deviation.reshape(4, 16, -1)
+        deviation *= factor
+        deviation = deviation.reshape(4, -1)
+        deviation += result
+        # Not below the value that a child without variance would get: the group's own, scaled by 1 - factor.
+        lower_bound = (result.reshape(16, -1) * (1 - factor)).reshape(-1)
+        result = np.maximum(deviation, lower_bound, out=deviation).reshape(-1)
     return result
 
 
-def _noise_per_freedom(n: np.ndarray, x: np.ndarray, pyramid: list) -> list[np.ndarray]:
+def _variance_noise(n: np.ndarray, x: np.ndarray, pyramid: list) -> list[np.ndarray]:
     """Relative variance of s^2 times its degrees of freedom, 2 + 3/2 skewness^2, for the windows of every level.
 
     Var(s^2) = sigma^4 (2 / (n - 1) + excess kurtosis / n); the skewness is an average over 16x16 pixels.
     """
-    weight, s2 = (a.reshape(4, -1) for a in pyramid[0])
+    weight, s2 = (array.reshape(4, -1) for array in pyramid[0])
     parent = pyramid[1][1]
     n, x = n.reshape(4, -1), x.reshape(4, -1)
-    off = x - _ratio((n * x).sum(axis=0), n.sum(axis=0))
-    siblings = _siblings(weight)
-    n = n * off
-    same_mean = (n * off).sum(axis=0) < SAME_MEAN * siblings * parent
-    third = _ratio((n * (s2 - parent)).sum(axis=0), siblings * parent**1.5) * same_mean
-    skewness = _ratio(third.reshape(64, -1).sum(axis=0), same_mean.reshape(64, -1).sum(axis=0))
-    at = 2 + 1.5 * np.maximum(skewness, 0) ** 2
-    coarser = at.reshape(4, -1).mean(axis=0)
-    return [np.tile(at, 4), at, coarser, coarser.reshape(4, -1).mean(axis=0)]
+    deviation = x - _divide((n * x).sum(axis=0), n.sum(axis=0))
+    child_dof = _child_dof(weight)
+    n = n * deviation
+    usable = (n * deviation).sum(axis=0) < MAX_SKEWNESS_SCATTER * child_dof * parent
+    third_moment = _divide((n * (s2 - parent)).sum(axis=0), child_dof * parent**1.5) * usable
+    skewness = _divide(third_moment.reshape(64, -1).sum(axis=0), usable.reshape(64, -1).sum(axis=0))
+    noise = 2 + 1.5 * np.maximum(skewness, 0) ** 2
+    coarser = noise.reshape(4, -1).mean(axis=0)
+    return [np.tile(noise, 4), noise, coarser, coarser.reshape(4, -1).mean(axis=0)]
 
 
 def _pyramid(weight: np.ndarray, value: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Total weights and weighted means, from pixels to the groups of the top level."""
+    """Total weights and weighted means of every level, from pixels to the largest groups."""
     levels = [(weight, value)]
     for _ in range(LEVELS):
         total = weight.reshape(4, -1).sum(axis=0)
-        value = _ratio((weight * value).reshape(4, -1).sum(axis=0), total)
+        value = _divide((weight * value).reshape(4, -1).sum(axis=0), total)
         levels.append((weight := total, value))
     return levels
 
 
-def _siblings(weight: np.ndarray) -> np.ndarray:
-    """Children with weight in each group, less one; 0 where there is none."""
+def _child_dof(weight: np.ndarray) -> np.ndarray:
+    """Children with weight in each group, minus one; 0 if there is none."""
     return np.maximum((weight > 0).sum(axis=0) - 1.0, 0)
 
 
-def _window(groups: np.ndarray) -> np.ndarray:
+def _window_sum(groups: np.ndarray) -> np.ndarray:
     """Sums over 4x4 groups."""
     return groups.reshape(16, -1).sum(axis=0)
 
 
-def _ratio(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a / b, and 0 where b is 0."""
     return np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b > 0)
 
 
 @lru_cache(maxsize=4)
 def _pyramid_order(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Index of each cell's pixel in the flat image, and whether it has one: the image is padded to whole blocks."""
+    """Index into the flat image of every cell, and whether the cell is a pixel: the image is padded to full blocks."""
     rows, columns = -(-height // BLOCK), -(-width // BLOCK)
     bits = BLOCK.bit_length() - 1
     cells = np.arange(rows * columns * BLOCK * BLOCK).reshape([rows] + [2] * bits + [columns] + [2] * bits)

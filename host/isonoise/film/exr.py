@@ -1,4 +1,4 @@
-"""OpenEXR files: images with named layers, how they were made in the header, and references with standard errors."""
+"""OpenEXR files: images with named layers, render settings in the header, references with standard errors."""
 
 import math
 import os
@@ -10,21 +10,29 @@ import numpy as np
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 
-_DENSEST = 1 << 14  # pixels that a byte of a file can stand for
+_MAX_PIXELS_PER_BYTE = 1 << 14
+"""Of a compressed file; a header that claims more is damaged."""
 
 
 def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header: Mapping[str, object]) -> None:
-    """Write an OpenEXR file (scan lines, ZIP, lossless) that is there whole or not at all.
+    """Write an OpenEXR file (scan lines, ZIP, lossless) atomically.
 
-    Args:
-        layers: arrays of one (height, width). Name "" with shape (height, width, 3) gives the channels R, G, B; another
-            name `a` gives a.R, a.G, a.B, or with shape (height, width) the channel `a`. Unsigned integers are stored
-            as UINT (exact; OpenEXR's readers convert to float where a program wants that), all else as 32-bit FLOAT.
-        header: how the image was made. Values are stored as strings, numbers in full precision, because OpenEXR's own
-            int and float attributes have 32 bits: a count of samples does not fit.
+    Parameters
+    ----------
+    path : path
+        The file.
+    layers : mapping of str to array
+        Arrays of one size. The name "" with shape (height, width, 3) gives the channels R, G, B; another name `a` gives
+        a.R, a.G, a.B, or with shape (height, width) the channel `a`. Unsigned integers are stored as UINT (exact;
+        OpenEXR readers convert to float on request), all others as 32-bit FLOAT.
+    header : mapping
+        Render settings. Values are stored as strings, numbers in full precision, because OpenEXR's own int and float
+        attributes have 32 bits: a sample count does not fit.
 
-    Raises:
-        UserError: the file cannot be written.
+    Raises
+    ------
+    UserError
+        If the file cannot be written.
     """
     import OpenEXR
 
@@ -39,7 +47,7 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
     def write(temporary: Path) -> None:
         try:
             OpenEXR.File(attributes, channels).write(str(temporary))
-        except RuntimeError as error:  # the library's word for a full disk or a file it cannot open
+        except RuntimeError as error:  # OpenEXR's error for a full disk or a file that it cannot open
             raise OSError(str(error)) from error
 
     write_atomically(path, write)
@@ -48,47 +56,54 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
 def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, object]]:
     """Read every channel and the header of a single-part OpenEXR file.
 
-    Returns:
-        channels by name, each (height, width) in its own type (float16, float32 or uint32), and the header's
-        attributes without those that only describe the file's layout (`read_header`).
+    Returns
+    -------
+    channels : dict
+        Name -> (height, width) array of its own type (float16, float32 or uint32).
+    attributes : dict
+        The header without the attributes that describe the file's layout.
 
-    Raises:
-        UserError: there is no such file, or it is not an OpenEXR file that can be read.
+    Raises
+    ------
+    UserError
+        If the file is missing or not a readable OpenEXR file.
     """
     file = _open(path, header_only=False)
-    return {name: channel.pixels for name, channel in file.channels().items()}, _made_how(file)
+    return {name: channel.pixels for name, channel in file.channels().items()}, _render_attributes(file)
 
 
 def read_header(path: str | os.PathLike) -> tuple[list[str], tuple[int, int], dict[str, object]]:
-    """Read what an OpenEXR file says about itself, without its pixels.
+    """Read the header of an OpenEXR file: channel names, size (width, height), and attributes as `read_exr`.
 
-    Returns:
-        channel names, the size (width, height), and the attributes that say how the image was made.
-
-    Raises:
-        UserError: as for `read_exr`.
+    Raises UserError as `read_exr` does.
     """
     file = _open(path, header_only=True)
     header = file.header()
     low, high = header["dataWindow"]
     channels = [channel.name for channel in header["channels"]]
-    return channels, (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1), _made_how(file)
+    return channels, (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1), _render_attributes(file)
 
 
 def read_reference(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read a reference image and, where the file has the channels stderr.R, stderr.G, stderr.B, its standard error.
+    """Read a reference image and its standard error.
 
-    Returns:
-        linear RGB (height, width, 3) float32, and the standard error of the same shape or None.
+    Returns
+    -------
+    rgb : (height, width, 3) float32
+        Linear RGB.
+    standard_error : (height, width, 3) float32 or None
+        Channels stderr.R, stderr.G, stderr.B; None if the file has none.
 
-    Raises:
-        UserError: as for `read_exr`, or channels are missing, or a value is not finite.
+    Raises
+    ------
+    UserError
+        As for `read_exr`, or if channels are missing or not finite.
     """
     channels, _ = read_exr(path)
-    rgb = _stack(channels, "", path)
+    rgb = _read_rgb(channels, "", path)
     if rgb is None:
-        raise UserError(f"'{path}' cannot serve as a reference: it has no channels R, G, B, only {', '.join(channels)}")
-    return rgb, _stack(channels, "stderr.", path)
+        raise UserError(f"'{path}' is no reference: it has no channels R, G, B, only {', '.join(channels)}")
+    return rgb, _read_rgb(channels, "stderr.", path)
 
 
 def _rgb_planes(name: str, pixels: np.ndarray) -> dict[str, np.ndarray]:
@@ -96,13 +111,13 @@ def _rgb_planes(name: str, pixels: np.ndarray) -> dict[str, np.ndarray]:
     return {prefix + channel: pixels[..., i] for i, channel in enumerate("RGB")}
 
 
-def _stack(channels: Mapping[str, np.ndarray], prefix: str, path: str | os.PathLike) -> np.ndarray | None:
+def _read_rgb(channels: Mapping[str, np.ndarray], prefix: str, path: str | os.PathLike) -> np.ndarray | None:
     names = [prefix + channel for channel in "RGB"]
     if not all(name in channels for name in names):
         return None
     rgb = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
     if not np.isfinite(rgb).all():
-        raise UserError(f"'{path}' cannot serve as a reference: {', '.join(names)} hold values that are not finite")
+        raise UserError(f"'{path}' is no reference: {', '.join(names)} have values that are not finite")
     return rgb
 
 
@@ -119,21 +134,22 @@ def _open(path: str | os.PathLike, header_only: bool):
     try:
         file = OpenEXR.File(str(path), separate_channels=True, header_only=True)
         low, high = file.header()["dataWindow"]
-        if math.prod(int(side) + 1 for side in np.subtract(high, low, dtype=np.int64)) > _DENSEST * path.stat().st_size:
-            raise ValueError("it claims more pixels than it can hold")
+        pixels = math.prod(int(side) + 1 for side in np.subtract(high, low, dtype=np.int64))
+        if pixels > _MAX_PIXELS_PER_BYTE * path.stat().st_size:
+            raise ValueError("its header claims more pixels than the file can hold")
         file = file if header_only else OpenEXR.File(str(path), separate_channels=True)
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise UserError(f"cannot read '{path}': {error}") from error
-    if not file.parts:  # what the library makes of pixels that it cannot read
+    if not file.parts:  # OpenEXR's result for pixels that it cannot read
         raise UserError(f"cannot read '{path}': the file is cut off or damaged")
     return file
 
 
-_LAYOUT = {
+_LAYOUT_ATTRIBUTES = {
     "channels", "compression", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio", "screenWindowCenter",
     "screenWindowWidth", "type", "tiles", "name", "version", "chunkCount",
 }  # fmt: skip
 
 
-def _made_how(file) -> dict[str, object]:
-    return {key: value for key, value in file.header().items() if key not in _LAYOUT}
+def _render_attributes(file) -> dict[str, object]:
+    return {key: value for key, value in file.header().items() if key not in _LAYOUT_ATTRIBUTES}

@@ -1,4 +1,4 @@
-"""The error log: one row a wave, the columns and what they mean, and the CSV file that a render writes as it goes."""
+"""The error log: one row per wave, the meaning of its columns, and the CSV file that a render writes as it runs."""
 
 import os
 from dataclasses import dataclass, field, fields
@@ -17,9 +17,9 @@ def _column(meaning: str):
 
 @dataclass(frozen=True)
 class LogRow:
-    """The state of a render after one wave. Each field is a column; `true` stands for one column a field of its own."""
+    """The state of a render after one wave. Each field is a column, except `true`: each of its fields is one."""
 
-    elapsed_s: float = _column("seconds of rendering alone: without set-up, writing files and computing true errors")
+    elapsed_s: float = _column("seconds of rendering, without set-up, writing files and computing true errors")
     wave: int = _column("number of the wave, from 1")
     kind: Literal["uniform", "adaptive"] = _column("'uniform' (same count in every pixel) or 'adaptive'")
     samples: int = _column("samples taken so far, over the whole image")
@@ -30,7 +30,7 @@ class LogRow:
     stated_p95: float = _column("the same at q = 0.95")
     stated_p99: float = _column("the same at q = 0.99")
     true: "TrueError | None"
-    rejected: int = _column("samples that were negative or not a finite number and enter no statistic, so far")
+    rejected: int = _column("samples so far that were negative or not finite; they enter no statistic")
 
 
 _TRUE_COLUMNS = {
@@ -50,41 +50,46 @@ _TRUE_COLUMNS = {
 
 
 def columns(true_errors: bool) -> dict[str, str]:
-    """Names of the CSV's columns, in order, with their meaning; with `true_errors` those that need a reference too."""
-    found = {f.name: f.metadata["doc"] for f in fields(LogRow) if f.name != "true"}
+    """Name -> meaning of the CSV's columns, in order; with `true_errors` also those that need a reference."""
+    result = {f.name: f.metadata["doc"] for f in fields(LogRow) if f.name != "true"}
     if true_errors:
         from isonoise.error.true_error import TrueError
 
-        found |= {f"true_{f.name}": _TRUE_COLUMNS[f.name] for f in fields(TrueError)}
-    return found
+        result |= {f"true_{f.name}": _TRUE_COLUMNS[f.name] for f in fields(TrueError)}
+    return result
 
 
 class LogWriter:
     """Writes rows to a CSV file that other programs can read while the render runs.
 
-    The file appears with its first row, in place of an older one. Every further row is one write to the end of the
-    file, without buffering, so that a reader, or what a crash leaves behind, holds whole rows only.
+    The first row replaces an existing file. Every further row is appended with one unbuffered write, so that the file
+    always consists of complete rows, even after a crash.
 
-    Args:
-        path: the file; checked at once, so that a render does not start without a place for its log.
-        true_errors: whether rows come with true errors.
+    Parameters
+    ----------
+    path : path
+        The file. It is checked at once, so that a render does not start without a writable log.
+    true_errors : bool
+        Whether rows have true errors.
 
-    Raises:
-        UserError: the file cannot be written, here or in `write`.
+    Raises
+    ------
+    UserError
+        If the file cannot be written, here or in `write`.
     """
 
     def __init__(self, path: str | os.PathLike, true_errors: bool):
         self._path = check_writable(path)
         self._columns = columns(true_errors)
-        self._begun = False
+        self._has_rows = False
 
     def write(self, row: LogRow) -> None:
-        """Add one row; it is in the file when this returns, or the file is as it was and an error is raised."""
+        """Append one row. On an error the file stays as it was."""
         line = (",".join(_text(value) for value in row_values(row).values()) + "\n").encode()
-        if not self._begun:
+        if not self._has_rows:
             header = (",".join(self._columns) + "\n").encode()
             write_atomically(self._path, lambda temporary: temporary.write_bytes(header + line))
-            self._begun = True
+            self._has_rows = True
             return
         try:
             with open(self._path, "ab", buffering=0) as file:
@@ -97,7 +102,7 @@ class LogWriter:
 
 
 def row_values(row: LogRow) -> dict[str, float | int | str]:
-    """A row as column name and value, in the order of `columns`."""
+    """Column name -> value, in the order of `columns`."""
     values = {f.name: getattr(row, f.name) for f in fields(row) if f.name != "true"}
     if row.true is not None:
         values |= {f"true_{f.name}": getattr(row.true, f.name) for f in fields(row.true)}

@@ -1,4 +1,4 @@
-"""A render's image files: which layers they hold, and which format a file name stands for."""
+"""A render's image files: their layers, and the file format by extension."""
 
 import os
 from collections.abc import Mapping
@@ -15,11 +15,11 @@ EXTENSIONS = (".exr", ".png")
 
 
 def image_layers(statistics: Statistics, floor: float) -> dict[str, np.ndarray]:
-    """Layers of an image file, by the names of `write_exr`.
+    """Layers of an image file, named as `write_exr` expects.
 
-    "" is the mean linear RGB (height, width, 3) float32, `samples` the count of each pixel (uint32), `error` one
-    relative standard error of the pixel's luminance, se / max(mean, floor), inf where n < 2, and `M_x` the running mean
-    of the chunk medians where the strategy keeps it (all (height, width)).
+    "" is the mean linear RGB, (height, width, 3) float32. The others are (height, width): `samples` the count (uint32),
+    `error` the relative standard error of the luminance, se / max(mean, floor), inf where n < 2, and `M_x` the running
+    mean of the chunk medians if the strategy needs it.
     """
     layers = {"": statistics.rgb, "samples": statistics.count, "error": relative_standard_error(statistics, floor)}
     if statistics.median is not None:
@@ -28,23 +28,21 @@ def image_layers(statistics: Statistics, floor: float) -> dict[str, np.ndarray]:
 
 
 def check_output(path: str | os.PathLike) -> Path:
-    """Find out before rendering whether an image can be written to `path`; returns it with links followed.
+    """Check, before rendering, that an image can be written to `path`; returns it with symbolic links resolved.
 
-    Raises:
-        UserError: no format goes by the file's extension, or the file cannot be written.
+    Raises UserError if the extension is unknown or the file cannot be written.
     """
     extension = Path(path).suffix.lower()
     if extension not in EXTENSIONS:
         named = f"the extension '{extension}'" if extension else "no extension"
-        raise UserError(f"output '{path}' has {named}: use .exr (all layers, float32) or .png (a tone-mapped look)")
+        raise UserError(f"output '{path}' has {named}: use .exr (all layers, float32) or .png (tone-mapped preview)")
     return check_writable(path)
 
 
 def write_image(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header: Mapping[str, object]) -> None:
-    """Write an image as the extension says: .exr with all layers and the header, .png with the tone-mapped image alone.
+    """Write an image: .exr with all layers and the header, .png with the tone-mapped image only.
 
-    Raises:
-        UserError: as for `check_output`.
+    Raises UserError as `check_output` does.
     """
     check_output(path)
     if Path(path).suffix.lower() == ".png":

@@ -1,4 +1,4 @@
-"""8-bit sRGB pictures for a look: an exposure found from the image and a soft shoulder for the highlights."""
+"""8-bit sRGB previews: automatic exposure, and a soft shoulder for the highlights."""
 
 import os
 
@@ -8,27 +8,30 @@ from isonoise.film.files import write_atomically
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
-KEY = 0.18
-"""Display value that the image's log-average luminance gets: middle grey (Reinhard et al. 2002, section 2.1)."""
+MIDDLE_GREY = 0.18
+"""Display value of the image's log-average luminance: the key value of Reinhard et al. 2002, section 2.1."""
 
 SHOULDER = 0.6
-"""Display value up to which the curve is a straight line, so that nothing but highlights is bent."""
+"""Display value up to which the curve is linear, so that only highlights are compressed."""
 
 
 def tone_map(rgb: np.ndarray) -> np.ndarray:
-    """Turn linear RGB of any scale into 8-bit sRGB; depends on the pixels alone, so equal images give equal bytes.
+    """Tone-map linear RGB of any scale to 8-bit sRGB.
 
-    Exposure: the log-average luminance becomes `KEY` (Reinhard, Stark, Shirley, Ferwerda 2002, equations 1 and 2).
-    The average is over pixels with light, none counted darker than 1e-4 of the mean, so that a black background or
-    a few nearly black pixels do not brighten the rest. Curve, for each of R, G, B: straight to `SHOULDER` s, then
+    Exposure: the log-average luminance becomes `MIDDLE_GREY` (Reinhard, Stark, Shirley, Ferwerda 2002, equations 1 and
+    2). The average is over pixels with light, none counted darker than 1e-4 of the mean, so that a black background or
+    a few nearly black pixels do not brighten the rest. Curve, per channel: linear to `SHOULDER` s, then
     s + (1 - s)(1 - exp(-(v - s)/(1 - s))), which continues value and slope and reaches 1 only at infinity.
-    Encoding: IEC 61966-2-1.
+    Encoding: IEC 61966-2-1. The result depends only on the pixels, so equal images give equal bytes.
 
-    Args:
-        rgb: (height, width, 3), linear, Rec. 709 primaries; negative or not finite values count as 0.
+    Parameters
+    ----------
+    rgb : (height, width, 3)
+        Linear, Rec. 709 primaries; negative and non-finite values count as 0.
 
-    Returns:
-        (height, width, 3) uint8.
+    Returns
+    -------
+    (height, width, 3) uint8
     """
     value = np.where(np.isfinite(rgb), rgb, 0).astype(np.float32).clip(min=0)
     with np.errstate(over="ignore"):  # infinity is white as well
@@ -40,10 +43,9 @@ def tone_map(rgb: np.ndarray) -> np.ndarray:
 
 
 def write_png(path: str | os.PathLike, rgb: np.ndarray) -> None:
-    """Tone-map linear RGB (height, width, 3) and write it as a PNG that is there whole or not at all.
+    """Tone-map linear RGB (height, width, 3) and write it as a PNG, atomically.
 
-    Raises:
-        UserError: the file cannot be written.
+    Raises UserError if the file cannot be written.
     """
     from PIL import Image
 
@@ -53,4 +55,4 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray) -> None:
 
 def _exposure(brightness: np.ndarray) -> float:
     average = 100 * image_floor(brightness)  # the floor is 1 % of the log-average
-    return KEY / average if average > 0 else 1.0
+    return MIDDLE_GREY / average if average > 0 else 1.0
