@@ -97,5 +97,5 @@ class Subject:
         """As if nothing had been traced yet, with or without a queue that keeps times."""
         self.device.set_profiling(profile)
         self.device.reset_profile()
-        self.wavefront.accumulator.forget()
+        self.wavefront.accumulator.reset()
         self.device.finish()

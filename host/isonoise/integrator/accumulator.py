@@ -1,4 +1,4 @@
-"""The per-pixel statistics on the device: the planes that the stage `reduce` updates, and how the host reads them."""
+"""The per-pixel statistics on the device: the planes that the stage `reduce` updates, and reading them on the host."""
 
 import numpy as np
 
@@ -6,24 +6,24 @@ from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
 
 SAMPLES_PER_BLOCK = 16
-"""Samples that are summed before they are merged into the statistics, a power of two (kernels/stages/reduce.cl)."""
+"""Samples that are summed before they are merged into the statistics (kernels/stages/reduce.cl). A power of two."""
 
 STRIP = 2**16
-"""Pixels that are summarised and read at a time: what a strip holds stays in a CPU's cache."""
+"""Pixels that are summarised and read at a time, so that a strip stays in a CPU's cache."""
 
-_SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x, and of M2, over the full blocks
-_OPEN = 6  # planes of the unfinished block: sums of red, green, blue; shift; sums of x - shift and its square
+_SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and M2 over the full blocks
+_BLOCK_SUMS = 6  # planes of the unfinished block: sums of red, green, blue; shift; sums of x - shift and its square
 
 
 def build_constants(needs: Needs) -> dict[str, int]:
-    """What the kernels of the statistics are built with."""
+    """Build constants of the stages `reduce` and `summarise`."""
     return {"SAMPLES_PER_BLOCK": SAMPLES_PER_BLOCK, "CHUNK_SIZE": needs.chunk, "BATCH_SIZE": needs.batch}
 
 
 class Accumulator:
-    """State of the stage `reduce` for an image of shape (height, width), and of `summarise`, which closes the sums.
+    """State of the stage `reduce` for an image of shape (height, width), read through the stage `summarise`.
 
-    It enters its buffers into the arguments of `stages`. What `needs` doesn't ask for has no buffer.
+    Its buffers become arguments of `stages`. Statistics that `needs` does not name have no buffer.
     """
 
     def __init__(self, stages: Stages, shape: tuple[int, int], needs: Needs):
@@ -49,7 +49,7 @@ class Accumulator:
             count=self.count,
             rejected=self.rejected,
             sums=planes(_SUMS, "the statistics"),
-            block_sums=planes(_OPEN, "the statistics of unfinished blocks"),
+            block_sums=planes(_BLOCK_SUMS, "the statistics of unfinished blocks"),
             summary=self._summary,
             stride=np.uint32(STRIP),
         )
@@ -61,15 +61,15 @@ class Accumulator:
         if needs.half:
             stages.arguments["halves"] = planes(6, "the sums of every second sample")
 
-    def forget(self) -> None:
-        """Begins anew, as if no sample had entered: the next samples are the first ones again."""
+    def reset(self) -> None:
+        """Forget all samples."""
         for buffer, size in self._planes:
             self._device.write(buffer, np.zeros(size, np.uint32))
 
     def statistics(self, scale: float = 1.0) -> Statistics:
-        """Reads the statistics; samples on the device are `scale` (a power of two) times those of the scene.
+        """Read the statistics as read-only arrays, in the scene's units. Waits for the device.
 
-        The arrays cannot be written to. Waits for the device.
+        `scale`: samples on the device are this power of two times those of the scene.
         """
         n, needs = self.pixels, self._needs
         flat = Statistics(
@@ -94,35 +94,35 @@ class Accumulator:
             planes[name].flags.writeable = False
         return Statistics(**{"median": None} | planes)
 
-    def _read_strip(self, into: Statistics, strip: slice, summary: np.ndarray, scale: float) -> None:
-        """Fills the pixels `strip` of the planes of `into`, in the scene's units, from the planes of `summary`."""
-        unit, pixels, place = 1 / scale, strip.stop - strip.start, 0
+    def _read_strip(self, statistics: Statistics, strip: slice, summary: np.ndarray, scale: float) -> None:
+        """Fill the pixels `strip` of `statistics`, in the scene's units, from the planes of `summary`."""
+        unit, pixels, next_plane = 1 / scale, strip.stop - strip.start, 0
 
         def planes(number: int) -> np.ndarray:
-            nonlocal place
-            place += number
-            return summary[place - number : place]
+            nonlocal next_plane
+            next_plane += number
+            return summary[next_plane - number : next_plane]
 
-        def mean(to: np.ndarray) -> None:
+        def read_mean(out: np.ndarray) -> None:
             high, low = planes(2)[:, :pixels]
-            np.add(high, low, out=to, dtype=np.float64)
+            np.add(high, low, out=out, dtype=np.float64)
 
-        def colour(to: np.ndarray) -> None:
+        def read_rgb(out: np.ndarray) -> None:
             rgb = planes(3).reshape(-1, 3)[:pixels]
-            np.multiply(rgb, unit, out=to, dtype=np.float64, casting="same_kind")
+            np.multiply(rgb, unit, out=out, dtype=np.float64, casting="same_kind")
 
-        mean(into.mean[strip])
-        into.mean[strip] *= unit
-        np.multiply(planes(1)[0, :pixels], unit, out=into.variance[strip], dtype=np.float64)
-        into.variance[strip] *= unit
-        colour(into.rgb[strip])
-        if into.median is not None:
-            np.multiply(planes(1)[0, :pixels], unit, out=into.median[strip], dtype=np.float64)
-        if into.power is not None:
-            mean(into.power[strip])
-            self._power_in_scene_units(into.power[strip], into.mean[strip], scale)
-        if into.half is not None:
-            colour(into.half[strip])
+        read_mean(statistics.mean[strip])
+        statistics.mean[strip] *= unit
+        np.multiply(planes(1)[0, :pixels], unit, out=statistics.variance[strip], dtype=np.float64)
+        statistics.variance[strip] *= unit
+        read_rgb(statistics.rgb[strip])
+        if statistics.median is not None:
+            np.multiply(planes(1)[0, :pixels], unit, out=statistics.median[strip], dtype=np.float64)
+        if statistics.power is not None:
+            read_mean(statistics.power[strip])
+            self._power_in_scene_units(statistics.power[strip], statistics.mean[strip], scale)
+        if statistics.half is not None:
+            read_rgb(statistics.half[strip])
 
     def _power_in_scene_units(self, power: np.ndarray, mean: np.ndarray, scale: float) -> None:
         """In place; `mean` is that of x, in the scene's units."""

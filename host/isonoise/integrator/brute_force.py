@@ -1,23 +1,23 @@
-"""Scenes of so few primitives that testing them all is faster than a hierarchy: kernels/geometry/brute_force.h."""
+"""Scenes with so few primitives that testing all of them is faster than a hierarchy: kernels/geometry/brute_force.h."""
 
 import numpy as np
 
 from isonoise.scene.compiled_scene import CompiledScene
 
-MOST = 48
-"""Primitives up to which that is so."""
+MAX_PRIMITIVES = 48
+"""Most primitives for which brute force is faster."""
 
 MAX_CORNERS = 96
-"""Corners of triangles for which kernels/geometry/brute_force.h has room: 18 KiB, that stay in a CPU's first cache."""
+"""Most distinct triangle corners: the kernel keeps them in 18 KiB, which fits a CPU's level-1 cache."""
 
 
 def distinct_corners(scene: CompiledScene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (c, 3) float32, each once, and those of every triangle, (t, 3) uint32, by their numbers."""
-    corners, numbers = np.unique(scene.vertices[scene.faces].reshape(-1, 3), axis=0, return_inverse=True)
-    return corners.astype(np.float32), numbers.reshape(-1, 3).astype(np.uint32)
+    """Distinct corners (c, 3) float32, and for every triangle the indices of its corners, (t, 3) uint32."""
+    corners, indices = np.unique(scene.vertices[scene.faces].reshape(-1, 3), axis=0, return_inverse=True)
+    return corners.astype(np.float32), indices.reshape(-1, 3).astype(np.uint32)
 
 
 def use_brute_force(scene: CompiledScene) -> bool:
-    """Whether kernels/geometry/brute_force.h does for the scene; it knows nothing of instances."""
+    """Whether rays are tested against all primitives of the scene. Scenes with instances need a hierarchy."""
     primitives = len(scene.faces) + len(scene.analytics)
-    return primitives <= MOST and not len(scene.instances) and len(distinct_corners(scene)[0]) <= MAX_CORNERS
+    return primitives <= MAX_PRIMITIVES and not len(scene.instances) and len(distinct_corners(scene)[0]) <= MAX_CORNERS

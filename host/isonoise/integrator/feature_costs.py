@@ -1,4 +1,4 @@
-"""What a feature costs where it is on, read from the tables by which programs and buffers are made."""
+"""What a feature costs where it is on. It is computed from the tables that programs and buffers are made from."""
 
 import functools
 import re
@@ -14,10 +14,12 @@ from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, kerne
 
 @dataclass(frozen=True)
 class Cost:
-    path_bytes: int  # of state, for every path in flight
-    buffers: Mapping[str, str]  # what more there is on the device: Feature.buffers
-    stages: tuple[str, ...]  # that are launched for it alone
-    code: tuple[str, ...]  # stages, by their files, that have code for it
+    """The cost of a feature. `str` gives it as one line."""
+
+    path_bytes: int  # path state, bytes for every path in flight
+    buffers: Mapping[str, str]  # further buffers: Feature.buffers
+    stages: tuple[str, ...]  # stages that are launched for this feature alone
+    code: tuple[str, ...]  # stages with code for it
 
     def __str__(self) -> str:
         parts = [f"{self.path_bytes} bytes a path"] if self.path_bytes else []
@@ -27,23 +29,19 @@ class Cost:
 
 
 def cost(name: str, features: Mapping[str, bool]) -> Cost:
-    """What the feature costs in a program that has it beside those of `features`, or would save in one without it."""
+    """The cost of feature `name` beside those of `features` that are on."""
     on, off = ({**features, name: value} for value in (True, False))
-    bytes_on, bytes_off = (sum(path_bytes(each).values()) for each in (on, off))
+    extra_bytes = sum(path_bytes(on).values()) - sum(path_bytes(off).values())
     stages = tuple(kernel for kernel in kernel_table(on, False) if kernel not in kernel_table(off, False))
-    return Cost(bytes_on - bytes_off, FEATURES[name].buffers, stages, stages_with(name))
+    return Cost(extra_bytes, FEATURES[name].buffers, stages, stages_with(name))
 
 
 def stages_with(name: str) -> tuple[str, ...]:
-    """Stages whose text has code for the feature, by the names of their files."""
-    return tuple(stage for stage, mentioned in _mentioned().items() if name in mentioned)
+    """Stages that have code for a feature."""
+    return tuple(stage for stage, features in _features_by_stage().items() if name in features)
 
 
 @functools.cache
-def _mentioned() -> dict[str, set[str]]:
-    """Stage -> features that it tests."""
-    files = dict.fromkeys(row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values())
-    return {
-        Path(file).stem: set(re.findall(r"\bFEATURE_(\w+)", flatten(file, generated_headers())))
-        for file in sorted(files)
-    }
+def _features_by_stage() -> dict[str, set[str]]:
+    files = sorted({row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values()})
+    return {Path(file).stem: set(re.findall(r"\bFEATURE_(\w+)", flatten(file, generated_headers()))) for file in files}

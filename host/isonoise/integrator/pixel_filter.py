@@ -1,17 +1,17 @@
-"""Reconstruction filters as distributions of the sample's offset from its pixel's centre."""
+"""Reconstruction filters as distributions of the offset of a sample from the centre of its pixel."""
 
 import math
 
 import numpy as np
 
 CELLS = 4096
-"""Cells of equal probability in the table; the offset is uniform within one."""
+"""Cells of equal probability in the table; within a cell the offset is uniform."""
 
 
 def inverse_cdf(kind: str, radius: float, stddev: float) -> np.ndarray:
-    """Offsets in pixels, (CELLS + 1,) float32, at equal steps of the filter's cumulative distribution.
+    """Inverse cumulative distribution of a filter: offsets in pixels at equal steps, (CELLS + 1,) float32.
 
-    `tent`: 1 - |x| / radius. `gaussian`: exp(-x^2 / 2 stddev^2) less its value at the radius, as Mitsuba 3 defines it.
+    `tent` is 1 - |x| / radius; `gaussian` is exp(-x^2 / 2 stddev^2) minus its value at the radius, as in Mitsuba 3.
     """
     x = np.linspace(-radius, radius, 16 * CELLS + 1)
     if kind == "tent":

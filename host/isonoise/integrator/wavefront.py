@@ -1,8 +1,8 @@
 """The wavefront loop: traces the samples of an allocation map and reduces them, slice by slice.
 
 A slice is a run of a wave's samples, in pixel order, that fits the sample buffer. Its paths run in a pool: every bounce
-launches intersect, shade and shadow over the paths in flight, then moves those that go on to the front and generates
-the next samples' paths behind them. After the last path the samples enter the statistics.
+launches `intersect`, `shade` and `shadow` over the paths in flight, compacts the paths that continue, and generates the
+paths of the next samples behind them. After its last path the samples of the slice are reduced to statistics.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,7 +13,7 @@ import numpy as np
 from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.device.pool_size import default_pool_size
 from isonoise.integrator.accumulator import Accumulator, build_constants
-from isonoise.integrator.brute_force import MAX_CORNERS, distinct_corners, use_brute_force
+from isonoise.integrator.brute_force import MAX_CORNERS, use_brute_force
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import (
     BATCH_KERNELS,
@@ -26,43 +26,47 @@ from isonoise.integrator.kernel_table import (
     kernel_table,
     path_bytes,
 )
-from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
+from isonoise.integrator.scene_buffers import scene_arguments
 from isonoise.integrator.stages import Stages
 from isonoise.scene import structs
 from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light import light_list
-from isonoise.scene.light.light_tree import build_light_tree
-from isonoise.scene.material import bsdfs, textures
-from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
+from isonoise.scene.material import textures
 from isonoise.statistics import BASIC_NEEDS, Needs
 
 PLANE_PADDING = 80
-"""Numbers by which a plane of the paths is longer than the pool: else the members of a path, a power of two apart,
-would all compete for the same few places of a cache."""
+"""Elements by which a plane of path state is longer than the pool. Without it the members of a path would be a power of
+two apart and compete for the same few cache sets."""
 
 RAYS_PER_ITEM = 32
-"""Rays that a work-item of a CPU follows at most: PoCL gives every item of a group a stack, too many for the cache."""
+"""Most rays that a work-item of a CPU traces. PoCL gives every work-item of a group a stack of its own; with one ray an
+item these stacks would not fit the cache."""
 
 SHADE_LANES = 256
-"""Paths that a work-item shades, if it takes several: enough that the lists by what they meet are long (with 64, shade
-takes 1.2 times as long on a scene of four kinds of material), and what is kept of them fits the second cache."""
+"""Paths that a work-item of a CPU shades: enough for long compacted lists, and few enough that their lane state fits
+the level-2 cache. With 64, `shade` takes 1.2 times as long on a scene of four kinds of BSDF."""
 
-_HELD = {
+_BUFFER_LABELS = {
     "hit": "the hits",
     "alive": "the flags of the paths",
     "tests": "the counts of tests",
     **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance"), "the shadow rays"),
 }
-"""What the buffers of the paths hold, in errors and reports; `the paths` where it isn't here."""
+"""Labels of the path buffers in errors and reports; the others are `the paths`."""
 
 
 class Wavefront:
-    """A scene on a device, ready to trace. `needs` are the statistics that the strategy reads.
+    """A scene on a device, ready to trace.
 
-    `feature_override`: features of the program, to test or to measure what it does with more of them than scene and
-    `needs` ask for; by default those. With COUNT_TESTS the buffer `tests` has, after a bounce, the nodes and blocks
-    of triangles that each ray of `intersect` was tested against.
+    Parameters
+    ----------
+    needs : statistics that the strategy reads beyond the basic ones
+    seed : whole number from 0 to 2^64 - 1
+    pool_size : paths in flight; None takes the device's default
+    feature_override : features that the kernels are built with in place of those that `scene` and `needs` ask for, to
+        test or to measure more of them. With COUNT_TESTS the buffer `tests` holds, after a bounce, how many nodes and
+        triangle blocks each ray of `intersect` was tested against.
     """
 
     def __init__(
@@ -80,150 +84,60 @@ class Wavefront:
         self.pool_size = pool_size or default_pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
         self.block_size = 512 if device.is_cpu else 64
-        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # kernels/path/shade_lanes.h knows no media
+        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # shade_lanes does not support it
         self.shade_lanes = SHADE_LANES if self.lanes > 1 else 1
-        hierarchy = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
-        self.brute_force = self.lanes > 1 and not hierarchy and use_brute_force(scene)
+        needs_bvh = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
+        self.brute_force = self.lanes > 1 and not needs_bvh and use_brute_force(scene)
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
+        constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(needs)
+        constants |= {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size}
+        constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
+        small_groups = BATCH_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
         self._stages = Stages(
-            device,
-            table,
-            self.features,
-            structs.CONSTANTS
-            | textures.CONSTANTS
-            | build_constants(needs)
-            | {
-                "LANES": self.lanes,
-                "PATHS_PER_BLOCK": self.block_size,
-                "MAX_CORNERS": MAX_CORNERS,
-                "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS,
-            },
-            STRUCTS,
+            *(device, table, self.features, constants, STRUCTS),
             file_constants={"stages/shade.cl": {"LANES": self.shade_lanes}},
-            small_groups=(BATCH_KERNELS | LANE_KERNELS if self.lanes > 1 else BATCH_KERNELS)
-            if device.lanes > 1
-            else (),
+            small_groups=small_groups if device.lanes > 1 else (),
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = [name for name in PATH_STATE if is_present(name, self.features)]
-        self._arguments.update(self._upload(bvh, seed))
+        self._arguments.update(scene_arguments(device, scene, bvh, self.features, self.brute_force))
+        self._arguments.update(self._path_arguments(seed))
         if feature_override:
             from isonoise.integrator.feature_superset import dummy_buffers
 
             self._arguments.update(dummy_buffers(device, scene, self.features, self._arguments, self.brute_force))
-        self.on_bounce: Callable[[int], None] | None = None  # gets how many paths took part, after every bounce
+        self.on_bounce: Callable[[int], None] | None = None  # called after every bounce with its paths
 
     @property
     def stages(self) -> Stages:
-        """The kernels, to be launched one by one by whoever measures them."""
+        """The kernels, for measurements that launch them one by one."""
         return self._stages
 
-    def _upload(self, bvh: Bvh, seed: int) -> dict[str, object]:
-        scene, device, on = self.scene, self.device, self.features
-        paths, samples = self.pool_size, self.slice_samples
-        plane = paths + PLANE_PADDING
-        pixels = self.accumulator.pixels
-        endless = 0xFFFFFFFF
-
-        def table(array: np.ndarray, what: str):
-            return device.buffer(array, what) if array.size else None
-
-        camera = scene.camera[0]
-        filter_table = nothing = np.zeros(0, np.float32)
-        if on["FILTER_TABLE"]:
-            filter_table = inverse_cdf(scene.filter, float(camera["filter_radius"]), float(camera["filter_stddev"]))
+    def _path_arguments(self, seed: int) -> dict[str, object]:
+        """Buffers of the paths in flight and of the samples of a slice."""
+        device, paths, samples = self.device, self.pool_size, self.slice_samples
+        plane_stride = paths + PLANE_PADDING
         return {
-            "camera": device.buffer(scene.camera, "the camera"),
-            "inverse_cdf": table(filter_table, "the pixel filter"),
-            "inverse_cdf_cells": np.uint32(CELLS),
-            "nodes": table(bvh.nodes, "the hierarchy's nodes"),
-            "blocks": table(bvh.blocks, "the hierarchy's triangles"),
-            **self._corners(),
-            "triangle_count": np.uint32(len(scene.faces)),
-            "analytic_count": np.uint32(len(scene.analytics)),
-            "first_analytic": np.uint32(bvh.first_analytic),
-            "triangles": table(triangle_records(scene), "the triangles"),
-            "faces": table(scene.faces if on["UVS"] else nothing, "the faces"),
-            "uvs": table(scene.uvs, "the texture coordinates"),
-            "textures": table(scene.textures, "the textures"),
-            "texel_bytes": table(scene.texel_bytes, "the texels"),
-            "texel_floats": table(scene.texel_floats, "the texels"),
-            "srgb": table(textures.SRGB if on["BITMAPS"] else nothing, "the table of sRGB"),
-            "attributes": table(scene.attributes, "the mesh attributes"),
-            "textured_slots": np.uint32(bsdfs.textured_slots(scene.bsdfs)),
-            "corner_normals": table(corner_normals(scene) if on["VERTEX_NORMALS"] else nothing, "the vertex normals"),
-            "analytics": table(scene.analytics, "the analytic shapes"),
-            "shapes": table(scene.shapes if on["ANALYTICS"] else nothing, "the shapes"),
-            "instances": table(scene.instances, "the instances"),
-            "world_triangles": np.uint32(scene.group_offsets[0, 0]),
-            "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
-            "bsdfs": table(scene.bsdfs, "the materials"),
-            "media": table(scene.media, "the media"),
-            "sensor_medium": np.uint32(scene.sensor_medium),
-            "scene_sphere": _sphere_around(scene.bounds),
-            "rough_transmittances": table(scene.rough_transmittances, "the tables of rough plastics"),
-            "lights": table(scene.lights, "the lights"),
-            "light_alias": table(scene.light_alias, "the light table"),
-            "light_count": np.uint32(len(scene.lights)),
-            **self._environment(),
-            **self._weighed_lights(),
-            "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),
-            "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else endless),
-            "rr_depth": np.uint32(scene.rr_depth),
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
-            "plane_stride": np.uint32(plane),
-            "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
-            "total_alive": device.buffer(4, "the compaction"),
+            "plane_stride": np.uint32(plane_stride),
             **dict.fromkeys(BOUNCE_BUFFERS),
             **{
-                name: device.buffer(size * plane, _HELD.get(name, "the paths")) for name, size in path_bytes(on).items()
+                name: device.buffer(size * plane_stride, _BUFFER_LABELS.get(name, "the paths"))
+                for name, size in path_bytes(self.features).items()
             },
+            "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
+            "total_alive": device.buffer(4, "the compaction"),
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
-            "pixel_offset": device.buffer(4 * pixels, "the allocation"),
-        }
-
-    def _corners(self) -> dict[str, object]:
-        """The corners of the triangles, where they are so few that there is no hierarchy."""
-        if not self.brute_force or not len(self.scene.faces):
-            return {"corners": None, "corner_indices": None, "corner_count": np.uint32(0)}
-        corners, numbers = distinct_corners(self.scene)
-        return {
-            "corners": self.device.buffer(corners, "the triangles"),
-            "corner_indices": self.device.buffer(numbers, "the triangles"),
-            "corner_count": np.uint32(len(corners)),
-        }
-
-    def _environment(self) -> dict[str, object]:
-        """The buffers of the environment map, if there is one."""
-        sky, device = self.scene.environment, self.device
-        if sky is None:
-            return {}
-        return {
-            "environment": device.buffer(sky.record, "the environment map"),
-            "environment_texels": device.buffer(sky.texels, "the environment map"),
-            "environment_rows": device.buffer(sky.rows, "the environment map"),
-            "environment_aliases": device.buffer(sky.aliases, "the environment map"),
-        }
-
-    def _weighed_lights(self) -> dict[str, object]:
-        """The buffers by which one of many lights is picked, if there are as many."""
-        if self.features["LIGHT_LIST"]:
-            return {"light_bounds": self.device.buffer(light_list.build_light_list(self.scene), "the light list")}
-        if not self.features["LIGHT_TREE"]:
-            return {}
-        tree = build_light_tree(self.scene)
-        return {
-            "light_nodes": self.device.buffer(tree.nodes, "the light tree"),
-            "light_parents": self.device.buffer(tree.parents, "the light tree"),
+            "pixel_offset": device.buffer(4 * self.accumulator.pixels, "the allocation"),
         }
 
     def warm_up(self) -> None:
-        """Launches every kernel on nothing: some drivers compile only now, for the local size and the class of grid.
+        """Launch every kernel on nothing, because some drivers compile only now, for a local size and a class of grid.
 
-        Large grids first: what PoCL compiles for them, of 2^16 work-items or more, serves small ones too, not the other
+        Large grids come first: what PoCL compiles for 2^16 or more work-items serves small grids too, but not the other
         way round.
         """
         bounds = ("pixels", "slice_samples", "count_new", "path_count", "rays_per_item", "blocks_in_use")
@@ -234,94 +148,96 @@ class Wavefront:
         self.device.finish()
         self.device.reset_profile()
 
-    def trace(self, allocation: np.ndarray, should_continue: Callable[[int], bool] = lambda entered: True) -> int:
-        """Traces the allocation map, uint32 of shape (height, width); returns how many samples entered the statistics.
+    def trace(self, allocation: np.ndarray, should_continue: Callable[[int], bool] = lambda traced: True) -> int:
+        """Trace the samples of an allocation map and reduce them.
 
-        `should_continue` is asked after every bounce, with the samples that have entered so far. Once it says no, no
-        path begins any more; those in flight come to their end and count. What has entered is always a first part of
-        the map, in pixel order.
+        Parameters
+        ----------
+        allocation : uint32 (height, width), samples per pixel
+        should_continue : called after every bounce with the samples reduced so far; once it returns False no new path
+            starts, and the paths in flight finish
+
+        Returns
+        -------
+        The number of samples that were traced: always the first ones of the map in pixel order
         """
         ends = np.cumsum(allocation.ravel(), dtype=np.int64)
-        total, entered = int(ends[-1]), 0
-        while entered < total and should_continue(entered):
-            end = min(entered + self.slice_samples, total)
-            first, last = np.searchsorted(ends, [entered, end - 1], side="right")
+        total, traced = int(ends[-1]), 0
+        while traced < total and should_continue(traced):
+            end = min(traced + self.slice_samples, total)
+            first, last = np.searchsorted(ends, [traced, end - 1], side="right")
             starts = ends[first : last + 1] - allocation.ravel()[first : last + 1]
-            offsets = np.maximum(starts - entered, 0).astype(np.uint32)
-            traced = self._trace_slice(int(first), offsets, end - entered, partial(should_continue, entered))
-            entered += traced
-            if entered < end:
+            offsets = np.maximum(starts - traced, 0).astype(np.uint32)
+            traced += self._trace_slice(int(first), offsets, end - traced, partial(should_continue, traced))
+            if traced < end:
                 break
-        return entered
+        return traced
 
     def _trace_slice(
         self, first_pixel: int, offsets: np.ndarray, samples: int, should_continue: Callable[[], bool]
     ) -> int:
-        """One slice: pixels first_pixel... whose samples begin at `offsets` of its `samples`; returns those traced."""
+        """Trace and reduce one slice; returns the samples traced.
+
+        `offsets` (pixels,): where in the slice the samples of its pixels begin, from `first_pixel` on.
+        """
         pixels = len(offsets)
         self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
-        of_slice = {"first_pixel": np.uint32(first_pixel), "pixels": np.uint32(pixels)}
-        self._stages.launch("list_samples", pixels, slice_samples=np.uint32(samples), **of_slice)
+        slice_pixels = {"first_pixel": np.uint32(first_pixel), "pixels": np.uint32(pixels)}
+        self._stages.launch("list_samples", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
             samples = self._trace_paths(samples, should_continue)
-        self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **of_slice)
+        self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         self.device.finish()
         return samples
 
     def _trace_paths(self, samples: int, should_continue: Callable[[], bool]) -> int:
-        paths = begun = 0  # in flight; samples whose path has begun
-        while paths or begun < samples:
-            new = min(self.pool_size - paths, samples - begun)
+        """Trace the paths of a slice to their ends; returns how many were started."""
+        in_flight = started = 0
+        while in_flight or started < samples:
+            new = min(self.pool_size - in_flight, samples - started)
             if new:
-                places = {"first_slot": np.uint32(paths), "first_sample": np.uint32(begun)}
-                self._launch("generate", new, count_new=np.uint32(new), **places)
-            begun += new
-            paths = self._bounce(paths + new)
-            if begun < samples and not should_continue():
-                samples = begun
-        return begun
+                first = {"first_slot": np.uint32(in_flight), "first_sample": np.uint32(started)}
+                self._launch("generate", new, count_new=np.uint32(new), **first)
+            started += new
+            in_flight = self._bounce(in_flight + new)
+            if started < samples and not should_continue():
+                samples = started
+        return started
 
     def _launch(self, kernel: str, items: int, **given) -> None:
-        """Runs a kernel over at least `items`, of which a work-item of some kernels takes several."""
+        """Enqueue a kernel over at least `items`; a work-item of some kernels processes several."""
         lanes = self.lanes if kernel in LANE_KERNELS or (self.brute_force and kernel in BRUTE_FORCE_KERNELS) else 1
         lanes = self.shade_lanes if kernel == "shade" else lanes
         self._stages.launch(kernel, items, lanes, **given)
 
     def _bounce(self, paths: int) -> int:
-        """One bounce of all paths in flight; returns how many go on. Waits for the device."""
-        bound = {"path_count": np.uint32(paths)}
+        """Trace all paths in flight for one bounce; returns how many continue. Waits for the device."""
+        path_count = np.uint32(paths)
         self.trace_rays("intersect", paths)
-        self._launch("shade", paths, **bound)
+        self._launch("shade", paths, path_count=path_count)
         if self._shadow:
             self.trace_rays(self._shadow, paths)
         blocks = -(-paths // self.block_size)
-        self._stages.launch("count_alive", blocks, **bound)
+        self._stages.launch("count_alive", blocks, path_count=path_count)
         self._stages.launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
-        self._stages.launch("move_paths", blocks, **bound)
-        of = self._arguments
+        self._stages.launch("move_paths", blocks, path_count=path_count)
+        arguments = self._arguments
         for name in self._path_state:
-            of[name], of[f"next_{name}"] = of[f"next_{name}"], of[name]
-        alive = int(self.device.read(of["total_alive"], np.uint32, 1)[0])
+            arguments[name], arguments[f"next_{name}"] = arguments[f"next_{name}"], arguments[name]
+        alive = int(self.device.read(arguments["total_alive"], np.uint32, 1)[0])
         if self.on_bounce:
             self.on_bounce(paths)
         return alive
 
     def trace_rays(self, stage: str, paths: int) -> None:
-        """Launches a stage that follows rays. On a CPU a work-item takes several, one after the other."""
+        """Launch a stage that traces rays. A work-item of a CPU traces several, one after the other."""
+        path_count = np.uint32(paths)
         if self.brute_force:
-            self._launch(stage, paths, path_count=np.uint32(paths))
+            self._launch(stage, paths, path_count=path_count)
             return
         rays = 1
-        if (
-            self.device.is_cpu and stage != "shadow_transmittance"
-        ):  # and every core has some groups, as long as there are enough
+        if self.device.is_cpu and stage != "shadow_transmittance":  # leaves at least 4 groups for each core
             rays = min(max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1), RAYS_PER_ITEM)
-        self._stages.launch(stage, paths, rays, path_count=np.uint32(paths), rays_per_item=np.uint32(rays))
-
-
-def _sphere_around(bounds: np.ndarray) -> np.ndarray:
-    """Center and radius (4,) float32 of the sphere around a box (2, 3)."""
-    radius = 0.5 * np.linalg.norm(np.ptp(bounds.astype(float), axis=0))
-    return np.append(bounds.mean(axis=0), radius).astype(np.float32)
+        self._stages.launch(stage, paths, rays, path_count=path_count, rays_per_item=np.uint32(rays))
