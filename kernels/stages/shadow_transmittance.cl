@@ -118,7 +118,7 @@ __kernel void shadow_transmittance(
                 const uint flags = as_uint(triangles[TRIANGLE_FLOATS * primitive + 11u]);
                 if (!(flags & SHAPE_PASS_THROUGH)) return;
 #if FEATURE_INSTANCES
-                const Surface s = instanced_surface_of_hit(&scene, instances, traversal.instance, primitive, origin, direction,
+                const Surface s = instanced_surface_of_hit(&scene, traversal.instance, primitive, origin, direction,
                                                        t.lane[lane], u.lane[lane], v.lane[lane]);
 #else
                 const Surface s = triangle_surface(&scene, primitive, u.lane[lane], v.lane[lane]);
@@ -141,7 +141,7 @@ __kernel void shadow_transmittance(
                 Surface s = analytic_surface(&scene, index, from, towards, on);
                 from = spawn_origin(&s, towards);
 #if FEATURE_INSTANCES
-                s = instanced_surface_of_hit(&scene, instances, traversal.instance, ANALYTIC_BIT | index, origin, direction, t,
+                s = instanced_surface_of_hit(&scene, traversal.instance, ANALYTIC_BIT | index, origin, direction, t,
                                          0.0f, 0.0f);
 #endif
                 if (!attenuate(&scene, bsdfs, &s, direction, t, &shadow)) return;
