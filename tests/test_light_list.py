@@ -150,10 +150,12 @@ def reference_probabilities(bounds: np.ndarray, point: np.ndarray, normal: np.nd
     def likely(cosine):
         return np.clip(cosine + apparent, 0, 1) + np.clip(cosine, 0, 1)
 
-    weights = likely(emission) * likely(incidence) * np.minimum(b["intensity"] / distance2, b["most"])
+    weights = likely(emission) * likely(incidence) * np.minimum(b["intensity"] / distance2, b["max_irradiance"])
     weights[emission + apparent <= b["cos_edge"]] = 0
     total = weights.sum()
-    return b["share"] if total == 0 else (1 - BY_INTENSITY) * weights / total + BY_INTENSITY * b["share"]
+    return (
+        b["power_fraction"] if total == 0 else (1 - BY_INTENSITY) * weights / total + BY_INTENSITY * b["power_fraction"]
+    )
 
 
 @pytest.mark.parametrize("kernel", ["probability", "answer_all"])
@@ -206,9 +208,9 @@ def test_all_48_bits_count(device, kernel):
     bounds = np.zeros(4, structs.LIGHT_BOUND)
     low = np.random.default_rng(1).integers(0, 2**24, 1 << 14)
     for tiny in range(4):
-        bounds["share"] = 1 / 3
-        bounds["share"][tiny] = 2.0**-30
-        before = bounds["share"][:tiny].astype(np.float64).sum()
+        bounds["power_fraction"] = 1 / 3
+        bounds["power_fraction"][tiny] = 2.0**-30
+        before = bounds["power_fraction"][:tiny].astype(np.float64).sum()
         high = int(before * 2**24)  # within the 2^-24 that hold the light
         u = np.stack([np.full(len(low), high), low], axis=1)
         picked, stated = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), u, kernel)
@@ -218,7 +220,7 @@ def test_all_48_bits_count(device, kernel):
             assert inside.any()
             np.testing.assert_array_equal(picked == tiny, inside)
         assert (stated[picked == tiny] == np.float32(2.0**-30)).all()
-    bounds["share"] = (0.5, 0, 0.5, 0)
+    bounds["power_fraction"] = (0.5, 0, 0.5, 0)
     picked, _ = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), np.array([[0, 0], [2**24 - 1] * 2]), kernel)
     assert picked.tolist() == [0, 2]
 
@@ -229,7 +231,7 @@ def test_as_the_node_of_a_tree():
     bounds, tree = build_light_list(scene), build_light_tree(scene)
     assert len(tree.nodes) == 1
     lights = ~tree.nodes[0, 11].view(np.int32)[tree.nodes[0, 4] > 0]
-    rows = {"radius": 3, "share": 4, "cos_spread": 8, "sin_spread": 9, "cos_edge": 10}
+    rows = {"radius": 3, "power_fraction": 4, "cos_spread": 8, "sin_spread": 9, "cos_edge": 10}
     for name, row in rows.items():
         np.testing.assert_allclose(bounds[name][lights], tree.nodes[0, row][tree.nodes[0, 4] > 0], atol=1e-7)
 
@@ -241,7 +243,7 @@ def test_scale_changes_no_probability(device, scale):
     expected = all_probabilities(device, bounds, points, normals)
     bounds["center"] *= np.float32(scale)
     bounds["radius"] *= np.float32(scale)
-    bounds["intensity"] *= np.float32(scale) ** 2  # a share times the scene's size squared; `most` has no unit
+    bounds["intensity"] *= np.float32(scale) ** 2  # a share times the scene's size squared; max_irradiance has no unit
     found = all_probabilities(device, bounds, points * np.float32(scale), normals)
     np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)
 

@@ -32,7 +32,7 @@ INLINE void attenuate_interfaces(ShadowState* shadow, __global const Medium* med
 {
     for (uint k = 0u; k < shadow->interfaces.count; ++k) {
         attenuate_medium(shadow, media, shadow->interfaces.distance[k], length);
-        shadow->medium = shadow->interfaces.behind[k];
+        shadow->medium = shadow->interfaces.medium[k];
     }
 }
 #endif

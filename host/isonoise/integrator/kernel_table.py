@@ -236,8 +236,12 @@ SCENE_VIEW = {
     **{"textures.srgb": "srgb", "textures.attributes": "attributes", "textures.faces": "faces"},
     **{"envmap.record": "environment", "envmap.texels": "environment_texels"},
     **{"envmap.rows": "environment_rows", "envmap.aliases": "environment_aliases"},
-    **{"light_list.bounds": "light_bounds", "light_list.lights": "light_count"},
-    **{"light_tree.nodes": "light_nodes", "light_tree.places": "light_parents", "light_tree.lights": "light_count"},
+    **{"light_list.bounds": "light_bounds", "light_list.light_count": "light_count"},
+    **{
+        "light_tree.nodes": "light_nodes",
+        "light_tree.parents": "light_parents",
+        "light_tree.light_count": "light_count",
+    },
 }
 """Member of the struct `SceneView` (kernels/geometry/surface.h) -> kernel argument."""
 

@@ -163,9 +163,9 @@ LIGHT_BOUND = np.dtype(
         ("cos_spread", "f4"),  # of half the cone's angle
         ("sin_spread", "f4"),
         ("cos_edge", "f4"),  # of the angle to a normal up to which light leaves
-        ("share", "f4"),  # of the intensity of all lights; 0 of one without power
-        ("intensity", "f4"),  # the share times the square of a length, the same for all
-        ("most", "f4"),  # the intensity over the square of the least distance that counts
+        ("power_fraction", "f4"),  # of the power of all lights; 0 for a light without power
+        ("intensity", "f4"),  # power_fraction times the square of a length, the same for all
+        ("max_irradiance", "f4"),  # the intensity over the square of the minimum distance
     ]
 )
 """What is known of where a light is, where it shines and how much."""

@@ -34,9 +34,11 @@ def build_light_list(scene: CompiledScene) -> np.ndarray:
         "cos_spread": np.cos(lights.spread),
         "sin_spread": np.where(lights.spread > 0, np.sin(lights.spread), 0.0),
         "cos_edge": np.cos(lights.edge),
-        "share": share,
+        "power_fraction": share,
         "intensity": share * squared_size,
-        "most": share * squared_size / np.maximum(0.25 * lights.radius**2, _MIN_SQUARED_DISTANCE * squared_size),
+        "max_irradiance": share
+        * squared_size
+        / np.maximum(0.25 * lights.radius**2, _MIN_SQUARED_DISTANCE * squared_size),
     }
     bounds = np.zeros(len(scene.lights), structs.LIGHT_BOUND)
     for name, values in fields.items():
