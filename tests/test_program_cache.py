@@ -40,7 +40,7 @@ def keeps_nothing_by_itself(monkeypatch):
 
 def begin_anew(monkeypatch, folder):
     monkeypatch.setattr(opencl, "_programs", {})
-    monkeypatch.setattr(opencl, "_to_keep", {})
+    monkeypatch.setattr(opencl, "_programs_to_store", {})
     return folder
 
 
@@ -48,14 +48,14 @@ def begin_anew(monkeypatch, folder):
 def compiled(monkeypatch):
     """The source texts that are compiled from now on."""
     texts = []
-    built = Device._built
+    built = Device._build_program
 
     def note(self, program, options):
         if program.get_info(opencl._opencl().program_info.SOURCE):
             texts.append(options)
         return built(self, program, options)
 
-    monkeypatch.setattr(Device, "_built", note)
+    monkeypatch.setattr(Device, "_build_program", note)
     return texts
 
 
@@ -67,7 +67,7 @@ def roots(options=OPTIONS) -> bytes:
 
 
 def later_process(monkeypatch, folder) -> bytes:
-    opencl._keep_programs()
+    opencl._store_programs()
     begin_anew(monkeypatch, folder)
     return roots()
 
@@ -82,7 +82,7 @@ def test_a_program_that_was_kept_gives_the_same_bits(folder, compiled, monkeypat
 @pytest.mark.parametrize("harm", ["empty", "cut off", "one bit", "foreign", "no program", "a folder"])
 def test_a_broken_file_is_as_good_as_none_and_is_replaced(folder, compiled, monkeypatch, harm):
     first = roots()
-    opencl._keep_programs()
+    opencl._store_programs()
     (file,) = folder.iterdir()
     whole = file.read_bytes()
     flipped = bytearray(whole)
@@ -130,8 +130,8 @@ def test_off_keeps_nothing(monkeypatch, tmp_path, compiled):
 def test_pocl_keeps_its_programs_by_itself(folder, compiled, monkeypatch):
     monkeypatch.setattr(Device, "is_pocl", True)
     first = roots()
-    assert not opencl._to_keep  # asked for at the process's end, its binaries take as long as the first image
-    program_cache.store(program_cache.program_key(SOURCE, OPTIONS, Device()._driver), b"is not looked for")
+    assert not opencl._programs_to_store  # asked for at the process's end, its binaries take as long as the first image
+    program_cache.store(program_cache.program_key(SOURCE, OPTIONS, Device()._cache_identity), b"is not looked for")
     assert later_process(monkeypatch, folder) == first
     assert len(compiled) == 2
 
@@ -170,14 +170,14 @@ def test_every_part_of_the_key_counts():
 
 def test_other_options_are_another_program(folder, compiled, monkeypatch):
     first = roots()
-    opencl._keep_programs()
+    opencl._store_programs()
     begin_anew(monkeypatch, folder)
     assert roots((OPTIONS[0], "-DOFFSET=0.4f")) != first
     assert len(compiled) == 2
 
 
 def test_the_size_is_bounded_and_the_oldest_go(folder, monkeypatch):
-    monkeypatch.setattr(program_cache, "SIZE_LIMIT", 3500)
+    monkeypatch.setattr(program_cache, "MAX_SIZE_BYTES", 3500)
     for age, name in enumerate(["now", "yesterday", "last week"]):
         program_cache.store(name, bytes(1000))
         os.utime(folder / name, (1e9 - age, 1e9 - age))
@@ -202,18 +202,18 @@ def test_readers_see_whole_files_while_others_write(folder):
 
 def test_a_driver_without_binaries_is_no_error(folder, compiled, monkeypatch):
     roots()
-    (kept,) = opencl._to_keep.values()
+    (kept,) = opencl._programs_to_store.values()
 
     class Silent:
         def get_info(self, what):
             raise opencl._opencl().RuntimeError("clGetProgramInfo failed: INVALID_VALUE")
 
-    monkeypatch.setattr(opencl, "_to_keep", {"a": Silent(), "b": kept})
-    opencl._keep_programs()
+    monkeypatch.setattr(opencl, "_programs_to_store", {"a": Silent(), "b": kept})
+    opencl._store_programs()
     assert [file.name for file in folder.iterdir()] == ["b"]
 
 
 def test_what_does_not_compile_is_an_error_and_is_not_kept(folder):
     with pytest.raises(DeviceError, match="refused"):
         Device().build("__kernel void wrong( {}", OPTIONS)
-    assert not opencl._to_keep
+    assert not opencl._programs_to_store

@@ -1,0 +1,1 @@
+"""OpenCL: devices, programs and their cache, buffers, launches."""

@@ -1,4 +1,4 @@
-"""The one place that owns the OpenCL context and queue: picks a device, builds programs, makes buffers, launches."""
+"""Owns the OpenCL context and queue: selects a device, builds programs, creates buffers, launches kernels."""
 
 import atexit
 import contextlib
@@ -18,19 +18,19 @@ from isonoise.device import program_cache
 from isonoise.errors import DeviceError
 
 LOCAL_SIZE = 64
-"""Work-items a group, the same at every launch of a kernel: PoCL compiles it anew for every local size."""
+"""Work-items per work-group, the same for every launch of a kernel: PoCL compiles it anew for every local size."""
 SMALL_LOCAL_SIZE = 8
-"""Work-items a group where each does the work of many. PoCL gives a thread half of the groups that are left, which with
-few large ones leaves the others idle at the end."""
+"""Work-items per work-group of kernels whose work-items each do much work. PoCL gives a thread half of the remaining
+groups, so with few large groups some threads are idle at the end."""
 
 _ALIGNMENT = 4096
-"""Bytes: of what a driver takes without a copy."""
+"""Bytes. Drivers use host memory of this alignment without a copy."""
 
 
 @functools.cache
 def _opencl():
-    _give_pocl_a_cache()
-    # pyopencl's own cache would add nothing to the drivers' and fail in a read-only home
+    _set_pocl_cache_folder()
+    # pyopencl's own cache would duplicate the drivers' caches and fail in a read-only home
     os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
     try:
         import pyopencl
@@ -39,8 +39,8 @@ def _opencl():
     return pyopencl
 
 
-def _give_pocl_a_cache() -> None:
-    """Points PoCL to a folder for compiled kernels where its own cannot be made: without one it offers no device."""
+def _set_pocl_cache_folder() -> None:
+    """Point PoCL to another cache folder if it cannot create its own: without one it offers no device."""
     if "POCL_CACHE_DIR" in os.environ:
         return
     try:
@@ -48,23 +48,23 @@ def _give_pocl_a_cache() -> None:
         (home / "pocl").mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=home / "pocl"):
             return
-    except (OSError, RuntimeError):  # RuntimeError: there is no home at all
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
         user = os.getuid() if hasattr(os, "getuid") else 0
         folder = Path(tempfile.gettempdir()) / f"isonoise-pocl-{user}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        if folder.stat().st_uid != user:  # somebody else's: code must not be loaded from there
+        if folder.stat().st_uid != user:  # another user's: code must not be loaded from there
             folder = Path(tempfile.mkdtemp(prefix="isonoise-pocl-"))
         os.environ["POCL_CACHE_DIR"] = str(folder)
 
 
 def driver_advice() -> str:
-    """Which OpenCL driver to get on this system."""
+    """Which OpenCL driver to install on this system."""
     if platform.system() == "Linux" and platform.machine() in ("x86_64", "AMD64"):
         return "install PoCL for the CPU with: pip install pocl-binary-distribution; or the driver of your GPU's vendor"
     if platform.system() == "Linux":
         return "install PoCL from your distribution (package pocl-opencl-icd), or the driver of your GPU's vendor"
     if platform.system() == "Darwin":
-        return "macOS brings OpenCL with it; install pyopencl from its wheel: pip install --force-reinstall pyopencl"
+        return "macOS includes OpenCL; reinstall pyopencl's wheel: pip install --force-reinstall pyopencl"
     return "install the driver of your GPU's vendor, or Intel's OpenCL runtime for the CPU"
 
 
@@ -80,9 +80,9 @@ def list_devices() -> list:
 
 
 def select_device(choice: str | int | None = None):
-    """The device of the list's place `choice`, or the first whose name or platform contains it; the default if None.
+    """The OpenCL device with the number `choice`, or the first whose name or platform contains it; None: the default.
 
-    Raises DeviceError, with the list, if there is none.
+    Raises DeviceError, with the list of devices, if there is none.
     """
     devices = list_devices()
     if not devices:
@@ -95,7 +95,7 @@ def select_device(choice: str | int | None = None):
     for device in devices:
         if text and text.lower() in f"{device.platform.name} {device.name}".lower() and not text.isdigit():
             return device
-    names = "\n".join(f"  {place}: {device.name} ({device.platform.name})" for place, device in enumerate(devices))
+    names = "\n".join(f"  {number}: {device.name} ({device.platform.name})" for number, device in enumerate(devices))
     raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
 
 
@@ -104,54 +104,60 @@ def is_cpu(device) -> bool:
 
 
 def driver_identity(device) -> tuple[str, ...]:
-    """Names and versions that tell a device with its driver from others."""
+    """Names and versions that identify a device and its driver."""
     platform = device.platform
     return platform.name, platform.version, device.name, device.version, device.driver_version
 
 
 @functools.cache
 def _context(device):
-    """One context a device and process: programs are built for a context, and renders in a row share them."""
+    """One context per device and process: programs belong to a context, and successive renders share them."""
     return _opencl().Context([device])
 
 
 _programs: dict[tuple, object] = {}
-"""Programs built so far, by context, source and options."""
+"""(context, source, options) -> program built in this process."""
 
-_to_keep: dict[str, object] = {}
-"""Programs that were compiled in this process, by their key in the cache of programs."""
+_programs_to_store: dict[str, object] = {}
+"""Cache key -> program compiled in this process."""
 
 
 @atexit.register
-def _keep_programs() -> None:
-    """Puts what was compiled into the cache: last, when it delays no image.
+def _store_programs() -> None:
+    """Write the compiled programs to the cache; at exit, so that no image is delayed.
 
-    By now the binaries hold what some drivers compile at a kernel's first launch.
+    By then the binaries include what some drivers compile at a kernel's first launch.
     """
     if program_cache.cache_folder() is None:
         return
-    with contextlib.suppress(KeyboardInterrupt):  # nobody wants to wait
-        while _to_keep:
-            key, program = _to_keep.popitem()
-            with contextlib.suppress(_opencl().Error):  # a driver without binaries
+    with contextlib.suppress(KeyboardInterrupt):
+        while _programs_to_store:
+            key, program = _programs_to_store.popitem()
+            with contextlib.suppress(_opencl().Error):  # the driver offers no binaries
                 program_cache.store(key, program.get_info(_opencl().program_info.BINARIES)[0])
 
 
-def _host_memory(nbytes: int) -> np.ndarray:
-    """Memory of zeros that a CPU's driver takes as a buffer's own. numpy asks the system for large pages where it is
-    large: with small ones every step of a ray through a million triangles looks up where a page lies. Pages that nobody
-    writes to are not there at all."""
-    memory = np.zeros(nbytes + _ALIGNMENT, np.uint8)
+def _aligned_zeros(size_bytes: int) -> np.ndarray:
+    """Host memory of zeros that a CPU driver uses as a buffer without a copy.
+
+    From numpy, because it requests huge pages for large arrays: with small ones every step of a ray through a million
+    triangles misses the TLB. Pages that are never written take no memory.
+    """
+    memory = np.zeros(size_bytes + _ALIGNMENT, np.uint8)
     begin = -memory.ctypes.data % _ALIGNMENT
-    return memory[begin : begin + nbytes]
+    return memory[begin : begin + size_bytes]
 
 
 class Device:
-    """Context, in-order queue, buffers and programs on one OpenCL device.
+    """Context, in-order queue, buffers and programs of one OpenCL device.
 
-    With `profile` it keeps how often every kernel was launched (`launches`, by name) and for how many seconds the
-    device worked on it (`seconds`), of the launches that have been waited for. `on_launch`, if there is one, then gets
-    every launch in its order: kernel, items, seconds.
+    Parameters
+    ----------
+    choice : str, int or None
+        As for `select_device`.
+    profile : bool
+        Measure the launches that have been waited for: `launches` counts them by kernel name, `seconds` adds up their
+        time on the device. `on_launch`, if set, is called for each in order: kernel name, items, seconds.
     """
 
     def __init__(self, choice: str | int | None = None, profile: bool = False):
@@ -160,8 +166,8 @@ class Device:
         self.context = _context(self.device)
         self.allocated = 0
         self.on_launch: Callable[[str, int, float], None] | None = None
-        self._running: list[tuple] = []  # kernel, items and event of the launches since the last wait
-        self._given_up: list[np.ndarray] = []  # memory of the buffers that nobody holds since the last wait
+        self._pending_launches: list[tuple] = []  # kernel, items and event since the last wait
+        self._released_memory: list[np.ndarray] = []  # of buffers released since the last wait
         self._open_queue(profile)
         self.reset_profile()
 
@@ -169,13 +175,13 @@ class Device:
         self.profile = profile
         properties = self._cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self.queue = self._cl.CommandQueue(self.context, properties=properties)
-        # nothing is at work on memory that goes with the device
-        self._last_wait = weakref.finalize(self, self.queue.finish)
+        # launches must not outlive the memory that is freed with this object
+        self._finalizer = weakref.finalize(self, self.queue.finish)
 
     def set_profiling(self, on: bool) -> None:
-        """Goes on with a queue that keeps times, or with one that doesn't; waits for the device."""
+        """Continue with a queue that measures launches, or with one that does not. Waits for the device."""
         self.finish()
-        self._last_wait.detach()
+        self._finalizer.detach()
         self._open_queue(on)
 
     @property
@@ -184,10 +190,10 @@ class Device:
 
     @property
     def lanes(self) -> int:
-        """Paths that a work-item takes where there is a choice: kernels/path/path_state.h.
+        """Paths per work-item in kernels that support several (kernels/path/path_state.h).
 
-        PoCL's loop over work-items becomes vector instructions in simple kernels only, a loop of the kernel's own more
-        often. Other compilers, and GPUs, do it with work-items.
+        PoCL vectorises across work-items only in trivial kernels, but often vectorises a loop inside a kernel. Other
+        compilers, and GPUs, vectorise across work-items.
         """
         return 64 if self.is_cpu and self.is_pocl else 1
 
@@ -201,7 +207,7 @@ class Device:
 
     @property
     def shares_memory(self) -> bool:
-        """Whether the host's memory may be a buffer's own."""
+        """Whether buffers can use the host's memory without a copy."""
         return self.is_cpu
 
     @property
@@ -209,85 +215,87 @@ class Device:
         return self.device.max_compute_units
 
     def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
-        """Builds one text; returns its kernels by name. Raises DeviceError with the compiler's log."""
+        """Build a program; return its kernels by name. Raises DeviceError with the compiler's log."""
         cached = _programs.get((self.context, source, options))
         if cached is None:
             cached = _programs[self.context, source, options] = self._compile(source, options)
         return {kernel.function_name: kernel for kernel in cached.all_kernels()}
 
     def _compile(self, source: str, options: tuple[str, ...]):
-        """The program from the cache, or built from its text and to be kept.
+        """The program from the cache, or compiled and registered for it.
 
-        Not with PoCL, which keeps what it compiles by itself: asked for a binary, it compiles every kernel once more,
-        for work-groups of any size, which takes as long as the first time.
+        PoCL has a cache of its own. Asked for a binary, it compiles every kernel once more, for work-groups of any
+        size, which takes as long as the first time.
         """
-        keeps = program_cache.cache_folder() is not None and not self.is_pocl
-        key = program_cache.program_key(source, options, self._driver)
-        binary = program_cache.load(key) if keeps else None
+        use_cache = program_cache.cache_folder() is not None and not self.is_pocl
+        key = program_cache.program_key(source, options, self._cache_identity)
+        binary = program_cache.load(key) if use_cache else None
         if binary is not None:
             try:
-                return self._built(self._cl.Program(self.context, [self.device], [binary]), options)
-            except self._cl.Error:  # the driver no longer takes what it made: the text is there
+                return self._build_program(self._cl.Program(self.context, [self.device], [binary]), options)
+            except self._cl.Error:  # the driver rejects its own binary: compile the source
                 pass
         try:
-            program = self._built(self._cl.Program(self.context, source), options)
+            program = self._build_program(self._cl.Program(self.context, source), options)
         except self._cl.Error as error:
             raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
-        if keeps:
-            _to_keep[key] = program
+        if use_cache:
+            _programs_to_store[key] = program
         return program
 
-    def _built(self, program, options: tuple[str, ...]):
+    def _build_program(self, program, options: tuple[str, ...]):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", self._cl.CompilerWarning)  # some drivers report every success
             return program.build(options=list(options), cache_dir=False)
 
     @functools.cached_property
-    def _driver(self) -> tuple[str, ...]:
-        """What a compiled program depends on beside its text."""
+    def _cache_identity(self) -> tuple[str, ...]:
+        """What a compiled program depends on besides its source and options."""
         return (*driver_identity(self.device), f"{LOCAL_SIZE} {SMALL_LOCAL_SIZE}")
 
-    def buffer(self, size: int | np.ndarray, what: str):
-        """A buffer of `size` bytes filled with zeros, or with the array's content; `what` names it in errors."""
+    def buffer(self, content: int | np.ndarray, label: str):
+        """A buffer of `content` bytes of zeros, or a copy of the array `content`. `label` names it in errors."""
         flags = self._cl.mem_flags
-        nbytes = size.nbytes if isinstance(size, np.ndarray) else int(size)
+        is_array = isinstance(content, np.ndarray)
+        size_bytes = content.nbytes if is_array else int(content)
         limit = min(self.device.max_mem_alloc_size, self.device.global_mem_size - self.allocated)
-        if nbytes > limit:
+        if size_bytes > limit:
             raise DeviceError(
-                f"{what} needs {nbytes / 2**20:.0f} MiB, but {self.name} gives at most {limit / 2**20:.0f} MiB "
+                f"{label} needs {size_bytes / 2**20:.0f} MiB, but {self.name} gives at most {limit / 2**20:.0f} MiB "
                 "for one buffer; render a smaller image or scene, or choose another device with --device"
             )
-        self.allocated += nbytes
-        whole_words = max(-(-nbytes // 4), 1) * 4
+        self.allocated += size_bytes
+        padded_bytes = max(-(-size_bytes // 4), 1) * 4  # to whole words
         if self.shares_memory:
-            content = _host_memory(whole_words)
-            if isinstance(size, np.ndarray):
-                content[:nbytes] = np.ascontiguousarray(size).reshape(-1).view(np.uint8)
-            # pyopencl lets go of the array with the buffer, on whose memory launches may still be at work
-            weakref.finalize(content, self._given_up.append, content.base).atexit = False
-            return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=content)
-        if isinstance(size, np.ndarray) and nbytes:
+            memory = _aligned_zeros(padded_bytes)
+            if is_array:
+                memory[:size_bytes] = np.ascontiguousarray(content).reshape(-1).view(np.uint8)
+            # pyopencl frees the array with the buffer, although launches may still use it: keep it until the next wait
+            weakref.finalize(memory, self._released_memory.append, memory.base).atexit = False
+            return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=memory)
+        if is_array and size_bytes:
             return self._cl.Buffer(
-                self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(size)
+                self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(content)
             )
-        buffer = self._cl.Buffer(self.context, flags.READ_WRITE, whole_words)
-        self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, whole_words)
+        buffer = self._cl.Buffer(self.context, flags.READ_WRITE, padded_bytes)
+        self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, padded_bytes)
         return buffer
 
     def launch(
         self, kernel, items: int, arguments: tuple, per_work_item: int = 1, local_size: int = LOCAL_SIZE
     ) -> None:
-        """Runs a kernel over at least `items`; kernels return at once beyond their own bound."""
+        """Run a kernel over at least `items` items; kernels return early beyond their own bound."""
         groups = -(-items // (per_work_item * local_size))
         event = kernel(self.queue, (groups * local_size,), (local_size,), *arguments)
         if self.profile:
-            self._running.append((kernel, items, event))
+            self._pending_launches.append((kernel, items, event))
 
     def write(self, buffer, array: np.ndarray, offset: int = 0) -> None:
+        """Copy the array into the buffer at `offset` bytes."""
         self._cl.enqueue_copy(self.queue, buffer, np.ascontiguousarray(array), dst_offset=offset)
 
     def read(self, buffer, dtype, count: int, offset: int = 0) -> np.ndarray:
-        """`count` numbers from the buffer, from number `offset` on; waits for the device."""
+        """Elements `offset` to `offset` + `count` of the buffer. Waits for the device."""
         dtype = np.dtype(dtype)
         array = np.empty(count, dtype)
         if count:
@@ -297,9 +305,9 @@ class Device:
 
     @contextlib.contextmanager
     def mapped(self, buffer, dtype, count: int) -> Iterator[np.ndarray]:
-        """The buffer's first `count` numbers, to be read within the context; waits for the device.
+        """The buffer's first `count` elements, readable within the `with` block. Waits for the device.
 
-        Where host and device share their memory nothing is copied.
+        Nothing is copied if host and device share their memory.
         """
         array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, self._cl.map_flags.READ, 0, (count,), dtype)
         self._after_wait()
@@ -309,22 +317,23 @@ class Device:
             array.base.release(self.queue)
 
     def finish(self) -> None:
+        """Wait for the device."""
         self.queue.finish()
         self._after_wait()
 
     def reset_profile(self) -> None:
-        """Begins to count launches and seconds anew."""
-        self._running.clear()
+        """Set the counts of launches and seconds to 0."""
+        self._pending_launches.clear()
         self.launches: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
 
     def _after_wait(self) -> None:
-        """The queue is in order, so all that was launched is done."""
-        self._given_up.clear()
-        for kernel, items, event in self._running:
+        """The queue is in order, so all launches are done."""
+        self._released_memory.clear()
+        for kernel, items, event in self._pending_launches:
             name, seconds = kernel.function_name, 1e-9 * (event.profile.end - event.profile.start)
             self.launches[name] += 1
             self.seconds[name] += seconds
             if self.on_launch:
                 self.on_launch(name, items, seconds)
-        self._running.clear()
+        self._pending_launches.clear()

@@ -1,8 +1,7 @@
-"""Compiled programs between processes: the driver's binaries in files of ours.
+"""Cache of compiled programs on disk, for drivers that have none. Used by `device.opencl` and `device.pool_size`.
 
-A file is for one text, its options and one device with its driver; its content begins with its own hash. Whatever is
-not as it should be (a folder that cannot be written, a file cut off or from elsewhere) counts as not there: the cache
-saves time and is never a reason to fail.
+A file belongs to one source, its options and one device with its driver; it begins with a hash of its content. Invalid
+files count as missing and errors are ignored: the cache saves time and never makes a render fail.
 """
 
 import contextlib
@@ -14,26 +13,26 @@ from collections.abc import Iterable
 from pathlib import Path
 
 FOLDER_VARIABLE = "ISONOISE_PROGRAM_CACHE"
-"""Environment variable with the folder in place of the usual one, or `off`."""
-SIZE_LIMIT = 256 * 2**20
-"""Bytes of all files together; a program has 50 to 500 thousand. What was not used for longest goes first."""
+"""Environment variable with another folder, or `off`."""
+MAX_SIZE_BYTES = 256 * 2**20
+"""Of all files together; a program has 50 to 500 kB. The least recently used files are removed first."""
 
 _MAGIC = b"isonoise program 1\n"
 _HASH_SIZE = hashlib.sha256().digest_size
 
 
 def cache_folder() -> Path | None:
-    """Where the files are, whether or not it is there already; None if programs shall not be kept."""
+    """Folder of the files, which may not exist yet; None if the cache is off."""
     chosen = os.environ.get(FOLDER_VARIABLE)
     if chosen:
         return None if chosen.lower() == "off" else Path(chosen)
     try:
-        return _caches_of_user() / "isonoise" / "programs"
-    except RuntimeError:  # there is no home
+        return _user_cache_folder() / "isonoise" / "programs"
+    except RuntimeError:  # no home folder
         return None
 
 
-def _caches_of_user() -> Path:
+def _user_cache_folder() -> Path:
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     if sys.platform == "darwin":
@@ -42,8 +41,8 @@ def _caches_of_user() -> Path:
 
 
 def program_key(source: str, options: Iterable[str], driver: Iterable[str]) -> str:
-    """Name of a program's file. `driver`: whatever tells apart devices and versions of their drivers."""
-    parts = [source, *options, "", *driver]  # no option and no fact is empty
+    """Name of a program's file. `driver` identifies the device and the version of its driver."""
+    parts = [source, *options, "", *driver]  # "" separates the two: no part is empty
     digest = hashlib.sha256()
     for part in parts:
         text = part.encode()
@@ -52,7 +51,7 @@ def program_key(source: str, options: Iterable[str], driver: Iterable[str]) -> s
 
 
 def load(key: str) -> bytes | None:
-    """The program's binary, if it is there and whole."""
+    """The program's binary; None if there is none or it is damaged."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -60,16 +59,16 @@ def load(key: str) -> bytes | None:
         content = (folder / key).read_bytes()
     except OSError:
         return None
-    head, binary = content[: len(_MAGIC) + _HASH_SIZE], content[len(_MAGIC) + _HASH_SIZE :]
-    if head != _MAGIC + hashlib.sha256(binary).digest():
+    header, binary = content[: len(_MAGIC) + _HASH_SIZE], content[len(_MAGIC) + _HASH_SIZE :]
+    if header != _MAGIC + hashlib.sha256(binary).digest():
         return None
     with contextlib.suppress(OSError):
-        os.utime(folder / key)  # it was used now
+        os.utime(folder / key)  # last use
     return binary
 
 
 def store(key: str, binary: bytes) -> None:
-    """Keeps the program's binary, in place of an older one; processes may do so at the same time."""
+    """Write the program's binary atomically; several processes may do so at the same time."""
     folder = cache_folder()
     if folder is None:
         return
@@ -81,30 +80,30 @@ def store(key: str, binary: bytes) -> None:
             os.replace(temporary, folder / key)
         finally:
             temporary.unlink(missing_ok=True)
-        _remove_oldest(folder)
+        _remove_least_recently_used(folder)
     except OSError:
         return
 
 
-def forget(key: str) -> None:
-    """Removes the file, if it is there."""
+def remove(key: str) -> None:
+    """Remove the file if it exists."""
     folder = cache_folder()
     if folder is not None:
         with contextlib.suppress(OSError):
             (folder / key).unlink()
 
 
-def _remove_oldest(folder: Path) -> None:
-    """Removes the files that were not used for longest, until the rest is within the limit."""
+def _remove_least_recently_used(folder: Path) -> None:
+    """Remove files until the rest is within the limit."""
     files = []
     for entry in os.scandir(folder):
-        with contextlib.suppress(FileNotFoundError):  # another process removes as well
-            state = entry.stat()
-            files.append((state.st_mtime, state.st_size, entry.path))
-    size = sum(size for _, size, _ in files)
-    for _, its_size, path in sorted(files):
-        if size <= SIZE_LIMIT:
+        with contextlib.suppress(FileNotFoundError):  # removed by another process
+            status = entry.stat()
+            files.append((status.st_mtime, status.st_size, entry.path))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
+        if total <= MAX_SIZE_BYTES:
             break
         with contextlib.suppress(FileNotFoundError):
             os.unlink(path)
-        size -= its_size
+        total -= size
