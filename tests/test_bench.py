@@ -574,7 +574,7 @@ def test_what_is_built_in_is_told_from_what_is_used(monkeypatch, capsys):
     result = json.loads(Path("special.json").read_text())
     assert fields(result) == documented()[2]
     special, *others = result["scenes"][0]["builds"]
-    assert [special["build"], *(build["build"] for build in others)] == ["specialised", "path", "feature_superset"]
+    assert [special["build"], *(build["build"] for build in others)] == ["specialised", "path", "everything"]
     assert special["specialised_ratio"] == {"median": 1, "min": 1, "max": 1}
     for build in others:
         assert build["features"] == special["features"] + len(more)
@@ -602,9 +602,9 @@ def test_other_pictures_are_not_the_same_bits():
 @pytest.mark.parametrize(
     ("integrator", "more", "names"),
     [
-        ("path", {}, ["specialised", "path", "feature_superset"]),
+        ("path", {}, ["specialised", "path", "everything"]),
         ("path", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "path"]),
-        ("volpath", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "feature_superset"]),
+        ("volpath", {"pane": {"type": "rectangle", "bsdf": {"type": "null"}}}, ["specialised", "everything"]),
     ],
 )
 def test_programs_that_a_scene_is_measured_with(integrator, more, names):

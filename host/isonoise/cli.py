@@ -218,7 +218,7 @@ def _add_bench(commands) -> None:
     instead.add_argument(
         "--specialisation",
         action="store_true",
-        help="measure the speed over that of programs with feature_superset built in, instead; see below",
+        help="measure the speed over that of programs with more features than the scene uses, instead; see below",
     )
     output = bench.add_argument_group("what to do with it")
     output.add_argument("--json", metavar="FILE", help="write all figures; fields: host/docs/benchmarks.md")
@@ -338,7 +338,7 @@ def _bench_epilog() -> str:
             "libLLVM, 19 or newer.",
             "",
             "--specialisation takes turns with programs that hold more than the scene uses: `path` what scenes of that",
-            "integrator may use, `feature_superset` what those of volpath may besides. It compares the images, too.",
+            "integrator may use, `everything` what those of volpath may besides. It compares the images, too.",
             "What is compiled for the first time is compiled in processes of their own: that takes",
             "a minute a scene on a CPU.",
             "",

@@ -1,4 +1,4 @@
-"""What it brings that a program holds only what its scene uses: against programs that hold feature_superset, in turn.
+"""`bench --specialisation`: a scene's own program against programs with more features than it uses, in turn.
 
 Run as a module it compiles one program, in a process and with caches of its own, and prints how long that takes.
 """
@@ -41,7 +41,7 @@ Build = tuple[Needs, dict[str, bool] | None]
 def builds(scene: CompiledScene) -> dict[str, Build]:
     """The programs that a scene is measured with, by name: needs and features, None for those that it uses.
 
-    `path` has all that scenes for the integrator `path` may use, `feature_superset` what those for `volpath` may
+    `path` has all that scenes for the integrator `path` may use, `everything` what those for `volpath` may
     besides: there a work-item takes one path. A scene of `path` with surfaces that let paths through looks another way
     under `volpath`, so it has no such program; one of `volpath` has no other.
     """
@@ -50,7 +50,7 @@ def builds(scene: CompiledScene) -> dict[str, Build]:
     if not used["VOLPATH"]:
         found["path"] = (EVERY_STATISTIC, feature_superset(used, volpath=False))
     if used["VOLPATH"] or not (used["NULL"] or used["MASK"]):
-        found["feature_superset"] = (EVERY_STATISTIC, feature_superset(used, volpath=True))
+        found["everything"] = (EVERY_STATISTIC, feature_superset(used, volpath=True))
     return found
 
 
