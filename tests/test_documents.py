@@ -20,8 +20,8 @@ PACKAGE = CHECKOUT / "host" / "isonoise"
 DOCS = CHECKOUT / "host" / "docs"
 README = (CHECKOUT / "README.md").read_text("utf-8")
 KERNEL_TEXT = (CHECKOUT / "kernels" / "README.md").read_text("utf-8")
-EXAMPLES = {"proportional.py", "kernels/stages/name.cl"}
-"""Files that documents tell readers to write."""
+EXAMPLES = ("proportional", "name.cl", "name_parameters", "FEATURE_NAME", "FEATURE_X", "importtime", "shufflevector")
+"""Parts of names in the documents that are no names of the sources."""
 DOCUMENTS = sorted({*CHECKOUT.glob("*.md"), *CHECKOUT.glob("*/README.md"), *DOCS.glob("*.md")})
 
 
@@ -105,13 +105,29 @@ def test_every_document_is_listed():
         assert f"](docs/{path.name})" in listed, path.name
 
 
+@pytest.fixture(scope="module")
+def source_names():
+    """All words of the sources, and the paths of the files."""
+    folders = ("host", "kernels", "scenes", "tests")
+    files = [file for folder in folders for file in (CHECKOUT / folder).rglob("*") if "__pycache__" not in file.parts]
+    sources = [file for file in files if file.suffix in (".py", ".cl", ".h", ".xml", ".j2", ".csv")]
+    texts = [file.read_text("utf-8") for file in [*sources, CHECKOUT / "pyproject.toml"] if file != Path(__file__)]
+    paths = [f"/{file.relative_to(CHECKOUT)}" for file in files]
+    return set(re.findall(r"\w+", "\n".join([*texts, *paths]))), paths
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(CHECKOUT)))
-def test_source_files_that_are_named_exist(path):
-    """A name in backticks that looks like a source file is the end of some file's path."""
-    folders = ("host", "kernels", "tests")
-    files = [f"/{file.relative_to(CHECKOUT)}" for folder in folders for file in (CHECKOUT / folder).rglob("*.*")]
-    for name in re.findall(r"`([\w/-]+\.(?:py|cl|h))`", path.read_text("utf-8")):
-        assert name in EXAMPLES or any(file.endswith(f"/{name}") for file in files), name
+def test_names_in_backticks_exist(path, source_names):
+    """Every word in backticks is in some source, and what looks like a source file is the end of some file's path."""
+    words, paths = source_names
+    text = re.sub(r"```.*?```", "", path.read_text("utf-8"), flags=re.DOTALL)
+    for quoted in re.findall(r"`([^`]+)`", text):
+        if path.name == "CHANGELOG.md" or any(example in quoted for example in EXAMPLES):
+            continue
+        for word in re.findall(r"[A-Za-z_]\w{3,}", quoted):
+            assert word in words, quoted
+        if re.fullmatch(r"[\w/-]+\.(py|cl|h)", quoted):
+            assert any(file.endswith(f"/{quoted}") for file in paths), quoted
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(CHECKOUT)))
