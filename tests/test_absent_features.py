@@ -21,13 +21,20 @@ from isonoise.integrator.feature_costs import cost, stages_with
 from isonoise.integrator.feature_superset import DUMMY_BYTES
 from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, LANE_KERNELS, PATH_STATE, STRUCTS, path_bytes
+from isonoise.integrator.kernel_table import (
+    BRUTE_FORCE_KERNELS,
+    CONSTANTS,
+    KERNELS,
+    LANE_KERNELS,
+    PATH_STATE,
+    STRUCTS,
+    path_bytes,
+)
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene import builtin_scenes, compile_scene, load, structs
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.light import light_list
 from isonoise.scene.light.envmap import ENVIRONMENT
-from isonoise.scene.material import textures
 from isonoise.statistics import BASIC_NEEDS, Needs
 
 STAGES = sorted({row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values()})
@@ -56,7 +63,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     cpp = shutil.which("cpp")
     if cpp is None:
         pytest.skip("no C preprocessor 'cpp' on PATH")
-    constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
+    constants = CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     parts = []

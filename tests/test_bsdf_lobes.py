@@ -15,8 +15,9 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import STRUCTS
-from isonoise.scene import load, structs
+from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
+from isonoise.scene import load
+from isonoise.scene.material.bsdf_kinds import KINDS, feature_of
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.material.presets import conductors
 from isonoise.scene.material.rough_transmittance import NODES, inner_reflectance, rough_boundary
@@ -33,7 +34,7 @@ BsdfContext shading(__global const Bsdf* bsdf, __global const float* rough_trans
     ctx.normal = LOAD3(2, frame);
     ctx.wi = wi;
     ctx.cos_i = dot3(ctx.normal, wi);
-#if HAS_FRAMES
+#if HAS_SHADING_FRAME
     ctx.s = LOAD3(0, frame);
     ctx.t = LOAD3(1, frame);
 #endif
@@ -199,15 +200,13 @@ def device():
 
 def build(device: Device, off: tuple[str, ...] = ()) -> dict:
     """The kernels, with all that materials can be but textures."""
-    on = {name.removeprefix("BSDF_") for name in structs.CONSTANTS if name.startswith("BSDF_")}
+    on = {feature_of(kind) for kind in KINDS.values()}
     on |= {"NEXT_EVENT", "BECKMANN", "SAMPLE_ALL_NORMALS"}
     source = program.kernel_source
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lobes.cl" else source(name))
         features = {name: name in on and name not in off for name in FEATURES}
-        return device.build(
-            *program.stage_source("lobes.cl", STRUCTS, structs.CONSTANTS, features, generated_headers())
-        )
+        return device.build(*program.stage_source("lobes.cl", STRUCTS, CONSTANTS, features, generated_headers()))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,8 @@ import pytest
 from isonoise.device.opencl import Device
 from isonoise.integrator.kernel_table import KERNELS
 from isonoise.renderer import Renderer
+from isonoise.scene.light.light_kinds import light_header
+from isonoise.scene.material.bsdf_kinds import bsdf_header
 from isonoise.scene.vocabulary import PLUGINS
 from isonoise.statistics import BASIC_NEEDS, Needs
 from isonoise.strategies.registry import BUILT_IN, DEFAULT_STRATEGY
@@ -79,8 +81,10 @@ def test_every_strategy_is_named():
 def test_every_kernel_and_header_is_named():
     for kernel in KERNELS:
         assert f"`{kernel}`" in KERNEL_TEXT, kernel
+    in_tables = set(re.findall(r'#include "(.*)"', bsdf_header() + light_header()))
     for file in (CHECKOUT / "kernels").rglob("*.h"):
-        assert f"`{file.name}`" in KERNEL_TEXT, file.name
+        if str(file.relative_to(CHECKOUT / "kernels")) not in in_tables:
+            assert f"`{file.name}`" in KERNEL_TEXT, file.name
 
 
 def heading_anchor(heading: str) -> str:

@@ -13,13 +13,12 @@ from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.feature_superset import feature_superset
 from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import STRUCTS, kernel_table
+from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS, kernel_table
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, load, structs
+from isonoise.scene import builtin_scenes, compile_scene, load
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light import light_list
-from isonoise.scene.material import textures
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
@@ -96,7 +95,7 @@ def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
 @pytest.mark.parametrize(("lanes", "off"), [(1, ()), (64, ("VOLPATH",))])
 def test_all_build(device, lanes, off):
     """What launches them takes twice as long, and is among the long tests."""
-    constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(EVERY_STATISTIC)
+    constants = CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     for few in (False, True):

@@ -15,7 +15,7 @@ from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import KERNELS, STRUCTS
+from isonoise.integrator.kernel_table import CONSTANTS, KERNELS, STRUCTS
 from isonoise.integrator.stages import Stages
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.loop import render
@@ -80,7 +80,7 @@ class Traced:
         source = program.kernel_source
         monkeypatch.setattr(program, "kernel_source", lambda name: PROBE if name == "probe.cl" else source(name))
         self.probe = device.build(
-            *program.stage_source("probe.cl", STRUCTS, structs.CONSTANTS, self.features, generated_headers())
+            *program.stage_source("probe.cl", STRUCTS, CONSTANTS, self.features, generated_headers())
         )["probe"]
         monkeypatch.setattr(program, "kernel_source", source)
 

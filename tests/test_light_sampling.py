@@ -14,8 +14,9 @@ from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene import compile_scene, load, structs
+from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.material import textures
 from isonoise.scene.mesh.triangle_records import triangle_records
 from isonoise.scene.spectra import srgb_to_linear
@@ -170,7 +171,7 @@ def lit():
     on |= {"CYLINDERS", "TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS", "MANY_LIGHTS", "NEXT_EVENT"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
-        constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}
+        constants, features = CONSTANTS, {name: name in on for name in FEATURES}
         kernels = device.build(*program.stage_source("lights.cl", STRUCTS, constants, features, generated_headers()))
     return lambda **objects: Lit(device, kernels, **objects)
 
@@ -193,7 +194,7 @@ class Patch:
     def __init__(self, scene, light: int):
         self.scene, self.record = scene, scene.lights[light]
         self.shape = (
-            None if self.record["kind"] == structs.LIGHT_TRIANGLE else scene.analytics[self.record["primitive"]]
+            None if self.record["kind"] == light_bits("triangle") else scene.analytics[self.record["primitive"]]
         )
 
     @property

@@ -16,11 +16,12 @@ from small_scene import lamp_over_floor
 import isonoise
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
-from isonoise.integrator.kernel_table import STRUCTS
+from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene import structs
-from isonoise.scene.light import light_bounds, light_tree
+from isonoise.scene.light import light_tree
+from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.light.light_tree import BVH_WIDTH, LIGHT_NODE_ROWS, build_light_tree
-from isonoise.scene.material import textures
+from isonoise.scene.light.lights import compute_light_bounds
 
 Z = 5.0
 BATCHES = 12
@@ -73,7 +74,7 @@ class OnDevice:
 
     def __init__(self):
         self.device = Device()
-        constants = structs.CONSTANTS | textures.CONSTANTS
+        constants = CONSTANTS
         text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, dtype) for name, dtype in STRUCTS.items())]
         text += [f"#define {name} {value}u" for name, value in constants.items()]
         text += [flatten("light/light_tree.h"), KERNELS]
@@ -169,12 +170,12 @@ def _under(tree, reference: int) -> list[int]:
 def _shines_from(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of a light, the normals by which it shines there (zero: to all sides), and the cosine from which on."""
     zero, half = np.zeros((count, 3)), np.zeros(count)
-    if light["kind"] == structs.LIGHT_POINT:
+    if light["kind"] == light_bits("point"):
         return np.tile(light["position"], (count, 1)), zero, half
-    if light["kind"] == structs.LIGHT_SPOT:
+    if light["kind"] == light_bits("spot"):
         axis = np.tile(light["axis"], (count, 1))
         return np.tile(light["position"], (count, 1)), axis, np.full(count, np.cos(light["cutoff"]))
-    if light["kind"] == structs.LIGHT_TRIANGLE:
+    if light["kind"] == light_bits("triangle"):
         face, weights = scene.faces[light["primitive"]], rng.dirichlet(np.ones(3), count)
         corners = scene.vertices[face].astype(np.float64)
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
@@ -185,13 +186,13 @@ def _shines_from(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray,
         return weights @ corners, unit(normals), half
     record = scene.analytics[light["primitive"]]
     flip = -1.0 if scene.shapes["flags"][record["shape"]] & structs.SHAPE_FLIP_NORMALS else 1.0
-    if light["kind"] == structs.LIGHT_SPHERE:
+    if light["kind"] == light_bits("sphere"):
         out = unit(rng.normal(size=(count, 3)))
         return record["center"] + record["radius"] * out, flip * out, half
     matrix, inverse = (record[name].reshape(3, 4).astype(np.float64) for name in ("to_world", "to_object"))
     angle = rng.uniform(0, 2 * np.pi, count)
     around = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
-    if light["kind"] == structs.LIGHT_DISK:
+    if light["kind"] == light_bits("disk"):
         on, normal = around * rng.uniform(0, 1, (count, 1)), np.tile([0.0, 0.0, 1.0], (count, 1))
     else:
         on, normal = around + np.outer(rng.uniform(0, 1, count), [0, 0, 1]), around
@@ -232,7 +233,7 @@ def test_intensity_is_the_largest_that_a_light_has():
         spot={"type": "spot", "intensity": 17.0, "cutoff_angle": 30.0},
     )
     expected = np.array([2 * 3.0, 2 * 3.0, np.pi / 4 * 5.0, np.pi * 7.0, 2 * 0.5 * 2 * 11.0, 13.0, 17.0])
-    intensity = light_bounds.compute_light_bounds(scene, scene.lights).intensity
+    intensity = compute_light_bounds(scene, scene.lights).intensity
     np.testing.assert_allclose(intensity / intensity[0], expected / expected[0], rtol=1e-5)
 
 

@@ -17,8 +17,9 @@ from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import PATH_STATE, STRUCTS
+from isonoise.integrator.kernel_table import CONSTANTS, PATH_STATE, STRUCTS
 from isonoise.scene import compile_scene, load, structs
+from isonoise.scene.material.bsdf_kinds import bsdf_bits
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.material.rough_transmittance import NODES
 from isonoise.scene.mesh.triangle_records import triangle_records
@@ -85,7 +86,7 @@ def phase():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lobes.cl" else source(name))
         on = {name: name in ("MEDIA", "VOLPATH", "NEXT_EVENT") for name in FEATURES}
-        kernels = device.build(*program.stage_source("lobes.cl", STRUCTS, structs.CONSTANTS, on, generated_headers()))
+        kernels = device.build(*program.stage_source("lobes.cl", STRUCTS, CONSTANTS, on, generated_headers()))
     return lambda g, lit=True: Phase(kernels, device, g, lit)
 
 
@@ -650,7 +651,7 @@ def test_media_of_a_file(scene_of):
     assert own["sigma_t"] == pytest.approx([1.0] * 3)
     assert own["albedo"] == pytest.approx([0.1, 0.2, 0.3])
     phases = compiled.bsdfs[[fog["phase"], own["phase"]]]
-    assert (phases["kind"] == structs.BSDF_HG).all()
+    assert (phases["kind"] == bsdf_bits("hg")).all()
     assert phases["values"][:, 0] == pytest.approx([0.0, 0.8])
     assert (phases["flags"] & structs.BSDF_NO_LIGHT_SAMPLING).astype(bool).tolist() == [False, True]
     sphere, cube, plain = compiled.shapes["media"]

@@ -20,17 +20,15 @@ from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, LANE_KERNELS, STRUCTS
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, CONSTANTS, KERNELS, LANE_KERNELS, STRUCTS
 from isonoise.renderer import Renderer
-from isonoise.scene import structs
-from isonoise.scene.material import textures
 from isonoise.statistics import Needs
 
 FOLDER = Path(str(resources.files("isonoise.kernels")))
 FILES = sorted(str(file.relative_to(FOLDER)) for file in FOLDER.rglob("*") if file.suffix in (".cl", ".h"))
 STAGES = [name for name in FILES if name.endswith(".cl")]
 HEADERS = generated_headers()
-CONSTANTS = structs.CONSTANTS | textures.CONSTANTS | build_constants(Needs(batch=2))
+CONSTANTS = CONSTANTS | build_constants(Needs(batch=2))
 CONSTANTS |= {
     "LANES": 1,
     "PATHS_PER_BLOCK": 64,

@@ -6,6 +6,7 @@ from records import slot
 
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.light.alias_table import alias_table, alias_tables, selection_probabilities
+from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 
@@ -76,7 +77,7 @@ def test_lights_of_a_shape_follow_its_primitives():
     assert scene.shapes["first_light"].tolist() == [structs.NONE, structs.NONE, 0, 2, 14]
     assert scene.shapes["first_primitive"].tolist() == [0, 0, 12, 14, 1]
     assert scene.lights["primitive"].tolist() == [*range(12, 26), 1]
-    assert scene.lights["kind"][-1] == structs.LIGHT_SPHERE
+    assert scene.lights["kind"][-1] == light_bits("sphere")
     for light, face in zip(scene.lights[:14], scene.faces[12:], strict=True):
         a, b, c = scene.vertices[face]
         assert light["area"] == pytest.approx(0.5 * np.linalg.norm(np.cross(b - a, c - a)))
@@ -182,6 +183,6 @@ def test_what_shines_and_names_no_material_reflects_nothing():
     lamp = {"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}}
     scene = compile_scene(_scene(lamp=lamp, ball={"type": "sphere"}))
     lit = scene.shapes["first_light"] != structs.NONE
-    reflectance = slot(scene.bsdfs, 0)[scene.shapes["bsdf"]]
+    reflectance = slot(scene.bsdfs, "reflectance")[scene.shapes["bsdf"]]
     assert (reflectance[lit] == 0).all()
     assert (reflectance[~lit] == 0.5).all()

@@ -294,7 +294,7 @@ def test_bare_obj_takes_colours_and_light_from_its_mtl(write):
     text = f"mtllib folder/it.mtl\n{quads}f 1 2 3 4\nusemtl red\nf 5 6 7 8\nusemtl lamp\nf -4 -3 -2 -1\n"
     scene = compile_scene(load(write("it.obj", text)))
     assert scene.environment_light == -1
-    colours = slot(scene.bsdfs, 0)[scene.shapes["bsdf"]]
+    colours = slot(scene.bsdfs, "reflectance")[scene.shapes["bsdf"]]
     np.testing.assert_allclose(colours, [[0.5] * 3, [0.8, 0.1, 0.1], [0] * 3], rtol=1e-6)
     assert len(scene.lights) == 2
     np.testing.assert_allclose(scene.lights["radiance"][0] / scene.radiance_scale, [17, 12, 4], rtol=1e-6)
@@ -318,7 +318,7 @@ def test_bare_glb_takes_placement_colours_and_emission(tmp_path):
     scene.export(path)
     compiled = compile_scene(load(path))
     np.testing.assert_allclose(compiled.bounds, [[-11, -0.5, -0.5], [1, 0.5, 0.5]], atol=1e-6)
-    colours = slot(compiled.bsdfs, 0)[compiled.shapes["bsdf"]]
+    colours = slot(compiled.bsdfs, "reflectance")[compiled.shapes["bsdf"]]
     np.testing.assert_allclose(colours, [[1, 0, 0.2], [0, 0, 0]], rtol=1e-6)
     np.testing.assert_allclose(compiled.lights["radiance"][0] / compiled.radiance_scale, [1, 0.5, 0.25], rtol=1e-6)
     for first in (0, 12):  # mirrored as they are, both boxes face outwards

@@ -88,7 +88,7 @@ def test_conductor_defaults(scene_of):
     def eta_and_k(xml):
         shape = f'<shape type="sphere"><bsdf type="conductor">{xml}</bsdf></shape>'
         bsdfs = compile_scene(scene_of(shape)).bsdfs
-        return slot(bsdfs, 2)[0], slot(bsdfs, 3)[0]
+        return slot(bsdfs, "eta")[0], slot(bsdfs, "k")[0]
 
     eta, k = eta_and_k("")
     assert eta.tolist() == [0, 0, 0]
@@ -104,7 +104,7 @@ def test_conductor_defaults(scene_of):
 def test_dielectric_indices(scene_of):
     def eta(xml):
         shape = f'<shape type="sphere"><bsdf type="dielectric">{xml}</bsdf></shape>'
-        return float(slot(compile_scene(scene_of(shape)).bsdfs, 2)[0, 0])
+        return float(slot(compile_scene(scene_of(shape)).bsdfs, "ior")[0, 0])
 
     assert eta("") == pytest.approx(1.504183292388916, rel=1e-7)  # Mitsuba 3.9.1
     assert eta('<float name="int_ior" value="1.0"/>') == pytest.approx(0.9997230172157288, rel=1e-7)

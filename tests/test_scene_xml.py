@@ -5,7 +5,8 @@ import pytest
 from records import slot
 
 from isonoise.errors import SceneError
-from isonoise.scene import builtin_scenes, compile_scene, load, structs
+from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene.material.bsdf_kinds import bsdf_bits
 
 SHAPE = '<shape type="sphere" id="ball">{}</shape>'
 
@@ -126,7 +127,7 @@ def test_defaults_are_those_of_mitsuba(scene_of):
     camera = scene.camera[0]
     assert (camera["filter_stddev"], camera["filter_radius"]) == (0.5, 2.0)
     assert (camera["near_clip"], camera["far_clip"]) == (np.float32(0.01), 10_000)
-    assert slot(scene.bsdfs, 0).tolist() == [[0.5, 0.5, 0.5]]
+    assert slot(scene.bsdfs, "reflectance").tolist() == [[0.5, 0.5, 0.5]]
 
 
 @pytest.mark.parametrize(
@@ -253,4 +254,4 @@ def test_public_scenes(public_scenes):
     scene = compile_scene(load(folder / "floating_sphere" / "test_directional_direct.xml"))
     assert (len(scene.faces), scene.max_depth) == (32514, 2)
     scene = compile_scene(load(public_scenes / "cbox-spheres" / "scene.xml"))
-    assert {structs.BSDF_DIFFUSE, structs.BSDF_THIN_DIELECTRIC} <= set(scene.bsdfs["kind"])
+    assert {bsdf_bits("diffuse"), bsdf_bits("thin_dielectric")} <= set(scene.bsdfs["kind"])

@@ -17,9 +17,9 @@ from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import STRUCTS
-from isonoise.scene import structs
+from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene.material import textures
+from isonoise.scene.material.bsdf_kinds import KINDS, feature_of
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.material.rough_transmittance import NODES
 from isonoise.scene.material.textures import Textures
@@ -199,11 +199,11 @@ def material(with_images):
 def scatter():
     """What a material does: (n, 13) value, pdf, sampled direction, weight, pdf and eta, and whether the path passes."""
     device, source = Device(), program.kernel_source
-    on = {name.removeprefix("BSDF_") for name in structs.CONSTANTS if name.startswith("BSDF_")}
+    on = {feature_of(kind) for kind in KINDS.values()}
     on |= {"NEXT_EVENT", "BECKMANN", "TEXTURES", "BITMAPS", "UVS"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "wrapped.cl" else source(name))
-        constants, features = structs.CONSTANTS | textures.CONSTANTS, {name: name in on for name in FEATURES}
+        constants, features = CONSTANTS, {name: name in on for name in FEATURES}
         kernel = device.build(*program.stage_source("wrapped.cl", STRUCTS, constants, features, generated_headers()))[
             "scatter"
         ]

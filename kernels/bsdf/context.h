@@ -1,39 +1,35 @@
-// Where a path scatters: the material there, its frame and its parameters. Directions point away from the surface and are unit.
+// The BSDF at a path vertex: its record, shading frame and parameters, and the sample that a BSDF returns.
+// Directions are unit and point away from the surface.
 #pragma once
 #include "path/path_state.h"
 #include "texture/texture.h"
 #include "util/math.h"
 
 #define HAS_BUMPS (FEATURE_BUMP || FEATURE_NORMAL_MAP)
-#define HAS_FRAMES (HAS_BUMPS || FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
-
-#define FRAMED_BSDFS (BSDF_ROUGH_CONDUCTOR | BSDF_ROUGH_DIELECTRIC | BSDF_ROUGH_PLASTIC | BSDF_PRINCIPLED)
-#define DELTA_BSDFS (BSDF_DIELECTRIC | BSDF_THIN_DIELECTRIC | BSDF_CONDUCTOR)
-
 #define NO_BUMP (-1.0f)
 
 typedef struct {
     __global const Bsdf* bsdfs;
-    uint bsdf;  // of them, one that wraps no other
-    Vec3 normal;              // shading normal
-    Vec3 wi;                  // where the path came from, in world space
-    float cos_i;                // of wi to the normal; not negative for materials of two sides
-#if HAS_FRAMES
-    Vec3 s, t;  // with the normal, an orthonormal frame; s goes along dp/du. Right-handed, but for turned materials
+    uint bsdf;    // index of a BSDF that is no wrapper
+    Vec3 normal;  // shading normal
+    Vec3 wi;      // where the path came from, in world space
+    float cos_i;  // of wi and the normal; not negative for two-sided BSDFs
+#if HAS_SHADING_FRAME
+    Vec3 s, t;  // orthonormal frame with the normal; s goes along dp/du. Right-handed, unless flipped to the viewer
 #endif
 #if FEATURE_ROUGH_PLASTIC
-    __global const float* rough_transmittances;  // of `scene.boundaries`
+    __global const float* rough_transmittances;  // tables of host/isonoise/scene/material/rough_transmittance.py
 #endif
 #if HAS_BUMPS
-    bool flipped;  // to the viewer: the normal is the surface's from behind
-    float shadow;  // alpha^2 of what shadows the bump, NO_BUMP where there is none
+    bool flipped;  // to the viewer: the normal is opposite to the surface's
+    float shadow;  // alpha^2 of the bump shadowing function, NO_BUMP without a bump or normal map
 #endif
 #if FEATURE_TEXTURES
     const Textures* textures;
     TexturePoint point;
 #endif
 #if FEATURE_TEXTURES && LANES > 1
-    const float* parameters;  // what textures show in the slots, LANES numbers a member: path/lane_state.h
+    const float* parameters;  // texture values of the slots, LANES numbers a member: path/lane_state.h
 #endif
 } BsdfContext;
 
@@ -42,7 +38,7 @@ INLINE Bsdf material(const BsdfContext* ctx)
     return Bsdf_at(ctx->bsdfs, ctx->bsdf);
 }
 
-// A parameter of the material that is a colour, and one that is a number.
+// The parameter in a slot (SLOT_<KIND>_<NAME>), as a colour or as a number.
 INLINE Vec3 lookup_rgb(const BsdfContext* ctx, uint slot)
 {
 #if FEATURE_TEXTURES
@@ -62,7 +58,7 @@ INLINE float lookup_float(const BsdfContext* ctx, uint slot)
     return material(ctx).values[3u * slot];
 }
 
-// The same where light is scattered: there what textures show may have been kept (path/lane_state.h).
+// The same for evaluation and sampling, where textures may have been looked up before (path/lane_state.h).
 #if FEATURE_TEXTURES && LANES > 1
 INLINE Vec3 bsdf_rgb(const BsdfContext* ctx, uint slot)
 {
@@ -80,7 +76,7 @@ INLINE float bsdf_float(const BsdfContext* ctx, uint slot)
 #define bsdf_float lookup_float
 #endif
 
-#if HAS_FRAMES
+#if HAS_SHADING_FRAME
 INLINE Vec3 to_local(const BsdfContext* ctx, Vec3 world)
 {
     return vec3(dot3(world, ctx->s), dot3(world, ctx->t), dot3(world, ctx->normal));
@@ -92,26 +88,24 @@ INLINE Vec3 to_world(const BsdfContext* ctx, Vec3 v)
 }
 #endif
 
-#define STRAIGHT -2.0f
-
-// Mirrored and refracted directions are made unit again: over a path of many such steps their rounding would add up.
+// Reflected and refracted directions are normalised: over a path of many such bounces their rounding would add up.
 typedef struct {
     Vec3 direction;  // unit, in world space
     Vec3 weight;     // bsdf * |cos| / pdf; 0 if the path ends
-    float pdf;         // solid angle; negative if the lobe is a delta function, STRAIGHT if the path goes on as it came
-    float eta;         // index of the side that `direction` is on over that of the incident side
+    float pdf;       // solid angle; negative if the lobe is a delta function
+    float eta;       // index of refraction on the side of `direction` over that of the incident side
+    bool is_null;    // the path goes straight on, as if there was no surface
 } BsdfSample;
 
-// Every member has a value: what has none in one path would be taken from the one before it in a loop over paths.
+// A sample that ends the path. Every member is set: in a loop over lanes an unset one would be the previous lane's.
 INLINE BsdfSample empty_bsdf_sample(void)
 {
-    const BsdfSample sample = {splat3(0.0f), splat3(0.0f), 1.0f, 1.0f};
+    const BsdfSample sample = {splat3(0.0f), splat3(0.0f), 1.0f, 1.0f, false};
     return sample;
 }
 
-// What lets a path through as if nothing was there.
 INLINE BsdfSample null_bsdf_sample(Vec3 direction)
 {
-    const BsdfSample sample = {direction, splat3(1.0f), STRAIGHT, 1.0f};
+    const BsdfSample sample = {direction, splat3(1.0f), -1.0f, 1.0f, true};
     return sample;
 }

@@ -1,14 +1,12 @@
-// Surfaces of many small mirrors: distributions of their normals, masking, sampling. In the surface's frame: z is its normal.
-// Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; names and numbers as in Mitsuba 3.
+// Microfacet distributions, masking and sampling of normals, in the shading frame: z is the surface's normal.
+// Used by the rough BSDFs. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; names and numbers as in Mitsuba 3.
 #pragma once
-#include "util/math.h"
+#include "bsdf/context.h"
 
-#define HAS_MICROFACETS (FEATURE_ROUGH_CONDUCTOR || FEATURE_ROUGH_DIELECTRIC || FEATURE_ROUGH_PLASTIC || FEATURE_PRINCIPLED)
-#define HAS_EXP_APPROX (FEATURE_BECKMANN || FEATURE_PRINCIPLED)
 #define MIN_ALPHA 1e-4f
 
-#if HAS_EXP_APPROX
-// e^x for x <= 0, to 2e-7 of it: 2^k times Taylor's polynomial on |rest| <= ln(2) / 2.
+#if FEATURE_BECKMANN || HAS_EXP_APPROX
+// e^x for x <= 0, relative error 2e-7: 2^k times Taylor's polynomial on |rest| <= ln(2) / 2.
 INLINE float exp_approx(float x)
 {
     if (x < -87.0f) return 0.0f;
@@ -20,7 +18,7 @@ INLINE float exp_approx(float x)
     return p * as_float((uint)(k + 127) << 23);
 }
 
-// Natural logarithm of a positive number that is not denormal, by the series of atanh on [1 / sqrt(2), sqrt(2)].
+// Natural logarithm of a positive normal number: the series of atanh on [1 / sqrt(2), sqrt(2)].
 INLINE float log_approx(float x)
 {
     const uint shifted = as_uint(x) - 0x3F3504F3u;  // of 1 / sqrt(2)
@@ -31,7 +29,7 @@ INLINE float log_approx(float x)
 #endif
 
 #if FEATURE_BECKMANN
-// To 1.5e-7, for x >= 0 with e^(-x^2) at hand. Abramowitz and Stegun, Handbook of Mathematical Functions, 7.1.26.
+// erf(x) for x >= 0, absolute error 1.5e-7; `gaussian` is e^(-x^2). Abramowitz and Stegun, Handbook of Mathematical Functions, 7.1.26.
 INLINE float erf_approx(float x, float gaussian)
 {
     const float t = 1.0f / (1.0f + 0.3275911f * x);
@@ -45,7 +43,7 @@ INLINE float erfinv_approx(float x)
     float w = -log_approx((1.0f - x) * (1.0f + x)), p;
     if (w < 5.0f) {
         w -= 2.5f;
-        const float w2 = w * w, w4 = w2 * w2;  // short chains: nothing but their latency costs here
+        const float w2 = w * w, w4 = w2 * w2;  // short dependency chains: latency is the only cost here
         p = (1.50140941f + w * 0.246640727f) + w2 * (-0.00417768164f - w * 0.00125372503f) +
             w4 * ((0.00021858087f - w * 4.39150654e-06f) + w2 * (-3.5233877e-06f + w * 3.43273939e-07f)) +
             w4 * w4 * 2.81022636e-08f;
@@ -69,7 +67,7 @@ INLINE float erfinv_approx(float x)
 typedef struct {
     float alpha_u, alpha_v;  // roughness along x and y
     bool is_ggx;             // else Beckmann
-    bool sample_all;         // normals are sampled whether they are seen or not
+    bool sample_all;         // sample all normals, not only the visible ones
 } MicrofacetDistribution;
 
 INLINE MicrofacetDistribution make_microfacets(float alpha_u, float alpha_v, uint flags)
@@ -77,12 +75,12 @@ INLINE MicrofacetDistribution make_microfacets(float alpha_u, float alpha_v, uin
     MicrofacetDistribution d;
     d.alpha_u = MAX(alpha_u, MIN_ALPHA);
     d.alpha_v = MAX(alpha_v, MIN_ALPHA);
-    d.is_ggx = !FEATURE_BECKMANN || (flags & BSDF_GGX);
+    d.is_ggx = !(FEATURE_BECKMANN && (flags & BSDF_BECKMANN));
     d.sample_all = FEATURE_SAMPLE_ALL_NORMALS && (flags & BSDF_SAMPLE_ALL_NORMALS);
     return d;
 }
 
-// D(m): area of the facets with normal m, for an area of the surface.
+// D(m): area of the facets with normal m per area of the surface.
 INLINE float microfacet_d(const MicrofacetDistribution* d, Vec3 m)
 {
     const float x = m.x / d->alpha_u, y = m.y / d->alpha_v, slope2 = x * x + y * y, cos2 = m.z * m.z;
@@ -94,10 +92,10 @@ INLINE float microfacet_d(const MicrofacetDistribution* d, Vec3 m)
     else
 #endif
         density = 1.0f / (area * (slope2 + cos2) * (slope2 + cos2));
-    return density * m.z > 1e-20f ? density : 0.0f;  // Mitsuba's bound; not a number is none either
+    return density * m.z > 1e-20f ? density : 0.0f;  // Mitsuba's bound; also catches NaN
 }
 
-// Smith's G1(v) / |cos v|: the share of the facets that are seen from v, without a division by a cosine that may vanish.
+// Smith's G1(v) / |cos v|, without a division by the cosine, which may vanish. G1 is the share of the facets visible from v.
 INLINE float smith_g1_over_cos(const MicrofacetDistribution* d, Vec3 v)
 {
     const float x = d->alpha_u * v.x, y = d->alpha_v * v.y, q = x * x + y * y, z = abs_float(v.z);
@@ -115,7 +113,7 @@ INLINE float smith_g1(const MicrofacetDistribution* d, Vec3 v)
     return smith_g1_over_cos(d, v) * abs_float(v.z);
 }
 
-// Solid angle density of `sample_microfacet` for a normal that is seen from w, if D(m) is `density`.
+// Pdf of `sample_microfacet` in solid angle for a normal m visible from w; `density` is D(m).
 INLINE float microfacet_pdf(const MicrofacetDistribution* d, Vec3 w, Vec3 m, float density)
 {
     return density * (d->sample_all ? m.z : smith_g1_over_cos(d, w) * dot3(w, m));
@@ -131,15 +129,15 @@ INLINE Vec3 sample_visible_ggx(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
     const float s = 0.5f * (1.0f + v.z);
     p.y = (1.0f - s) * SQRT(MAX(1.0f - p.x * p.x, 0.0f)) + s * p.y;
     const float z = SQRT(MAX(1.0f - dot2(p, p), 0.0f));
-    const float along = z * sin2 * inverse - p.y * v.z;  // in the plane of v and the normal
+    const float along = z * sin2 * inverse - p.y * v.z;  // component in the plane of v and the normal
     const float up = z * v.z + p.y * sin2 * inverse;
     return normalize3(vec3(d->alpha_u * (along * cos_phi - p.x * sin_phi), d->alpha_v * (along * sin_phi + p.x * cos_phi),
                      MAX(up, 0.0f)));
 }
 
 #if FEATURE_BECKMANN
-// Slope along the plane of incidence of a surface of roughness 1 seen under a tangent: the distribution function is inverted in
-// the variable x = erf(slope), where it is nearly straight, by two steps of Halley's method: to 3e-5 of the distribution.
+// Visible slope along the plane of incidence of a surface of roughness 1; `tangent` is that of the angle of incidence. Inverts the
+// distribution function in the variable x = erf(slope), in which it is nearly linear, by two steps of Halley's method, to 3e-5.
 // After W. Jakob, "An Improved Visible Normal Sampling Routine for the Beckmann Distribution", 2014, whose steps are Newton's.
 INLINE float sample_visible_slope_beckmann(float tangent, float u)
 {
@@ -174,7 +172,7 @@ INLINE Vec3 sample_visible_beckmann(const MicrofacetDistribution* d, Vec3 w, Vec
 #endif
 
 #if FEATURE_SAMPLE_ALL_NORMALS
-// By density D(m) cos m: slopes of a surface of roughness 1, stretched.
+// Samples with density D(m) cos m: slopes of a surface of roughness 1, stretched.
 INLINE Vec3 sample_all_microfacets(const MicrofacetDistribution* d, Vec2 u)
 {
     float tan2 = u.x / (1.0f - u.x);
@@ -186,7 +184,7 @@ INLINE Vec3 sample_all_microfacets(const MicrofacetDistribution* d, Vec2 u)
 }
 #endif
 
-// A facet's normal for a path that came from w, w.z > 0.
+// Samples the normal of a facet for a path from w, w.z > 0.
 INLINE Vec3 sample_microfacet(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
 {
 #if FEATURE_SAMPLE_ALL_NORMALS
@@ -197,4 +195,20 @@ INLINE Vec3 sample_microfacet(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
 #endif
     return sample_visible_ggx(d, w, u);
 }
+
+#if (FEATURE_ROUGH_DIELECTRIC && FEATURE_NEXT_EVENT) || FEATURE_PRINCIPLED
+// The microfacet of a rough interface that reflects or refracts w, w.z > 0, into o: its normal m, the cosines between m and w, o,
+// and the Jacobian |dm / do|. `eta`: index of the far side over that of the near side. Returns whether there is such a facet.
+INLINE bool generalized_half_vector(Vec3 w, Vec3 o, float eta, Vec3* m, float* cos_w, float* cos_o, float* jacobian)
+{
+    const bool reflects = o.z > 0.0f;
+    const Vec3 between = reflects ? add3(w, o) : add3(w, scale3(o, eta));
+    *m = normalize3(between);
+    *m = scale3(*m, copy_sign(1.0f, (*m).z));
+    *cos_w = dot3(w, *m);
+    *cos_o = dot3(o, *m);
+    *jacobian = reflects ? 0.25f / *cos_o : eta * eta * abs_float(*cos_o) / dot3(between, between);
+    return *cos_w > 0.0f && *cos_o * o.z > 0.0f && *jacobian < INFINITY;
+}
+#endif
 #endif

@@ -1,13 +1,10 @@
-// Materials that wrap others: which of them a path meets, in which frame.
+// BSDFs that hold others (wrappers): which inner BSDF a path scatters at, and with which shading frame.
 #pragma once
 #include "bsdf/context.h"
 #include "geometry/surface.h"
 
-#define HAS_NESTED_BSDFS (FEATURE_FRONT_BACK || FEATURE_MASK || FEATURE_BLEND || FEATURE_BUMP || FEATURE_NORMAL_MAP)
-#define HAS_PASS_THROUGH (FEATURE_MASK || FEATURE_NULL)
-
 #if FEATURE_TWOSIDED || FEATURE_FRONT_BACK
-// Materials of two sides show the same on both: what is behind the surface is mirrored to before it.
+// Turns a two-sided BSDF to the viewer: it scatters the same on both sides.
 INLINE void flip_to_viewer(BsdfContext* ctx)
 {
     ctx->normal = neg3(ctx->normal);
@@ -18,8 +15,8 @@ INLINE void flip_to_viewer(BsdfContext* ctx)
 }
 #endif
 
-#if HAS_FRAMES
-// The frame about at->normal whose s goes along dp/du, where there is such a direction.
+#if HAS_SHADING_FRAME
+// The frame around the shading normal whose s goes along dp/du, if dp/du is not parallel to the normal.
 INLINE void set_shading_frame(BsdfContext* ctx, const Surface* s)
 {
 #if FEATURE_UVS
@@ -34,17 +31,17 @@ INLINE void set_shading_frame(BsdfContext* ctx, const Surface* s)
 #endif
 
 #if HAS_BUMPS
-// The normal of the surface that a height, or a map of normals, makes of this one, in the frame there. As Mitsuba 3
-// (3.9, bumpmap.cpp, normalmap.cpp and what they share) has it.
+// The normal of a bump or normal map, in the shading frame. As in Mitsuba 3 (3.9, bumpmap.cpp and normalmap.cpp).
 INLINE Vec3 perturbed_normal(const BsdfContext* ctx, const Surface* s)
 {
     Vec3 bumped = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (material(ctx).kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(lookup_rgb(ctx, 0), 2.0f), splat3(1.0f));
+    if (material(ctx).kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(lookup_rgb(ctx, SLOT_NORMAL_MAP_NORMALMAP), 2.0f), splat3(1.0f));
 #endif
 #if FEATURE_BUMP
     if (material(ctx).kind & BSDF_BUMP) {
-        const Vec2 slope = scale2(texture_gradient(ctx->textures, material(ctx).textures[0], &ctx->point), material(ctx).values[3]);
+        const uint height = material(ctx).textures[SLOT_BUMP_HEIGHT];
+        const Vec2 slope = scale2(texture_gradient(ctx->textures, height, &ctx->point), material(ctx).constants[CONSTANT_BUMP_SCALE]);
         const Vec3 along_u = add3(s->dp_du, scale3(s->normal, slope.x - dot3(s->normal, s->dp_du)));
         const Vec3 along_v = add3(s->dp_dv, scale3(s->normal, slope.y - dot3(s->normal, s->dp_dv)));
         const Vec3 normal = cross3(along_u, along_v);
@@ -52,14 +49,14 @@ INLINE Vec3 perturbed_normal(const BsdfContext* ctx, const Surface* s)
         bumped = vec3(dot3(outward, ctx->s), dot3(outward, ctx->t), dot3(outward, s->normal));
     }
 #endif
-    // seen from behind it is turned to the viewer: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
+    // a normal that faces away from the viewer is flipped: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
     const Vec3 wi = to_local(ctx, ctx->wi);
     if (!(material(ctx).flags & BSDF_KEEP_INVALID_NORMALS) && wi.z * dot3(wi, bumped) <= 0.0f) bumped = vec3(-bumped.x, -bumped.y, bumped.z);
     bumped = normalize3(bumped);
     return dot3(bumped, bumped) > 0.0f ? bumped : vec3(0.0f, 0.0f, 1.0f);
 }
 
-// Takes the bumped normal for the shading normal; the frame stays as right- or left-handed as it is.
+// Replaces the shading normal and frame by those of the map. The handedness of the frame stays.
 INLINE void perturb_frame(BsdfContext* ctx, const Surface* s)
 {
     const Vec3 bumped = perturbed_normal(ctx, s), along = sub3(vec3(1.0f, 0.0f, 0.0f), scale3(bumped, bumped.x));
@@ -74,9 +71,9 @@ INLINE void perturb_frame(BsdfContext* ctx, const Surface* s)
     ctx->shadow = material(ctx).flags & BSDF_NO_BUMP_SHADOWING ? 0.0f : MIN(0.125f * tan2, 1.0f);
 }
 
-// What of the light from `direction` a bumped surface scatters: nothing where it lies on one side of the surface and on the
-// other of the bump, and less where the bump casts a shadow. Estevez, Lecocq, Stein, "A Microfacet-Based Shadowing Function to
-// Solve the Bump Terminator Problem", Ray Tracing Gems, 2019.
+// Factor on the light from `direction` at a bumped surface: 0 if it is above the surface and below the bump or the other way
+// round, and below 1 where the bump casts a shadow. Estevez, Lecocq, Stein, "A Microfacet-Based Shadowing Function to Solve the
+// Bump Terminator Problem", Ray Tracing Gems, 2019.
 INLINE float bump_shadowing(const BsdfContext* ctx, const Surface* s, Vec3 direction)
 {
     if (ctx->shadow == NO_BUMP) return 1.0f;
@@ -88,7 +85,7 @@ INLINE float bump_shadowing(const BsdfContext* ctx, const Surface* s, Vec3 direc
 
 #if HAS_NESTED_BSDFS
 #if FEATURE_MASK || FEATURE_BLEND
-// A choice of probability p by `u`, which is spread over [0, 1) again for the next one.
+// True with probability p, by the random number `u`; then `u` is rescaled to [0, 1) so that it can be used again.
 INLINE bool sample_branch(float p, float* u)
 {
     const bool first = *u < p;
@@ -97,17 +94,16 @@ INLINE bool sample_branch(float p, float* u)
     return first;
 }
 
-// An opacity or a weight, within [0, 1].
-INLINE float nested_weight(const BsdfContext* ctx)
+// A mask's opacity or a blend's weight, clamped to [0, 1].
+INLINE float nested_weight(const BsdfContext* ctx, uint slot)
 {
-    const float share = lookup_float(ctx, 0);
-    return MIN(MAX(share, 0.0f), 1.0f);
+    const float weight = lookup_float(ctx, slot);
+    return MIN(MAX(weight, 0.0f), 1.0f);
 }
 #endif
 
-// Goes through what wraps the material until it comes to one that wraps no other. Blends and masks choose one of two by
-// `u`, with the probability of its weight: whatever is estimated from the one chosen is so on average for both.
-// Returns whether the path goes through the surface as if there was none.
+// Replaces a wrapper by the BSDF that it holds, until that is no wrapper. Blends and masks choose one of two with the probability
+// of its weight, by the random number `u`; so every estimate is right on average. Returns whether the path passes through.
 INLINE bool resolve_nested_bsdf(BsdfContext* ctx, const Surface* s, float u)
 {
     for (;;) {
@@ -124,12 +120,12 @@ INLINE bool resolve_nested_bsdf(BsdfContext* ctx, const Surface* s, float u)
 #endif
 #if FEATURE_MASK
         case BSDF_MASK:
-            if (!sample_branch(nested_weight(ctx), &u)) return true;
+            if (!sample_branch(nested_weight(ctx, SLOT_MASK_OPACITY), &u)) return true;
             break;
 #endif
 #if FEATURE_BLEND
         case BSDF_BLEND:
-            if (sample_branch(nested_weight(ctx), &u)) next = wrapper.nested[1];
+            if (sample_branch(nested_weight(ctx, SLOT_BLEND_WEIGHT), &u)) next = wrapper.nested[1];
             break;
 #endif
 #if FEATURE_BUMP

@@ -1,17 +1,18 @@
-// What goes straight through a surface, as if there was none.
+// Light that goes straight through a surface: null BSDFs, masks, thin glass, and wrappers that hold them.
+// Included by stages/shadow_transmittance.cl.
 #pragma once
 #include "bsdf/nested.h"
-#include "bsdf/smooth.h"
+#include "bsdf/thin_dielectric.h"
 
-#define MAX_NESTED_BLENDS 8u  // host/isonoise/scene/bsdfs.py admits no more
+#define MAX_NESTED_BLENDS 8u  // host/isonoise/scene/material/bsdfs.py admits no more
 
-// The share of the light that a material lets through unturned: of what is wrapped, in proportion to its part.
+// Share of the light that goes straight through; the weighted sum over the BSDFs that a wrapper holds.
 INLINE Vec3 pass_through_transmittance(BsdfContext* ctx)
 {
     Vec3 transmittance = splat3(0.0f);
     float weight = 1.0f;
 #if FEATURE_BLEND
-    uint pending[MAX_NESTED_BLENDS], count = 0u;  // the other halves of blends, their shares
+    uint pending[MAX_NESTED_BLENDS], count = 0u;  // second BSDFs of blends, with their weights
     float weights[MAX_NESTED_BLENDS];
 #endif
     for (;;) {
@@ -21,13 +22,15 @@ INLINE Vec3 pass_through_transmittance(BsdfContext* ctx)
         case BSDF_NULL: transmittance = add3(transmittance, splat3(weight)); break;
 #endif
 #if FEATURE_THIN_DIELECTRIC
-        case BSDF_THIN_DIELECTRIC: 
-            transmittance = add3(transmittance, scale3(bsdf_rgb(ctx, 1), weight * (1.0f - thin_dielectric_reflectance(ctx))));
+        case BSDF_THIN_DIELECTRIC: {
+            const Vec3 tint = bsdf_rgb(ctx, SLOT_THIN_DIELECTRIC_SPECULAR_TRANSMITTANCE);
+            transmittance = add3(transmittance, scale3(tint, weight * (1.0f - thin_dielectric_reflectance(ctx))));
             break;
+        }
 #endif
 #if FEATURE_MASK
         case BSDF_MASK: {
-            const float opacity = nested_weight(ctx);
+            const float opacity = nested_weight(ctx, SLOT_MASK_OPACITY);
             transmittance = add3(transmittance, splat3(weight * (1.0f - opacity)));
             weight *= opacity;
             next = material(ctx).nested[0];
@@ -36,7 +39,7 @@ INLINE Vec3 pass_through_transmittance(BsdfContext* ctx)
 #endif
 #if FEATURE_BLEND
         case BSDF_BLEND: {
-            const float second = nested_weight(ctx);
+            const float second = nested_weight(ctx, SLOT_BLEND_WEIGHT);
             pending[count] = material(ctx).nested[1];
             weights[count++] = weight * second;
             weight *= 1.0f - second;

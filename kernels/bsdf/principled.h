@@ -1,14 +1,15 @@
-// The principled material: Burley, "Physically Based Shading at Disney", 2012, and "Extending the Disney BRDF to a BSDF with
-// Integrated Subsurface Scattering", 2015, with the lobes, blends and bounds of Mitsuba 3. Directions are of the surface's frame,
-// turned around where the path comes from inside: a distribution of normals looks the same from both sides.
+// The principled BSDF: Burley, "Physically Based Shading at Disney", 2012, and "Extending the Disney BRDF to a BSDF with
+// Integrated Subsurface Scattering", 2015, with the lobes, blends and bounds of Mitsuba 3. Directions are in the shading frame,
+// flipped for paths from inside: a distribution of normals is the same from both sides.
 #pragma once
-#include "bsdf/rough.h"
+#include "bsdf/fresnel.h"
+#include "bsdf/microfacet.h"
 
 #if FEATURE_PRINCIPLED
 typedef struct {
     Vec3 base;
-    float roughness, metallic, glass;  // glass: share of the light that is no metal's and may pass
-    float diffuse;                     // share of the diffuse base
+    float roughness, metallic, glass;  // glass: share of specular transmission, without metal
+    float diffuse;                     // weight of the diffuse base
     float eta;                         // index of the far side over that of the near side
     bool front;
     MicrofacetDistribution facets;
@@ -19,19 +20,21 @@ INLINE Principled principled_parameters(const BsdfContext* ctx)
 {
     Principled p;
     p.front = ctx->cos_i > 0.0f;
-    p.base = bsdf_rgb(ctx, 0);
-    p.roughness = bsdf_float(ctx, 1);
-    p.metallic = bsdf_float(ctx, 3);
-    const float anisotropic = bsdf_float(ctx, 2), spec_trans = bsdf_float(ctx, 4), index = bsdf_float(ctx, 5);
+    p.base = bsdf_rgb(ctx, SLOT_PRINCIPLED_BASE_COLOR);
+    p.roughness = bsdf_float(ctx, SLOT_PRINCIPLED_ROUGHNESS);
+    p.metallic = bsdf_float(ctx, SLOT_PRINCIPLED_METALLIC);
+    const float anisotropic = bsdf_float(ctx, SLOT_PRINCIPLED_ANISOTROPIC);
+    const float spec_trans = bsdf_float(ctx, SLOT_PRINCIPLED_SPEC_TRANS), index = bsdf_float(ctx, SLOT_PRINCIPLED_ETA);
     p.glass = (1.0f - p.metallic) * spec_trans;
     p.diffuse = (1.0f - p.metallic) * (1.0f - spec_trans);
     p.eta = p.front ? index : 1.0f / index;
     const float aspect = SQRT(1.0f - 0.9f * anisotropic), square = p.roughness * p.roughness;
-    p.facets = make_microfacets(MAX(square / aspect, 1e-3f), MAX(square * aspect, 1e-3f), BSDF_GGX);
-    // rates of the three lobes, in places of their numbers that are free: slot 1, and 5 twice
+    p.facets = make_microfacets(MAX(square / aspect, 1e-3f), MAX(square * aspect, 1e-3f), 0u);
     const Bsdf m = material(ctx);
-    const float diffuse = p.diffuse * m.values[4], specular = m.values[16];
-    const float clearcoat = 0.25f * bsdf_float(ctx, 10) * m.values[17];
+    const float diffuse = p.diffuse * m.constants[CONSTANT_PRINCIPLED_DIFFUSE_REFLECTANCE_SAMPLING_RATE];
+    const float specular = m.constants[CONSTANT_PRINCIPLED_MAIN_SPECULAR_SAMPLING_RATE];
+    const float clearcoat = 0.25f * bsdf_float(ctx, SLOT_PRINCIPLED_CLEARCOAT) *
+                            m.constants[CONSTANT_PRINCIPLED_CLEARCOAT_SAMPLING_RATE];
     const float total = diffuse + clearcoat + specular, scale = total > 0.0f ? 1.0f / total : 0.0f;
     p.diffuse_rate = p.front ? diffuse * scale : 0.0f;
     p.clearcoat_rate = p.front ? clearcoat * scale : 0.0f;
@@ -39,7 +42,7 @@ INLINE Principled principled_parameters(const BsdfContext* ctx)
     return p;
 }
 
-// Of what the main lobe sends on, how much is transmitted, if the boundary reflects this share.
+// Share of the main specular lobe that is transmitted, for this Fresnel reflectance.
 INLINE float transmission_probability(const Principled* p, float reflectance)
 {
     return (p->front ? p->glass : 1.0f) * (1.0f - reflectance);
@@ -51,13 +54,13 @@ INLINE float schlick_weight(float cosine)
     return m2 * m2 * m;
 }
 
-// How far Schlick's reflectance is from that at normal incidence to 1; from the denser side by the angle of refraction.
+// Schlick's weight between the reflectance at normal incidence and 1; from the denser side it uses the angle of refraction.
 INLINE float schlick_at_interface(float cosine, float eta)
 {
     return schlick_weight(eta > 1.0f ? cosine : SQRT(MAX(1.0f - (1.0f - cosine * cosine) / (eta * eta), 0.0f)));
 }
 
-// The colour without its luminance (Rec. 709, in Mitsuba's digits), `tint` of the way from white to it.
+// Blend by `tint` from white to the colour divided by its luminance (Rec. 709 weights, as in Mitsuba).
 INLINE Vec3 tint_color(Vec3 colour, float tint)
 {
     const float luminance = dot3(colour, vec3(0.212671f, 0.715160f, 0.072169f));
@@ -65,11 +68,11 @@ INLINE Vec3 tint_color(Vec3 colour, float tint)
     return add3(splat3(1.0f), scale3(sub3(pure, splat3(1.0f)), tint));
 }
 
-// What the main lobe reflects: metal and the tinted part by Schlick's approximation, the rest by Fresnel's formula.
+// Reflectance of the main specular lobe: Schlick's approximation for metal and the tinted part, Fresnel's formula for the rest.
 INLINE Vec3 principled_reflectance(const BsdfContext* ctx, const Principled* p, float cosine, float reflectance)
 {
     if (!p->front) return splat3(p->glass * reflectance);
-    const float towards_one = schlick_at_interface(cosine, p->eta), tint = bsdf_float(ctx, 6), n = (p->eta - 1.0f) / (p->eta + 1.0f);
+    const float towards_one = schlick_at_interface(cosine, p->eta), tint = bsdf_float(ctx, SLOT_PRINCIPLED_SPEC_TINT), n = (p->eta - 1.0f) / (p->eta + 1.0f);
     const Vec3 metal = add3(p->base, scale3(sub3(splat3(1.0f), p->base), towards_one));
     const Vec3 normal_incidence = scale3(tint_color(p->base, 1.0f), n * n);
     const Vec3 coloured = add3(normal_incidence, scale3(sub3(splat3(1.0f), normal_incidence), towards_one));
@@ -77,11 +80,10 @@ INLINE Vec3 principled_reflectance(const BsdfContext* ctx, const Principled* p, 
     return add3(scale3(metal, p->metallic), scale3(other, 1.0f - p->metallic));
 }
 
-// The second, coloured-by-nothing lobe: GTR1 with its logarithm of alpha squared. From sin^2 + alpha^2 cos^2: 1 - cos^2 would
-// have lost its digits where the lobe is.
+// The clearcoat: an untinted lobe with the GTR1 distribution. `gtr1_d` uses sin^2 + alpha^2 cos^2: 1 - cos^2 cancels near the peak.
 INLINE float clearcoat_alpha2(const BsdfContext* ctx)
 {
-    const float alpha = 0.1f + bsdf_float(ctx, 11) * (0.001f - 0.1f);
+    const float alpha = 0.1f + bsdf_float(ctx, SLOT_PRINCIPLED_CLEARCOAT_GLOSS) * (0.001f - 0.1f);
     return alpha * alpha;
 }
 
@@ -102,13 +104,13 @@ INLINE Vec3 sample_gtr1(float alpha2, Vec2 u)
 INLINE Vec3 principled_diffuse(const BsdfContext* ctx, const Principled* p, float cos_w, float cos_o, float cos_m)
 {
     const float fw = schlick_weight(cos_w), fo = schlick_weight(cos_o), retro = 2.0f * p->roughness * cos_m * cos_m;
-    const float flatness = bsdf_float(ctx, 9), sheen = bsdf_float(ctx, 7);
+    const float flatness = bsdf_float(ctx, SLOT_PRINCIPLED_FLATNESS), sheen = bsdf_float(ctx, SLOT_PRINCIPLED_SHEEN);
     const float lambert = (1.0f - 0.5f * fw) * (1.0f - 0.5f * fo) + retro * (fo + fw + fo * fw * (retro - 1.0f));
     const float flat = (1.0f + fo * (0.5f * retro - 1.0f)) * (1.0f + fw * (0.5f * retro - 1.0f));
     const float subsurface = 1.25f * (flat * (1.0f / (cos_o + cos_w) - 0.5f) + 0.5f);
     Vec3 value = scale3(p->base, p->diffuse * M_1_PI_F * (lambert + flatness * (subsurface - lambert)));
     if (sheen > 0.0f)
-        value = add3(value, scale3(tint_color(p->base, bsdf_float(ctx, 8)),
+        value = add3(value, scale3(tint_color(p->base, bsdf_float(ctx, SLOT_PRINCIPLED_SHEEN_TINT)),
                                    sheen * (1.0f - p->metallic) * schlick_weight(cos_m)));
     return value;
 }
@@ -131,10 +133,10 @@ INLINE Vec3 principled_local(const BsdfContext* ctx, const Principled* p, Vec3 w
     *pdf = p->specular_rate * (p->front ? 1.0f - transmitted : reflectance) * facets;
     if (reflectance > 0.0f) value = scale3(principled_reflectance(ctx, p, cos_w, reflectance), specular_lobe);
     if (p->front) {
-        const float clearcoat = bsdf_float(ctx, 10);
+        const float clearcoat = bsdf_float(ctx, SLOT_PRINCIPLED_CLEARCOAT);
         if (clearcoat > 0.0f) {
             const float alpha2 = clearcoat_alpha2(ctx), coat = gtr1_d(alpha2, m);
-            const MicrofacetDistribution quarter = make_microfacets(0.25f, 0.25f, BSDF_GGX);
+            const MicrofacetDistribution quarter = make_microfacets(0.25f, 0.25f, 0u);
             const float coat_reflectance = 0.04f + 0.96f * schlick_at_interface(cos_w, p->eta);
             value = add3(value, splat3(0.25f * clearcoat * coat_reflectance * coat * smith_g1(&quarter, w) * smith_g1(&quarter, o) * o.z));
             *pdf += p->clearcoat_rate * coat * m.z * jacobian;

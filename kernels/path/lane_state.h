@@ -150,7 +150,7 @@ INLINE BsdfContext load_bsdf_context_lane(const SceneView* scene, uint kind, Vec
     ctx.t = load_lane3(lane_state, LANE_FRAME_T, lane);
     ctx.flipped = load_lane(lane_state, LANE_IS_FLIPPED, lane) != 0.0f;
     ctx.shadow = load_lane(lane_state, LANE_BUMP_ALPHA2, lane);
-#elif HAS_FRAMES
+#elif HAS_SHADING_FRAME
     ctx.s = ctx.t = splat3(0.0f);
     if (kind & FRAMED_BSDFS) {
         const Surface s = load_surface_lane(lane_state, lane);
@@ -211,7 +211,8 @@ INLINE BsdfSample load_bsdf_sample_lane(const float* lane_state, size_t lane)
 {
     const BsdfSample sample = {
         load_lane3(lane_state, LANE_SAMPLE_DIRECTION, lane), load_lane3(lane_state, LANE_SAMPLE_WEIGHT, lane),
-        load_lane(lane_state, LANE_SAMPLE_PDF, lane), load_lane(lane_state, LANE_SAMPLE_ETA, lane)};
+        load_lane(lane_state, LANE_SAMPLE_PDF, lane), load_lane(lane_state, LANE_SAMPLE_ETA, lane),
+        false};  // null bounces need FEATURE_VOLPATH, which has no lanes
     return sample;
 }
 #endif

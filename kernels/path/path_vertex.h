@@ -239,7 +239,7 @@ INLINE bool make_bsdf_context(const SceneView* scene, const Path* p, const Surfa
     ctx->flipped = false;
     ctx->shadow = NO_BUMP;
 #endif
-#if HAS_FRAMES
+#if HAS_SHADING_FRAME
     set_shading_frame(ctx, s);
 #endif
 #if FEATURE_ROUGH_PLASTIC

@@ -61,7 +61,7 @@ INLINE void write_next_ray(const PathState* paths, size_t i, const Path* p, cons
                            BsdfSample sample, float u_roulette, bool is_last, uint rr_depth)
 {
     // a null bounce keeps the direction and its pdf, and does not add to the depth
-    const bool is_null = FEATURE_VOLPATH && sample.pdf == STRAIGHT;
+    const bool is_null = FEATURE_VOLPATH && sample.is_null;
     if (is_last && !is_null) return;
     Vec3 throughput = mul3(p->throughput, sample.weight);
 #if HAS_BUMPS

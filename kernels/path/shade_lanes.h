@@ -61,10 +61,6 @@ INLINE void sample_direct_lane(const SceneView* scene, const PathState* paths, s
     }
 }
 
-#define HAS_OTHER_LIGHTS                                                                                                        \
-    (FEATURE_SPHERE_LIGHTS || FEATURE_DISK_LIGHTS || FEATURE_CYLINDER_LIGHTS || FEATURE_POINT_LIGHTS || FEATURE_SPOT_LIGHTS || \
-     FEATURE_DIRECTIONAL_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP)
-
 #if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
 INLINE bool selected_triangle_light(const SceneView* scene, const float* lane_state, size_t lane)
 {
@@ -137,10 +133,10 @@ INLINE void scatter_lane(const SceneView* scene, const PathState* paths, size_t 
     store_bsdf_sample_lane(&sample, lane_state, lane);
 }
 
-// All lanes of one kind of BSDF. Diffuse is so cheap that compaction would cost more than masking.
+// All lanes of one kind of BSDF. Some kinds are so cheap that compaction would cost more than masking.
 INLINE void scatter_lanes(const SceneView* scene, const PathState* paths, const LaneBatch* batch, uint kind, float* lane_state)
 {
-    if (kind == BSDF_DIFFUSE) {
+    if (kind & UNCOMPACTED_BSDFS) {
         FOR_LANES(k, batch->count) {
             if (k >= batch->count || load_lane_uint(lane_state, LANE_BSDF_KIND, k) != kind) continue;
             scatter_lane(scene, paths, batch_path(batch, k), kind, lane_state, k);

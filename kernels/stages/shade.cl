@@ -79,33 +79,8 @@ INLINE void shade_lanes(const SceneView* scene, const PathState* paths, size_t b
 #if FEATURE_TEXTURES
     evaluate_textures(scene, batch, lane_state);
 #endif
-#if FEATURE_DIFFUSE
-    scatter_lanes(scene, paths, batch, BSDF_DIFFUSE, lane_state);
-#endif
-#if FEATURE_DIELECTRIC
-    scatter_lanes(scene, paths, batch, BSDF_DIELECTRIC, lane_state);
-#endif
-#if FEATURE_THIN_DIELECTRIC
-    scatter_lanes(scene, paths, batch, BSDF_THIN_DIELECTRIC, lane_state);
-#endif
-#if FEATURE_CONDUCTOR
-    scatter_lanes(scene, paths, batch, BSDF_CONDUCTOR, lane_state);
-#endif
-#if FEATURE_ROUGH_CONDUCTOR
-    scatter_lanes(scene, paths, batch, BSDF_ROUGH_CONDUCTOR, lane_state);
-#endif
-#if FEATURE_ROUGH_DIELECTRIC
-    scatter_lanes(scene, paths, batch, BSDF_ROUGH_DIELECTRIC, lane_state);
-#endif
-#if FEATURE_PLASTIC
-    scatter_lanes(scene, paths, batch, BSDF_PLASTIC, lane_state);
-#endif
-#if FEATURE_ROUGH_PLASTIC
-    scatter_lanes(scene, paths, batch, BSDF_ROUGH_PLASTIC, lane_state);
-#endif
-#if FEATURE_PRINCIPLED
-    scatter_lanes(scene, paths, batch, BSDF_PRINCIPLED, lane_state);
-#endif
+#define SCATTER_KIND(BIT, name) scatter_lanes(scene, paths, batch, BIT, lane_state);
+    FOR_BSDFS(SCATTER_KIND)
     write_rays(scene, paths, batch, rr_depth, lane_state);
 }
 #endif

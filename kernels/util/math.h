@@ -116,6 +116,21 @@ INLINE Vec2 square_to_disk(Vec2 u)
     return vec2(x_is_larger ? p.x : p.y, x_is_larger ? p.y : p.x);
 }
 
+// A direction around +z with density cos / pi (Malley's method).
+INLINE Vec3 square_to_hemisphere(Vec2 u)
+{
+    const Vec2 disk = square_to_disk(u);
+    return vec3(disk.x, disk.y, SQRT(MAX(1.0f - dot2(disk, disk), 0.0f)));
+}
+
+// Rotates a direction given relative to +z so that it is relative to `n`.
+INLINE Vec3 rotate_to_normal(Vec3 n, Vec3 local_direction)
+{
+    Vec3 s, t;
+    coordinate_system(n, &s, &t);
+    return weighted_sum3(local_direction.x, s, local_direction.y, t, local_direction.z, n);
+}
+
 // Origin of a ray that leaves a surface and must not hit it again: the point, moved along the geometric normal by its
 // error bound to the side of `direction`. Pharr, Jakob, Humphreys, Physically Based Rendering, 4th ed., 6.8.6.
 INLINE Vec3 offset_ray_origin(Vec3 p, Vec3 error, Vec3 normal, Vec3 direction)

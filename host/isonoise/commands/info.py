@@ -8,29 +8,21 @@ import numpy as np
 from isonoise.commands import EXIT_DONE
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.light.light_kinds import KINDS as LIGHT_KINDS
+from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.material import textures
-from isonoise.scene.material.bsdfs import KINDS
+from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
+from isonoise.scene.material.bsdf_kinds import bsdf_bits
 
 SHAPES = {structs.ANALYTIC_SPHERE: "spheres", structs.ANALYTIC_DISK: "disks", structs.ANALYTIC_CYLINDER: "cylinders"}
-MATERIALS = {kind: name for name, kind in KINDS.items()}
-MATERIALS |= {structs.BSDF_FRONT_BACK: "twosided", structs.BSDF_HG: "phase functions"}
+MATERIALS = {bsdf_bits(name): kind.plugin or kind.description for name, kind in BSDF_KINDS.items()}
 TEXTURES = {
     textures.TEXTURE_COLOUR: "plain",
     textures.TEXTURE_BITMAP: "bitmap",
     textures.TEXTURE_CHECKERBOARD: "checkerboard",
     textures.TEXTURE_MESH_ATTRIBUTE: "mesh_attribute",
 }
-LIGHTS = {
-    structs.LIGHT_TRIANGLE: "triangles",
-    structs.LIGHT_SPHERE: "spheres",
-    structs.LIGHT_DISK: "disks",
-    structs.LIGHT_CYLINDER: "cylinders",
-    structs.LIGHT_POINT: "point",
-    structs.LIGHT_SPOT: "spot",
-    structs.LIGHT_DIRECTIONAL: "directional",
-    structs.LIGHT_CONSTANT: "constant",
-    structs.LIGHT_ENVIRONMENT_MAP: "envmap",
-}
+LIGHTS = {light_bits(name): f"{name}s" if kind.is_area else kind.plugin for name, kind in LIGHT_KINDS.items()}
 
 
 def run(options: argparse.Namespace) -> int:

@@ -87,7 +87,7 @@ def record_reader(name: str, dtype: np.dtype) -> str:
 def stage_source(
     names: str | Iterable[str],
     structs: Mapping[str, np.dtype],
-    constants: Mapping[str, int],
+    constants: Mapping[str, int | str],
     features: Mapping[str, bool],
     headers: Mapping[str, str] | None = None,
 ) -> tuple[str, tuple[str, ...]]:
@@ -100,7 +100,8 @@ def stage_source(
     ----------
     names : file of a stage, or of several that are built as one program
     structs : C name -> record; those that the text mentions are declared, with their `<name>_at` functions
-    constants : macro -> value; those that the text mentions are defined
+    constants : macro -> unsigned number, or expression; those that the text mentions are defined, and those that their
+        expressions mention
     features : feature -> whether it is on
     headers : generated headers, see `flatten`
     """
@@ -111,9 +112,15 @@ def stage_source(
         return "\n".join(flatten(name, {**(headers or {}), _RECORDS: records}, seen) for name in files)
 
     words = set(re.findall(r"\w+", flattened("")))
+    todo = words & constants.keys()
+    while todo:
+        todo = set(re.findall(r"\w+", " ".join(str(constants[key]) for key in todo))) - words
+        words |= todo
+        todo &= constants.keys()
     body = flattened("\n".join(record_reader(key, dtype) for key, dtype in structs.items() if f"{key}_at" in words))
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
-    prelude += [f"#define {key} {value}u" for key, value in constants.items() if key in words]
+    macros = {key: f"({value})" if isinstance(value, str) else f"{value}u" for key, value in constants.items()}
+    prelude += [f"#define {key} {value}" for key, value in macros.items() if key in words]
     prelude += [declare_struct(key, dtype) for key, dtype in structs.items() if key in words]
     mentioned = sorted(word.removeprefix("FEATURE_") for word in words if word.startswith("FEATURE_"))
     options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]

@@ -6,10 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from isonoise.device.program import flatten
+from isonoise.device.program import stage_source
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, kernel_table, path_bytes
+from isonoise.integrator.kernel_table import (
+    BRUTE_FORCE_KERNELS,
+    CONSTANTS,
+    KERNELS,
+    STRUCTS,
+    kernel_table,
+    path_bytes,
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,13 @@ def stages_with(name: str) -> tuple[str, ...]:
     return tuple(stage for stage, features in _features_by_stage().items() if name in features)
 
 
+def features_in(file: str) -> set[str]:
+    """Features that the text of a stage, or a macro in it, tests."""
+    text, _ = stage_source(file, STRUCTS, CONSTANTS, dict.fromkeys(FEATURES, True), generated_headers())
+    return set(re.findall(r"\bFEATURE_(\w+)", text))
+
+
 @functools.cache
 def _features_by_stage() -> dict[str, set[str]]:
     files = sorted({row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values()})
-    return {Path(file).stem: set(re.findall(r"\bFEATURE_(\w+)", flatten(file, generated_headers()))) for file in files}
+    return {Path(file).stem: features_in(file) for file in files}

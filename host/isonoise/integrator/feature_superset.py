@@ -13,6 +13,7 @@ from isonoise.integrator.kernel_table import kernel_table
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light.envmap import ENVIRONMENT
+from isonoise.scene.light.light_kinds import light_bits
 
 DUMMY_BYTES = 4096
 """Size of a dummy buffer: room for any record."""
@@ -56,7 +57,7 @@ def dummy_buffers(
     added: dict[str, object] = {name: device.buffer(DUMMY_BYTES, "dummy buffers") for name in missing}
     if (features["CONSTANT_LIGHT"] or features["ENVIRONMENT_MAP"]) and scene.environment_light < 0:
         light = np.zeros(1, structs.LIGHT)
-        light["kind"] = structs.LIGHT_CONSTANT if features["CONSTANT_LIGHT"] else structs.LIGHT_ENVIRONMENT_MAP
+        light["kind"] = light_bits("constant" if features["CONSTANT_LIGHT"] else "environment_map")
         added["lights"] = device.buffer(np.concatenate([scene.lights, light]), "the lights")
         added["environment_light"] = np.uint32(len(scene.lights))
         if features["ENVIRONMENT_MAP"]:

@@ -13,11 +13,12 @@ from isonoise.scene import structs
 from isonoise.scene.accel.bvh import BLOCK_ROWS, BVH_WIDTH
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light import light_list
-from isonoise.scene.light.envmap import ENVIRONMENT, ENVIRONMENT_ROW
+from isonoise.scene.light.light_kinds import KINDS as LIGHT_KINDS
+from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.light.light_tree import LIGHT_NODE_ROWS, use_light_tree
-from isonoise.scene.material import textures
+from isonoise.scene.material import bsdf_kinds, textures
+from isonoise.scene.material.bsdf_kinds import bsdf_bits, feature_of
 from isonoise.scene.material.bsdfs import reads_uvs
-from isonoise.scene.material.rough_transmittance import NODES
 from isonoise.statistics import BASIC_NEEDS, Needs
 
 
@@ -35,6 +36,14 @@ def _records(dtype: np.dtype, of: str) -> str:
 
 
 _LIGHTS = {"lights": _records(structs.LIGHT, "a light"), "light_alias": _records(structs.ALIAS, "a light")}
+
+_SCATTERING = bsdf_kinds.select(lambda kind: kind.scatters and not kind.feature)
+_OTHER_BSDFS = bsdf_kinds.select(lambda kind: not kind.scatters)
+
+
+def _bsdf_feature(kind: bsdf_kinds.BsdfKind) -> Feature:
+    return Feature(kind.description, kind.buffers)
+
 
 FEATURES = {
     "TRIANGLES": Feature(
@@ -69,46 +78,16 @@ FEATURES = {
     "INSTANCES": Feature(
         "groups of shapes that stand in several places", {"instances": _records(structs.INSTANCE, "an instance")}
     ),
-    "DIFFUSE": Feature("diffuse reflection"),
-    "DIELECTRIC": Feature("smooth glass"),
-    "THIN_DIELECTRIC": Feature("thin smooth glass"),
-    "CONDUCTOR": Feature("smooth metal"),
-    "ROUGH_CONDUCTOR": Feature("rough metal"),
-    "ROUGH_DIELECTRIC": Feature("rough glass"),
-    "PLASTIC": Feature("smooth plastic"),
-    "ROUGH_PLASTIC": Feature("rough plastic", {"rough_transmittances": f"{4 * NODES} bytes a kind of plastic"}),
-    "PRINCIPLED": Feature("the principled material"),
+    **{feature_of(kind): _bsdf_feature(kind) for kind in _SCATTERING},
     "BECKMANN": Feature("rough surfaces by Beckmann's distribution"),
     "SAMPLE_ALL_NORMALS": Feature("rough surfaces sampled by all their normals"),
-    "NULL": Feature("surfaces that let all through"),
-    "FRONT_BACK": Feature("materials that differ on the two sides"),
-    "MASK": Feature("opacity"),
-    "BLEND": Feature("blends of materials"),
-    "BUMP": Feature("bump maps"),
-    "NORMAL_MAP": Feature("normal maps"),
+    **{feature_of(kind): _bsdf_feature(kind) for kind in _OTHER_BSDFS},
     "TWOSIDED": Feature("two-sided materials"),
     "VOLPATH": Feature("surfaces that let paths and light through unturned"),
     "MEDIA": Feature("media", {"media": _records(structs.MEDIUM, "a medium")}),
     "AREA_LIGHTS": Feature("surfaces that shine", _LIGHTS),
     "TEXTURED_LIGHTS": Feature("lights whose radiance varies over them"),
-    "TRIANGLE_LIGHTS": Feature("triangles that shine"),
-    "SPHERE_LIGHTS": Feature("spheres that shine"),
-    "DISK_LIGHTS": Feature("disks that shine"),
-    "CYLINDER_LIGHTS": Feature("cylinders that shine"),
-    "POINT_LIGHTS": Feature("point lights", _LIGHTS),
-    "SPOT_LIGHTS": Feature("spot lights", _LIGHTS),
-    "DIRECTIONAL_LIGHTS": Feature("directional lights", _LIGHTS),
-    "CONSTANT_LIGHT": Feature("constant environment", _LIGHTS),
-    "ENVIRONMENT_MAP": Feature(
-        "environment map",
-        {
-            **_LIGHTS,
-            "environment": _records(ENVIRONMENT, "in all"),
-            "environment_texels": "16 bytes a texel",
-            "environment_rows": _records(ENVIRONMENT_ROW, "a row of texels"),
-            "environment_aliases": "4 bytes a cell between texels",
-        },
-    ),
+    **{kind.feature: Feature(kind.description, {**_LIGHTS, **kind.buffers}) for kind in LIGHT_KINDS.values()},
     "MANY_LIGHTS": Feature("more than one light"),
     "LIGHT_TREE": Feature(
         "many lights, picked by what they could send to a point",
@@ -136,28 +115,14 @@ FEATURES = {
 """What a scene, or a strategy, may use. What is in all programs, such as `nodes` and `bsdfs`, is in no feature."""
 
 
-_SMOOTH = {
-    structs.BSDF_DIFFUSE,
-    structs.BSDF_ROUGH_CONDUCTOR,
-    structs.BSDF_ROUGH_DIELECTRIC,
-    structs.BSDF_PLASTIC,
-    structs.BSDF_ROUGH_PLASTIC,
-    structs.BSDF_PRINCIPLED,
-    structs.BSDF_HG,
-}
-"""Materials of which next-event estimation can find something."""
-
-_ROUGH = (structs.BSDF_ROUGH_CONDUCTOR, structs.BSDF_ROUGH_DIELECTRIC, structs.BSDF_ROUGH_PLASTIC)
-"""Materials of which the distribution of normals can be chosen."""
-
-
 def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool]:
     """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
-    analytic, bsdf, light = set(scene.analytics["kind"]), set(scene.bsdfs["kind"]), set(scene.lights["kind"])
-    surface_lights = {structs.LIGHT_TRIANGLE, structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER}
-    rough = np.isin(scene.bsdfs["kind"], _ROUGH)
+    analytic = set(scene.analytics["kind"])
+    bsdf, light = (int(np.bitwise_or.reduce(table["kind"])) for table in (scene.bsdfs, scene.lights))
+    non_delta = bsdf_bits(*(kind.name for kind in bsdf_kinds.select(lambda kind: kind.scatters and not kind.is_delta)))
+    area = light_bits(*(name for name, kind in LIGHT_KINDS.items() if kind.is_area))
     endless = scene.max_depth < 0
-    next_event = bool(light) and bool(bsdf & _SMOOTH) and (endless or scene.max_depth > 1)
+    next_event = light != 0 and bsdf & non_delta != 0 and (endless or scene.max_depth > 1)
     weighs_lights = next_event and use_light_tree(scene.lights)
     volpath = len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_PASS_THROUGH).any())
     lists_lights = light_list.use_light_list(scene.lights) and not volpath  # one by one they take 2 to 5 times as long
@@ -174,37 +139,16 @@ def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool
         "DISKS": structs.ANALYTIC_DISK in analytic,
         "CYLINDERS": structs.ANALYTIC_CYLINDER in analytic,
         "INSTANCES": len(scene.instances) > 0,
-        "DIFFUSE": structs.BSDF_DIFFUSE in bsdf,
-        "DIELECTRIC": structs.BSDF_DIELECTRIC in bsdf,
-        "THIN_DIELECTRIC": structs.BSDF_THIN_DIELECTRIC in bsdf,
-        "CONDUCTOR": structs.BSDF_CONDUCTOR in bsdf,
-        "ROUGH_CONDUCTOR": structs.BSDF_ROUGH_CONDUCTOR in bsdf,
-        "ROUGH_DIELECTRIC": structs.BSDF_ROUGH_DIELECTRIC in bsdf,
-        "PLASTIC": structs.BSDF_PLASTIC in bsdf,
-        "ROUGH_PLASTIC": structs.BSDF_ROUGH_PLASTIC in bsdf,
-        "PRINCIPLED": structs.BSDF_PRINCIPLED in bsdf,
-        "BECKMANN": bool((rough & (scene.bsdfs["flags"] & structs.BSDF_GGX == 0)).any()),
+        **{feature_of(kind): bsdf & bsdf_bits(kind.name) != 0 for kind in _SCATTERING},
+        "BECKMANN": bool((scene.bsdfs["flags"] & structs.BSDF_BECKMANN).any()),
         "SAMPLE_ALL_NORMALS": bool((scene.bsdfs["flags"] & structs.BSDF_SAMPLE_ALL_NORMALS).any()),
-        "NULL": structs.BSDF_NULL in bsdf,
-        "FRONT_BACK": structs.BSDF_FRONT_BACK in bsdf,
-        "MASK": structs.BSDF_MASK in bsdf,
-        "BLEND": structs.BSDF_BLEND in bsdf,
-        "BUMP": structs.BSDF_BUMP in bsdf,
-        "NORMAL_MAP": structs.BSDF_NORMAL_MAP in bsdf,
+        **{feature_of(kind): bsdf & bsdf_bits(kind.name) != 0 for kind in _OTHER_BSDFS},
         "TWOSIDED": bool((scene.bsdfs["flags"] & structs.BSDF_TWOSIDED).any()),
         "VOLPATH": volpath,
         "MEDIA": len(scene.media) > 0,
-        "AREA_LIGHTS": bool(light & surface_lights),
+        "AREA_LIGHTS": light & area != 0,
         "TEXTURED_LIGHTS": bool((scene.lights["texture"] != structs.NONE).any()),
-        "TRIANGLE_LIGHTS": structs.LIGHT_TRIANGLE in light,
-        "SPHERE_LIGHTS": structs.LIGHT_SPHERE in light,
-        "DISK_LIGHTS": structs.LIGHT_DISK in light,
-        "CYLINDER_LIGHTS": structs.LIGHT_CYLINDER in light,
-        "POINT_LIGHTS": structs.LIGHT_POINT in light,
-        "SPOT_LIGHTS": structs.LIGHT_SPOT in light,
-        "DIRECTIONAL_LIGHTS": structs.LIGHT_DIRECTIONAL in light,
-        "CONSTANT_LIGHT": structs.LIGHT_CONSTANT in light,
-        "ENVIRONMENT_MAP": structs.LIGHT_ENVIRONMENT_MAP in light,
+        **{kind.feature: light & light_bits(name) != 0 for name, kind in LIGHT_KINDS.items()},
         "MANY_LIGHTS": len(scene.lights) > 1,
         "LIGHT_TREE": weighs_lights and not lists_lights,
         "LIGHT_LIST": weighs_lights and lists_lights,

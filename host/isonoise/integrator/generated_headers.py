@@ -1,7 +1,7 @@
-"""Text of the headers `generated/*.h`, which kernels include: parameter lists and the code that unpacks them.
+"""Text of the headers `generated/*.h`, which kernels include: parameters, path state, kinds of BSDF and light.
 
-They are written from `kernel_table`. `device.program` puts them in place of the `#include` lines; `#if` on features
-stays in the text, so that it is the same for every scene.
+They are written from `kernel_table`, `bsdf_kinds` and `light_kinds`. `device.program` puts them in place of the
+`#include` lines; `#if` on features stays in the text, so that it is the same for every scene.
 """
 
 from collections.abc import Iterable
@@ -19,6 +19,8 @@ from isonoise.integrator.kernel_table import (
     VIEW_CONDITIONS,
     Kernel,
 )
+from isonoise.scene.light.light_kinds import light_header
+from isonoise.scene.material.bsdf_kinds import bsdf_header
 
 
 @cache
@@ -39,6 +41,7 @@ def generated_headers() -> dict[str, str]:
     headers["shade_path_state"] = _lines((f"paths.{name} = {name};", _condition(name)) for name in PATH_VIEW)
     for name in ("shade", "shadow_transmittance"):
         headers[f"{name}_scene_view"] = _scene_view(KERNELS[name])
+    headers |= {"bsdf_kinds": bsdf_header(), "light_kinds": light_header()}
     return {f"generated/{name}.h": text for name, text in headers.items()}
 
 

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 from isonoise.scene import structs
 from isonoise.scene.light import envmap
+from isonoise.scene.light.light_kinds import light_macros
 from isonoise.scene.material import textures
+from isonoise.scene.material.bsdf_kinds import bsdf_macros
 
 STRUCTS = {
     "Camera": structs.CAMERA,
@@ -24,6 +26,9 @@ STRUCTS = {
     "LightBound": structs.LIGHT_BOUND,
     "Medium": structs.MEDIUM,
 }
+
+CONSTANTS: dict[str, int | str] = {**structs.CONSTANTS, **textures.CONSTANTS, **bsdf_macros(), **light_macros()}
+"""Macros of the kernels that no scene changes."""
 
 
 @dataclass(frozen=True)

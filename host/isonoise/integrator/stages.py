@@ -24,7 +24,7 @@ class Stages:
         device: Device,
         table: Mapping[str, Kernel],
         features: Mapping[str, bool],
-        constants: Mapping[str, int],
+        constants: Mapping[str, int | str],
         structs: Mapping[str, np.dtype],
         small_groups: Collection[str] = (),
         file_constants: Mapping[str, Mapping[str, int]] = MappingProxyType({}),

@@ -19,6 +19,7 @@ from isonoise.integrator.kernel_table import (
     BATCH_KERNELS,
     BOUNCE_BUFFERS,
     BRUTE_FORCE_KERNELS,
+    CONSTANTS,
     LANE_KERNELS,
     PATH_STATE,
     STRUCTS,
@@ -28,11 +29,9 @@ from isonoise.integrator.kernel_table import (
 )
 from isonoise.integrator.scene_buffers import scene_arguments
 from isonoise.integrator.stages import Stages
-from isonoise.scene import structs
 from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light import light_list
-from isonoise.scene.material import textures
 from isonoise.statistics import BASIC_NEEDS, Needs
 
 PLANE_PADDING = 80
@@ -90,7 +89,7 @@ class Wavefront:
         self.brute_force = self.lanes > 1 and not needs_bvh and use_brute_force(scene)
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
-        constants = structs.CONSTANTS | textures.CONSTANTS | build_constants(needs)
+        constants = CONSTANTS | build_constants(needs)
         constants |= {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size}
         constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
         small_groups = BATCH_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())

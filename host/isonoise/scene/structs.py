@@ -6,49 +6,29 @@ Constants that both sides name stand in `CONSTANTS` and are passed to the kernel
 
 import numpy as np
 
+from isonoise.scene.material.bsdf_kinds import CONSTANT_COUNT, SLOT_COUNT
+
 NONE = 0xFFFFFFFF
 """Marks 'no such index' (a shape without a light, a light without a primitive)."""
 
 # Kinds are bits, each its own: kernels test them with `&`, which no compiler makes a jump table of. Loops with one are
 # not vectorised.
 ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = (1 << bit for bit in range(3))
-(
-    BSDF_DIFFUSE,
-    BSDF_DIELECTRIC,
-    BSDF_THIN_DIELECTRIC,
-    BSDF_CONDUCTOR,
-    BSDF_ROUGH_CONDUCTOR,
-    BSDF_ROUGH_DIELECTRIC,
-    BSDF_PLASTIC,
-    BSDF_ROUGH_PLASTIC,
-    BSDF_PRINCIPLED,
-    BSDF_NULL,
-    BSDF_FRONT_BACK,
-    BSDF_MASK,
-    BSDF_BLEND,
-    BSDF_BUMP,
-    BSDF_NORMAL_MAP,
-    BSDF_HG,
-) = (1 << bit for bit in range(16))
-(
-    LIGHT_TRIANGLE,
-    LIGHT_SPHERE,
-    LIGHT_DISK,
-    LIGHT_CYLINDER,
-    LIGHT_POINT,
-    LIGHT_SPOT,
-    LIGHT_DIRECTIONAL,
-    LIGHT_CONSTANT,
-    LIGHT_ENVIRONMENT_MAP,
-) = (1 << bit for bit in range(9))
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS, SHAPE_PASS_THROUGH = 1, 2, 4, 8
 TRIANGLE_REWOUND = 16  # beside its shape's flags
-BSDF_TWOSIDED, BSDF_GGX, BSDF_NONLINEAR, BSDF_SAMPLE_ALL_NORMALS = 1, 2, 4, 8
-BSDF_KEEP_INVALID_NORMALS, BSDF_NO_BUMP_SHADOWING = 16, 32
-BSDF_NO_LIGHT_SAMPLING, BSDF_PASS_THROUGH = 64, 128
-BSDF_SLOTS = 12
-"""Parameters of a material; what each is, by kind, is told in `scene.bsdfs`."""
+(
+    BSDF_TWOSIDED,
+    BSDF_BECKMANN,  # microfacet distribution; else GGX
+    BSDF_NONLINEAR,  # plastic: colours shift with scattering below the coat
+    BSDF_SAMPLE_ALL_NORMALS,  # microfacets: not only the visible ones
+    BSDF_KEEP_INVALID_NORMALS,  # bump and normal maps
+    BSDF_NO_BUMP_SHADOWING,
+    BSDF_NO_LIGHT_SAMPLING,  # phase function from which no lights are sampled
+    BSDF_PASS_THROUGH,  # part of the light goes straight on
+    BSDF_TRANSMITS,  # light from both sides counts
+) = (1 << bit for bit in range(9))
+BSDF_SLOTS, BSDF_CONSTANTS = SLOT_COUNT, max(CONSTANT_COUNT, 1)
 
 CAMERA = np.dtype(
     [
@@ -119,11 +99,11 @@ INSTANCE = np.dtype(
 BSDF = np.dtype(
     [
         ("kind", "u4"),
-        ("flags", "u4"),  # BSDF_TWOSIDED | BSDF_GGX | ..._NONLINEAR | ..._SAMPLE_ALL | ..._ANY_NORMAL | ..._NO_SHADOW
-        # | ..._UNLIT (a phase function from which no lights are sampled) | ..._PASS_THROUGH
-        ("nested", "u4", 2),  # materials that this one wraps: SIDES front, back; BLEND at weight 0, 1; else the first
-        ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three
-        ("textures", "u4", BSDF_SLOTS),  # that take the place of the values; NONE
+        ("flags", "u4"),  # BSDF_TWOSIDED ... BSDF_TRANSMITS
+        ("nested", "u4", 2),  # BSDFs of a wrapper: front, back; of weight 0, 1; else the first
+        ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three channels
+        ("constants", "f4", BSDF_CONSTANTS),  # computed by the host
+        ("textures", "u4", BSDF_SLOTS),  # that replace the values; NONE
         ("numbers", "u4"),  # bits of the slots whose texture is read as a number
     ]
 )

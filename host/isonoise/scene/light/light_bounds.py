@@ -12,7 +12,6 @@ from isonoise.scene import structs
 from isonoise.scene.accel.bounds import analytic_extents
 from isonoise.scene.accel.ploc import BinaryTree
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light.lights import bounding_radius, spot_solid_angle
 
 _DIRECTIONAL_DISTANCE = 16.0
 """Distance of the sphere that stands for a directional light, in radii of the scene."""
@@ -46,47 +45,100 @@ class LightBounds:
         return LightBounds(*(values[..., index] for values in vars(self).values()))
 
 
-def compute_light_bounds(scene: CompiledScene, lights: np.ndarray) -> LightBounds:
-    """Bounds of structs.LIGHT records of the scene.
+def bounding_radius(bounds: np.ndarray) -> float:
+    """Radius of the sphere around a box (2, 3); 1 if it is a point."""
+    return 0.5 * float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
 
-    Lights at infinity become spheres with the intensity that gives the correct irradiance: a directional light a small
-    sphere far away, the environment a sphere around the scene.
-    """
-    n, kind = len(lights), lights["kind"]
+
+def spot_solid_angle(spots: np.ndarray) -> np.ndarray:
+    """Solid angle (n,) float64 that has the power of spots of intensity 1: the mean of that of the beam and all."""
+    cutoff = spots["cutoff"].astype(np.float64)
+    beam = cutoff - 1.0 / spots["inverse_transition"]
+    return 2.0 * np.pi * (1.0 - 0.5 * (np.cos(beam) + np.cos(cutoff)))
+
+
+def _omnidirectional(lower: np.ndarray, upper: np.ndarray, radius: np.ndarray, intensity: np.ndarray) -> LightBounds:
+    """Bounds of lights within boxes (3, n) that shine to all sides."""
+    count = lower.shape[1]
+    axis = np.tile([[0.0], [0.0], [1.0]], count)
+    return LightBounds(lower, upper, axis, np.full(count, np.pi), np.full(count, np.pi / 2), intensity, radius)
+
+
+def point_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of lights that shine from a point to all sides."""
     position = lights["position"].T.astype(np.float64)
-    power = lights["selection_pmf"].astype(np.float64)
-    # a point light
-    bounds = LightBounds(
-        lower=position,
-        upper=position.copy(),
-        axis=np.tile([[0.0], [0.0], [1.0]], n),
-        spread=np.full(n, np.pi),
-        edge=np.full(n, np.pi / 2),
-        intensity=power / (4 * np.pi),
-        radius=np.zeros(n),
-    )
-    is_triangle = kind == structs.LIGHT_TRIANGLE
-    if is_triangle.any():
-        bounds[is_triangle] = _bound_triangles(scene, lights["primitive"][is_triangle], power[is_triangle])
-    is_spot = kind == structs.LIGHT_SPOT
-    if is_spot.any():
-        cutoff = lights["cutoff"][is_spot].astype(np.float64)
-        bounds.axis[:, is_spot] = lights["axis"][is_spot].T
-        bounds.spread[is_spot] = np.maximum(cutoff - np.pi / 2, 0)
-        bounds.edge[is_spot] = np.minimum(cutoff, np.pi / 2)
-        bounds.intensity[is_spot] = power[is_spot] / spot_solid_angle(lights[is_spot])
-    if np.isin(kind, (structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER)).any():
-        _bound_analytic_lights(scene, lights, bounds)
-    _bound_distant_lights(scene, lights, power, bounds)
+    return _omnidirectional(position, position.copy(), np.zeros(len(lights)), power / (4 * np.pi))
+
+
+def spot_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of spot lights: their cone takes the place of the cone of normals."""
+    bounds = point_bounds(scene, lights, power)
+    cutoff = lights["cutoff"].astype(np.float64)
+    bounds.axis = lights["axis"].T.astype(np.float64)
+    bounds.spread = np.maximum(cutoff - np.pi / 2, 0)
+    bounds.edge = np.minimum(cutoff, np.pi / 2)
+    bounds.intensity = power / spot_solid_angle(lights)
     return bounds
 
 
-def _bound_triangles(scene: CompiledScene, triangles: np.ndarray, power: np.ndarray) -> LightBounds:
+def _sphere_at(center: np.ndarray, radius: np.ndarray, intensity: np.ndarray) -> LightBounds:
+    return _omnidirectional(center - radius, center + radius, radius, intensity)
+
+
+def directional_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of directional lights: small spheres far away, with an intensity that gives the right irradiance."""
+    center, scene_radius = scene.bounds.astype(np.float64).mean(axis=0)[:, None], bounding_radius(scene.bounds)
+    position = center - _DIRECTIONAL_DISTANCE * scene_radius * lights["position"].T
+    # the direction to it differs from the true one by as much as the radius
+    return _sphere_at(position, np.full(len(lights), scene_radius), power / np.pi * _DIRECTIONAL_DISTANCE**2)
+
+
+def environment_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of environment lights: a sphere around the scene, with an intensity that gives the right irradiance."""
+    center, scene_radius = scene.bounds.astype(np.float64).mean(axis=0)[:, None], bounding_radius(scene.bounds)
+    # the whole scene is within half of it: kernels/light/light_tree.h
+    radius = np.full(len(lights), 4 * scene_radius)
+    return _sphere_at(np.tile(center, len(lights)), radius, power / np.pi)
+
+
+def _analytic_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    lower, upper = analytic_extents(scene.analytics[lights["primitive"]])
+    radius = 0.5 * np.linalg.norm(upper - lower, axis=1)
+    return _omnidirectional(lower.T.astype(np.float64), upper.T.astype(np.float64), radius, power / (4 * np.pi))
+
+
+def sphere_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of emissive spheres."""
+    bounds = _analytic_bounds(scene, lights, power)
+    bounds.radius = scene.analytics["radius"][lights["primitive"]].astype(np.float64)
+    return bounds
+
+
+def cylinder_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of emissive cylinders: from the side, 2 r h of the area 2 pi r h is visible."""
+    bounds = _analytic_bounds(scene, lights, power)
+    bounds.intensity *= 4 / np.pi
+    return bounds
+
+
+def disk_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of emissive disks, which have one normal."""
+    bounds = _analytic_bounds(scene, lights, power)
+    records = scene.analytics[lights["primitive"]]
+    is_flipped = scene.shapes["flags"][records["shape"]] & structs.SHAPE_FLIP_NORMALS
+    bounds.axis = np.where(is_flipped, -1.0, 1.0) * _unit(records["to_object"].reshape(-1, 3, 4)[:, 2, :3].T)
+    bounds.spread = np.zeros(len(lights))
+    bounds.intensity *= 4
+    return bounds
+
+
+def triangle_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
     """Bounds of emissive triangles. Their normals are the shading normals.
 
     Boxes and spheres are centered at the centroids, because the tight boxes of the two triangles of a rectangle are
     equal.
     """
+    triangles = lights["primitive"]
     faces = scene.faces[triangles]
     a, b, c = corners = scene.vertices[faces].astype(np.float64).transpose(1, 2, 0)
     centroid = corners.mean(axis=0)
@@ -102,47 +154,6 @@ def _bound_triangles(scene: CompiledScene, triangles: np.ndarray, power: np.ndar
         spread[is_smooth] = np.where(angle < np.pi / 2, angle + 1e-6, np.pi)
     edge = np.full(len(triangles), np.pi / 2)
     return LightBounds(centroid - half, centroid + half, axis, spread, edge, power / np.pi, radius)
-
-
-def _bound_analytic_lights(scene: CompiledScene, lights: np.ndarray, bounds: LightBounds) -> None:
-    """Set the bounds of spheres, disks and cylinders."""
-    kind = lights["kind"]
-    is_analytic = np.isin(kind, (structs.LIGHT_SPHERE, structs.LIGHT_DISK, structs.LIGHT_CYLINDER))
-    records = scene.analytics[lights["primitive"][is_analytic]]
-    lower, upper = analytic_extents(records)
-    bounds.lower[:, is_analytic], bounds.upper[:, is_analytic] = lower.T, upper.T
-    is_sphere = records["kind"] == structs.ANALYTIC_SPHERE
-    half_diagonal = 0.5 * np.linalg.norm(upper - lower, axis=1)
-    bounds.radius[is_analytic] = np.where(is_sphere, records["radius"], half_diagonal)
-    # of the area 2 pi r h of a cylinder, 2 r h is visible from the side
-    bounds.intensity[kind == structs.LIGHT_CYLINDER] *= 4 / np.pi
-    is_disk = kind == structs.LIGHT_DISK
-    disks = scene.analytics[lights["primitive"][is_disk]]
-    is_flipped = scene.shapes["flags"][disks["shape"]] & structs.SHAPE_FLIP_NORMALS
-    normal = _unit(disks["to_object"].reshape(-1, 3, 4)[:, 2, :3].T)
-    bounds.axis[:, is_disk] = np.where(is_flipped, -1.0, 1.0) * normal
-    bounds.spread[is_disk] = 0.0
-    bounds.intensity[is_disk] *= 4
-
-
-def _bound_distant_lights(scene: CompiledScene, lights: np.ndarray, power: np.ndarray, bounds: LightBounds) -> None:
-    """Set the bounds of directional lights and of the environment."""
-    center = scene.bounds.astype(np.float64).mean(axis=0)[:, None]
-    scene_radius = bounding_radius(scene.bounds)
-    is_directional = lights["kind"] == structs.LIGHT_DIRECTIONAL
-    bounds.lower[:, is_directional] = (
-        center - _DIRECTIONAL_DISTANCE * scene_radius * lights["position"][is_directional].T
-    )
-    bounds.radius[is_directional] = scene_radius  # the direction to it differs from the true one by as much
-    bounds.intensity[is_directional] = power[is_directional] / np.pi * _DIRECTIONAL_DISTANCE**2
-    is_environment = np.isin(lights["kind"], (structs.LIGHT_CONSTANT, structs.LIGHT_ENVIRONMENT_MAP))
-    bounds.lower[:, is_environment] = center
-    # the whole scene is within half of it: see kernels/light/light_tree.h
-    bounds.radius[is_environment] = 4 * scene_radius
-    bounds.intensity[is_environment] = power[is_environment] / np.pi
-    is_distant = is_directional | is_environment
-    bounds.upper[:, is_distant] = bounds.lower[:, is_distant] + bounds.radius[is_distant]
-    bounds.lower[:, is_distant] -= bounds.radius[is_distant]
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

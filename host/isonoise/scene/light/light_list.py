@@ -8,8 +8,8 @@ import numpy as np
 
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light.light_bounds import compute_light_bounds
 from isonoise.scene.light.light_tree import MIN_POWER_SHARE
+from isonoise.scene.light.lights import compute_light_bounds
 
 MAX_LISTED_LIGHTS = 32
 _MIN_SQUARED_DISTANCE = 1e-30

@@ -13,7 +13,8 @@ from isonoise.scene import structs
 from isonoise.scene.accel.bvh import BVH_WIDTH
 from isonoise.scene.accel.ploc import BinaryTree, build_binary_tree
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light.light_bounds import LightBounds, bound_tree_nodes, compute_light_bounds
+from isonoise.scene.light.light_bounds import LightBounds, bound_tree_nodes
+from isonoise.scene.light.lights import compute_light_bounds
 
 MIN_TREE_LIGHTS = 4
 """From this number of lights on, selection depends on the shading point. Four separate lamps: half the variance at

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from isonoise.scene.camera import MAX_PIXELS, fits_film, focal_length, is_rigid
+from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
+from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
 from isonoise.scene.material.presets import conductors
 from isonoise.scene.parse.elements import SourceLocation, closest_name
 from isonoise.scene.spectra import colour_to_rgb
@@ -124,7 +126,8 @@ def _inside(bsdf: dict) -> Iterator[dict]:
 
 def _twosided(bsdf: dict, location: SourceLocation):
     for nested in _inside(bsdf):
-        if nested["type"] in _TRANSMITTING or nested.get("spec_trans", 0.0) != 0.0:
+        transmits = KIND_OF_PLUGIN[nested["type"]].transmits
+        if transmits and transmits(nested):
             location.raise_error(
                 f"twosided cannot hold a bsdf '{nested['type']}' that lets light through, in Mitsuba 3 neither"
             )
@@ -172,15 +175,14 @@ def _homogeneous(medium: dict, location: SourceLocation):
 
 
 def _scene(scene: dict, location: SourceLocation):
-    constant = [v for v in scene.values() if isinstance(v, dict) and v["type"] in ("constant", "envmap")]
-    if len(constant) > 1:
+    environments = {plugin for plugin, kind in LIGHT_OF_PLUGIN.items() if kind.is_environment}
+    if sum(isinstance(value, dict) and value["type"] in environments for value in scene.values()) > 1:
         location.raise_error("a scene has only one constant emitter or environment map")
     sensors = {plugin.name for plugin in SENSORS}
     if not any(isinstance(v, dict) and v["type"] in sensors for v in scene.values()):
         location.raise_error('the scene has no sensor; add a <sensor type="perspective">')
 
 
-_TRANSMITTING = ("dielectric", "thindielectric", "roughdielectric", "null", "mask")
 _WIDEST = 1e18  # the square of a tangent, 1e36, fits in 32-bit floats
 _DENSEST = 1e30  # collisions a unit of length: products with distances stay within 32-bit floats
 _SMALLEST = float(np.finfo(np.float32).tiny)

@@ -22,7 +22,7 @@ _SCENE = Plugin(
         Child("integrator"),
         Child("sensor", most=1 << 16),
         Child("shape", most=1 << 32),
-        Child("emitter", most=1 << 32, types=("point", "spot", "directional", "constant", "envmap")),
+        Child("emitter", most=1 << 32, types=tuple(plugin.name for plugin in EMITTERS if plugin.name != "area")),
         Child("bsdf", most=1 << 32),
         Child("texture", most=1 << 32),
         Child("medium", most=1 << 32),

@@ -1,0 +1,190 @@
+"""The kinds of light, one row each: `KINDS`.
+
+From these rows come the device records, the power and the bounds of lights (`lights`), the feature of every kind
+(`integrator.features`) and, for the kernels, the macros and the header of `light_macros` and `light_header`. The
+parameters of a plugin are in `vocabulary.emitters`. How to add a kind: host/docs/extending.md.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from isonoise.scene import structs
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.light import light_bounds
+from isonoise.scene.light.envmap import ENVIRONMENT, ENVIRONMENT_ROW
+from isonoise.scene.light.light_bounds import LightBounds, spot_solid_angle
+
+AREA = "area"
+"""The plugin that makes a shape emit; its kinds are those of primitives."""
+
+
+@dataclass(frozen=True)
+class LightKind:
+    """A kind of light. `name` gives its names in the kernels: the bit LIGHT_<NAME>, the file light/<name>_light.h.
+
+    That file has `sample_<name>_light(scene, light, reference, u, &sample)`; of an area light's primitive other than
+    a triangle, `sample_<name>_light(scene, &shape, reference, u, &surface)`, which returns a pdf in solid angle or 0.
+    """
+
+    name: str
+    feature: str
+    description: str  # what the feature is, for `isonoise info`
+    plugin: str
+    emission: str  # the plugin's parameter: radiance, radiant intensity or irradiance; '' if it comes from an image
+    power_factor: Callable[[np.ndarray, float], np.ndarray | float]
+    """Power over `LIGHT.radiance`, for records (n,) and the radius of the sphere around the scene."""
+    bounds: Callable[[CompiledScene, np.ndarray, np.ndarray], LightBounds]
+    """Bounds of lights of this kind: scene, records (n,), their power (n,)."""
+    record: Callable[[dict], Mapping[str, object]] = lambda emitter: {}  # further members of `LIGHT`
+    analytic: int | None = None  # structs.ANALYTIC_...: the primitive of an area light; None: a triangle
+    is_environment: bool = False  # emits from infinity, from all directions: a scene has at most one
+    buffers: Mapping[str, str] = field(default_factory=dict)  # as in `features.Feature`
+    header: str = ""  # '': light/<name>_light.h
+
+    @property
+    def is_area(self) -> bool:
+        """Whether a primitive of the scene emits."""
+        return self.plugin == AREA
+
+
+def _to_world(emitter: dict) -> np.ndarray:
+    return emitter.get("to_world", np.eye(4))
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v)
+
+
+def _spot(emitter: dict) -> dict[str, object]:
+    cutoff = np.radians(emitter["cutoff_angle"])
+    beam = np.radians(emitter.get("beam_width", 0.75 * emitter["cutoff_angle"]))  # Mitsuba 3's default
+    return {
+        "position": _to_world(emitter)[:3, 3],
+        "axis": _unit(_to_world(emitter)[:3, 2]),
+        "cutoff": cutoff,
+        "inverse_transition": 1.0 / max(cutoff - beam, 1e-6),  # a hard edge has a width of a millionth of a radian
+    }
+
+
+def _area_power(lights: np.ndarray, radius: float) -> np.ndarray:
+    return np.pi * lights["area"].astype(np.float64)
+
+
+def _environment_power(lights: np.ndarray, radius: float) -> float:
+    return 4.0 * np.pi**2 * radius**2
+
+
+def _area(name: str, bounds: Callable, analytic: int | None = None) -> LightKind:
+    feature, description = f"{name.upper()}_LIGHTS", f"{name} lights"
+    return LightKind(
+        *(name, feature, description, AREA, "radiance", _area_power, bounds),
+        analytic=analytic,
+        header="light/area_light.h",
+    )
+
+
+_ROWS = (
+    _area("triangle", light_bounds.triangle_bounds),
+    _area("sphere", light_bounds.sphere_bounds, structs.ANALYTIC_SPHERE),
+    _area("disk", light_bounds.disk_bounds, structs.ANALYTIC_DISK),
+    _area("cylinder", light_bounds.cylinder_bounds, structs.ANALYTIC_CYLINDER),
+    LightKind(
+        *("point", "POINT_LIGHTS", "point lights", "point", "intensity"),
+        power_factor=lambda lights, radius: 4.0 * np.pi,
+        bounds=light_bounds.point_bounds,
+        record=lambda emitter: {"position": emitter.get("position", _to_world(emitter)[:3, 3])},
+    ),
+    LightKind(
+        *("spot", "SPOT_LIGHTS", "spot lights", "spot", "intensity"),
+        power_factor=lambda lights, radius: spot_solid_angle(lights),
+        bounds=light_bounds.spot_bounds,
+        record=_spot,
+    ),
+    LightKind(
+        *("directional", "DIRECTIONAL_LIGHTS", "directional lights", "directional", "irradiance"),
+        power_factor=lambda lights, radius: np.pi * radius**2,
+        bounds=light_bounds.directional_bounds,
+        record=lambda emitter: {
+            "position": _unit(np.asarray(emitter.get("direction", _to_world(emitter)[:3, 2]), float))
+        },
+    ),
+    LightKind(
+        *("constant", "CONSTANT_LIGHT", "constant environment", "constant", "radiance"),
+        power_factor=_environment_power,
+        bounds=light_bounds.environment_bounds,
+        is_environment=True,
+        header="light/environment_light.h",
+    ),
+    LightKind(
+        *("environment_map", "ENVIRONMENT_MAP", "environment map", "envmap", ""),
+        power_factor=_environment_power,
+        bounds=light_bounds.environment_bounds,
+        is_environment=True,
+        buffers={
+            "environment": f"{ENVIRONMENT.itemsize} bytes in all",
+            "environment_texels": "16 bytes a texel",
+            "environment_rows": f"{ENVIRONMENT_ROW.itemsize} bytes a row of texels",
+            "environment_aliases": "4 bytes a cell between texels",
+        },
+        header="light/environment_light.h",
+    ),
+)
+
+KINDS = {kind.name: kind for kind in _ROWS}
+"""Kinds by name. Their order gives each its bit and has no other meaning."""
+
+KIND_OF_PLUGIN = {kind.plugin: kind for kind in _ROWS if not kind.is_area}
+
+
+def light_bits(*names: str) -> int:
+    """The bits of kinds, as in the member `kind` of the records."""
+    return sum(1 << list(KINDS).index(name) for name in names)
+
+
+def select(condition: Callable[[LightKind], bool]) -> tuple[LightKind, ...]:
+    """The kinds for which a condition holds."""
+    return tuple(kind for kind in KINDS.values() if condition(kind))
+
+
+def _any_feature(kinds: Iterable[LightKind]) -> str:
+    return " || ".join(f"FEATURE_{kind.feature}" for kind in kinds) or "0"
+
+
+@lru_cache(maxsize=1)
+def light_macros() -> dict[str, int | str]:
+    """Macros for the kernels: bits, and what the lights of a scene have in common."""
+    return {
+        **{f"LIGHT_{name.upper()}": light_bits(name) for name in KINDS},
+        "HAS_ANALYTIC_LIGHTS": _any_feature(select(lambda kind: kind.analytic is not None)),
+        "HAS_ENVIRONMENT_LIGHT": _any_feature(select(lambda kind: kind.is_environment)),
+        "HAS_OTHER_LIGHTS": _any_feature(select(lambda kind: kind.name != "triangle")),  # than triangles
+    }
+
+
+@lru_cache(maxsize=1)
+def light_header() -> str:
+    """generated/light_kinds.h: lists of the kinds that the scene has, and the headers of all kinds.
+
+    FOR_EMITTERS(DO) is DO(LIGHT_<NAME>, sample_<name>_light) for every kind without a surface, FOR_ANALYTIC_LIGHTS(DO)
+    the same for analytic area lights.
+    """
+    lines = []
+    for kind in KINDS.values():
+        name = kind.name.upper()
+        lines += [f"#if FEATURE_{kind.feature}", f"#define FOR_{name}(DO) DO(LIGHT_{name}, sample_{kind.name}_light)"]
+        lines += ["#else", f"#define FOR_{name}(DO)", "#endif"]
+    lists = {
+        "FOR_EMITTERS": select(lambda kind: not kind.is_area),
+        "FOR_ANALYTIC_LIGHTS": select(lambda kind: kind.analytic is not None),
+    }
+    for label, chosen in lists.items():
+        lines.append(f"#define {label}(DO) {' '.join(f'FOR_{kind.name.upper()}(DO)' for kind in chosen)}")
+    lines += [f'#include "{header}"' for header in dict.fromkeys(map(_header, KINDS.values()))]
+    return "\n".join(lines)
+
+
+def _header(kind: LightKind) -> str:
+    return kind.header or f"light/{kind.name}_light.h"

@@ -1,0 +1,37 @@
+// Light from infinity, from all directions: constant, or an image (light/envmap.h).
+#pragma once
+#include "light/light_sample.h"
+
+#if HAS_ENVIRONMENT_LIGHT
+// Radiance from infinity along `direction`, and the pdf with which `sample_light` samples it, without the selection probability.
+INLINE Vec3 environment_radiance(const SceneView* scene, const Light* sky, Vec3 direction, float* pdf)
+{
+    Vec3 radiance = LOAD3(0, sky->radiance);
+    *pdf = 0.25f * M_1_PI_F;
+#if FEATURE_ENVIRONMENT_MAP
+    if (!FEATURE_CONSTANT_LIGHT || sky->kind & LIGHT_ENVIRONMENT_MAP)
+        radiance = envmap_radiance(&scene->envmap, direction, pdf);
+#endif
+    return radiance;
+}
+#endif
+
+#if FEATURE_NEXT_EVENT && FEATURE_CONSTANT_LIGHT
+INLINE void sample_constant_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u, LightSample* sample)
+{
+    const float z = 1.0f - 2.0f * u.x, r = 2.0f * SQRT(MAX(u.x * (1.0f - u.x), 0.0f));
+    sample->direction = vec3_from(scale2(cos_sin_turns(u.y), r), z);
+    sample->pdf *= 0.25f * M_1_PI_F;
+    sample->is_infinite = true;
+}
+#endif
+
+#if FEATURE_NEXT_EVENT && FEATURE_ENVIRONMENT_MAP
+INLINE void sample_environment_map_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u, LightSample* sample)
+{
+    float density;
+    sample->radiance = envmap_sample(&scene->envmap, u, &sample->direction, &density);
+    sample->pdf *= density;
+    sample->is_infinite = true;
+}
+#endif
