@@ -162,7 +162,10 @@ def _value(head: str, key: str, text: str, target_type: object) -> object:
 def _text(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return f"{value:.17g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        short = f"{value:g}"
+        return short if float(short) == value else repr(value)
+    return str(value)
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

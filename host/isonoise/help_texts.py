@@ -1,0 +1,85 @@
+"""The texts below the options in `isonoise COMMAND --help`. `cli` imports this only when such a help is printed."""
+
+import textwrap
+
+from isonoise.errors import UserError
+
+
+def render_epilog() -> str:
+    """Strategies with their parameters, and the columns of the log."""
+    from isonoise.film.log import columns
+    from isonoise.strategies import DEFAULT_STRATEGY, available_strategies, describe, make_strategy
+
+    lines = [f"strategies (default: {DEFAULT_STRATEGY}) with their parameters' defaults:"]
+    for name in available_strategies():
+        try:
+            lines.append(f"  {describe(make_strategy(name))}")
+        except UserError as error:  # a parameter is required, or an installed package's strategy fails to load
+            lines.append(f"  {name}: {error}")
+    lines += ["  module:Class for your own", ""]
+    lines.append("columns of --log (those with the prefix true_ only with --reference):")
+    meanings = columns(true_errors=True)
+    width = max(map(len, meanings))
+    for name, meaning in meanings.items():
+        lines += textwrap.wrap(meaning, 110, initial_indent=f"  {name:{width}}  ", subsequent_indent=" " * (width + 4))
+    lines += ["", "exit codes: 0 done; 1 --error not reached within the other limits; 2 bad input; 130 after Ctrl-C"]
+    return "\n".join(lines)
+
+
+def compare_epilog() -> str:
+    """Additional strategies, presets, and the files that a comparison writes."""
+    from isonoise.comparison.presets import PRESETS
+
+    presets = []
+    for name, preset in PRESETS.items():
+        presets.append(f"  {name}: {preset.description}")
+        presets.append(f"    {preset.seeds} seeds, {preset.time:g} s per run; scenes {', '.join(preset.scenes)};")
+        presets += [f"    {spec}" for spec in preset.strategies]
+    return f"""\
+strategies in addition to those of `isonoise render`:
+  oracle                   without file=: reads variances from a long uniform run, made once per scene
+  mitsuba-independent      Mitsuba 3 with its sampler `independent`; needs the extra `peers`
+  mitsuba-multijitter      the same with `multijitter`; DRJIT_LIBLLVM_PATH may have to name the libLLVM to use
+
+presets:
+{chr(10).join(presets)}
+
+files in DIR:
+  report.html              tables and plots in one file
+  summary.json             the tables' numbers
+  tables.md                the tables as Markdown
+  waves.csv                one row per wave of every run: the columns of `isonoise render --help`, and device_s
+  plots/                   the plots as files
+  references/SCENE.exr     rendered references: R, G, B and standard errors stderr.R, .G, .B
+  runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again
+  plan.json                the comparison's settings
+
+exit codes: 0 done; 2 bad input, or DIR holds another comparison; 130 after Ctrl-C"""
+
+
+def bench_epilog() -> str:
+    """Generated scenes, and what --against, --peers and --specialisation measure."""
+    from isonoise.benchmark.generated_scenes import MADE_SCENES
+    from isonoise.commands.bench import DEFAULT_SCENES
+
+    return f"""\
+scenes in addition to files and built-in ones: {", ".join(MADE_SCENES)}, meshes of that many triangles under
+an environment map. They are generated; `python -m isonoise.benchmark.generated_scenes NAME FOLDER` writes one.
+Without SCENE: {", ".join(DEFAULT_SCENES)}; with --peers also mesh-1.3m; with --specialisation the
+built-in scenes.
+
+A run has about 2 million samples on a CPU and 16 million on a GPU unless --spp is given.
+
+--against compares samples/s and every kernel's time by their medians. It ignores kernels with at most 5 % of the
+time, and differences if the repeats' ranges overlap. Device, scene, size, depth and samples have to be the same;
+the driver may differ.
+
+--peers measures in turn with Mitsuba 3 (llvm_ad_rgb, path) on the same file, size, depth and Russian roulette.
+For scenes of triangles only, also with Embree on one thread on the same rays: the camera's, and those after one
+diffuse bounce. It needs the extra `peers`; DRJIT_LIBLLVM_PATH may have to name a libLLVM, 19 or newer.
+
+--specialisation measures in turn with kernels that support more than the scene uses: `path` all features for scenes
+with that integrator, `everything` also those for volpath. It compares the images, too. Compilation times are
+measured in separate processes, about a minute per scene on a CPU.
+
+exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C"""
