@@ -6,7 +6,7 @@ from records import slot
 
 from isonoise.scene import compile_scene, load
 from isonoise.scene.material.presets import conductors, refractive_indices
-from isonoise.scene.spectra import MITSUBA_LUMINANCE, flat_to_rgb, spectrum_to_rgb
+from isonoise.scene.spectra import MITSUBA_LUMINANCE, constant_to_rgb, spectrum_to_rgb
 
 # Mitsuba computes in float32 and prints six digits: 1000 terms round to some 1e-6.
 TOLERANCE = {"rtol": 5e-6, "atol": 2e-6}
@@ -43,9 +43,9 @@ def test_spectrum_to_rgb_agrees_with_mitsuba(kind, pairs, expected):
 
 
 def test_flat_spectra():
-    np.testing.assert_allclose(flat_to_rgb(2.5, "radiance"), (3.01198, 2.37073, 2.27229), **TOLERANCE)
-    assert flat_to_rgb(0.3, "reflectance").tolist() == [0.3, 0.3, 0.3]
-    assert flat_to_rgb(1.0, "radiance") @ MITSUBA_LUMINANCE == pytest.approx(1.0, abs=1e-5)  # Y of equal energy
+    np.testing.assert_allclose(constant_to_rgb(2.5, "radiance"), (3.01198, 2.37073, 2.27229), **TOLERANCE)
+    assert constant_to_rgb(0.3, "reflectance").tolist() == [0.3, 0.3, 0.3]
+    assert constant_to_rgb(1.0, "radiance") @ MITSUBA_LUMINANCE == pytest.approx(1.0, abs=1e-5)  # Y of equal energy
 
 
 EMISSIONS = [

@@ -1,4 +1,4 @@
-"""Scenes that come with isonoise, by name."""
+"""The built-in scenes, and the lookup of a scene file by path or built-in name."""
 
 import os
 from importlib.resources import files
@@ -14,19 +14,19 @@ def builtin_scenes() -> list[str]:
 
 
 def find_scene(source: str | os.PathLike) -> Path:
-    """The file that a path or the name of a built-in scene stands for. Raises SceneError if there is none."""
+    """The path of a scene file, given its path or a built-in scene's name. Raises SceneError if there is none."""
     name, names = str(source), builtin_scenes()
     path = Path(name)
     try:
         is_file, is_folder = path.is_file(), path.is_dir()
-    except (OSError, ValueError):  # names that no file can have
+    except (OSError, ValueError):  # not a valid file name
         is_file = is_folder = False
     if is_file:
         return path.absolute()
     if name in names:
         return Path(str(files("isonoise.scenes").joinpath(f"{name}.xml")))
     if is_folder:
-        raise SceneError(f"{name}: is a folder; name a scene file in it")
+        raise SceneError(f"{name} is a folder; give the path of a scene file in it")
     hint = closest_name(name, names)
     suggestion = f"; did you mean '{hint}'?" if hint and not path.suffix else ""
     raise SceneError(

@@ -1,4 +1,4 @@
-"""The sensor, its film and its filter as one camera record."""
+"""Compiles the sensor, its film and its pixel filter to one camera record. Called by `compile.py`."""
 
 import math
 import re
@@ -8,29 +8,29 @@ import numpy as np
 from isonoise.scene import structs
 
 MAX_PIXELS = 1 << 28
-"""Largest picture; beyond it the statistics alone need over 10 GiB, so it is most likely a slip."""
+"""Largest image. Beyond it the statistics alone need over 10 GiB, so the size is most likely a mistake."""
 
-_GAUSSIAN_RADIUS = 4.0  # in standard deviations, where Mitsuba 3 cuts its gaussian
-_FOCAL_LENGTH = "50mm"
-_GAUSSIAN = {"type": "gaussian", "stddev": 0.5}
-_KINDS = {
+_GAUSSIAN_RADIUS = 4.0  # truncation radius in standard deviations, Mitsuba 3's
+_DEFAULT_FOCAL_LENGTH = "50mm"
+_DEFAULT_FILTER = {"type": "gaussian", "stddev": 0.5}
+_CAMERA_KINDS = {
     "perspective": structs.CAMERA_PINHOLE,
     "thinlens": structs.CAMERA_THIN_LENS,
     "orthographic": structs.CAMERA_ORTHOGRAPHIC,
 }
-_FILM = {"width": 768, "height": 576}
+_DEFAULT_FILM = {"width": 768, "height": 576}
 
 
 def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarray, str]:
-    """(camera record (1,), name of the filter). `size` replaces the film's size and drops its crop window."""
-    film = sensor.get("film", _FILM)
+    """(structs.CAMERA record (1,), name of the filter). `size` replaces the film's size and removes its crop window."""
+    film = sensor.get("film", _DEFAULT_FILM)
     if size:
-        film = {"width": size[0], "height": size[1], "rfilter": film.get("rfilter", _GAUSSIAN)}
-    width, height, offset, crop = _window(film)
-    rfilter = film.get("rfilter", _GAUSSIAN)
+        film = {"width": size[0], "height": size[1], "rfilter": film.get("rfilter", _DEFAULT_FILTER)}
+    width, height, offset, crop = _crop_window(film)
+    rfilter = film.get("rfilter", _DEFAULT_FILTER)
     camera = np.zeros(1, structs.CAMERA)
     camera["to_world"] = sensor.get("to_world", np.eye(4))[:3].ravel()
-    camera["kind"] = _KINDS[sensor["type"]]
+    camera["kind"] = _CAMERA_KINDS[sensor["type"]]
     half_width = 1.0 if sensor["type"] == "orthographic" else _tan_half_fov_x(sensor, width / height)
     camera["tan_half_fov"] = (half_width, half_width * height / width)
     if sensor["type"] == "perspective":
@@ -47,26 +47,27 @@ def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarr
     return camera, rfilter["type"]
 
 
-def _window(film: dict) -> tuple[int, int, tuple[int, int], tuple[int, int]]:
+def _crop_window(film: dict) -> tuple[int, int, tuple[int, int], tuple[int, int]]:
+    """(film width, film height, crop offset, crop size) in pixels."""
     width, height = film["width"], film["height"]
     offset = (film.get("crop_offset_x", 0), film.get("crop_offset_y", 0))
     return width, height, offset, (film.get("crop_width", width), film.get("crop_height", height))
 
 
-def fits_film(film: dict) -> bool:
+def crop_fits_film(film: dict) -> bool:
     """Whether the crop window lies within the film."""
-    width, height, offset, crop = _window(film)
+    width, height, offset, crop = _crop_window(film)
     return offset[0] + crop[0] <= width and offset[1] + crop[1] <= height
 
 
-def focal_length(text: str) -> float | None:
-    """Millimetres of a text such as '50mm', None if it is none."""
+def parse_focal_length(text: str) -> float | None:
+    """Millimetres in a text such as '50mm', or None if it is invalid."""
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm)?\s*", text)
     return float(match[1]) if match and float(match[1]) > 0 else None
 
 
 def is_rigid(to_world: np.ndarray) -> bool:
-    """Whether a camera's transform keeps lengths (to 1e-3, as in Mitsuba 3; it may mirror)."""
+    """Whether a camera's transform preserves lengths, to 1e-3 as in Mitsuba 3. It may mirror."""
     linear = to_world[:3, :3]
     return bool(np.abs(linear.T @ linear - np.eye(3)).max() <= 1e-3)
 
@@ -74,13 +75,13 @@ def is_rigid(to_world: np.ndarray) -> bool:
 def _tan_half_fov_x(sensor: dict, aspect: float) -> float:
     """Tangent of half the horizontal field of view of the full film, from `fov` and its axis or the focal length.
 
-    A focal length is that of a 35 mm camera: the diagonal of its 36 x 24 mm frame is the film's.
+    A focal length is that of a 35 mm camera: the diagonal of its 36 x 24 mm frame becomes the diagonal of the film.
     """
     axis = sensor["fov_axis"]
     if "fov" in sensor:
         half = math.tan(0.5 * math.radians(sensor["fov"]))
     else:
-        half = 0.5 * math.hypot(36.0, 24.0) / focal_length(sensor.get("focal_length", _FOCAL_LENGTH))
+        half = 0.5 * math.hypot(36.0, 24.0) / parse_focal_length(sensor.get("focal_length", _DEFAULT_FOCAL_LENGTH))
         axis = "diagonal"
     if axis in ("smaller", "larger"):
         axis = "x" if (aspect <= 1.0) == (axis == "smaller") else "y"

@@ -1,4 +1,4 @@
-"""Reading files: regular ones only, whole."""
+"""Opens and reads scene files: regular files only, because pipes and devices may have no end."""
 
 from pathlib import Path
 from typing import BinaryIO
@@ -8,14 +8,14 @@ from isonoise.scene.parse.elements import path_exists
 
 
 def open_regular_file(path: Path) -> BinaryIO:
-    """The file, open for reading. Raises OSError, or SceneError where it is a pipe or device, which may have no end."""
+    """Open a file for reading. Raises OSError, or SceneError if it is a pipe or a device."""
     if path_exists(path) and not (path.is_file() or path.is_dir()):
         raise SceneError(f"{path}: is not a regular file")
     return path.open("rb")
 
 
 def read_bytes(path: Path) -> bytes:
-    """A whole file."""
+    """Read a whole file. Raises SceneError if it cannot be read."""
     try:
         with open_regular_file(path) as file:
             return file.read()

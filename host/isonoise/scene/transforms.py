@@ -1,4 +1,4 @@
-"""4x4 transforms in float64: the operations of Mitsuba 3's <transform>, and what shapes and cameras ask of them."""
+"""4x4 transforms in float64: the operations of Mitsuba 3's <transform>, and decompositions for shapes and cameras."""
 
 import numpy as np
 
@@ -16,9 +16,9 @@ def scale(factors) -> np.ndarray:
 
 
 def rotate(axis, degrees: float) -> np.ndarray:
-    """Rotation about an axis through the origin, counter-clockwise seen from its tip (Rodrigues).
+    """Rotation about an axis through the origin, counter-clockwise as seen from its tip (Rodrigues).
 
-    The axis is used as it is: Mitsuba 3 does not normalise it, so one that is not a unit vector scales and shears.
+    As in Mitsuba 3, the axis is not normalised: if it is not a unit vector, the matrix scales and shears.
     """
     x, y, z = np.asarray(axis, float)
     sine, cosine = np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))
@@ -29,17 +29,17 @@ def rotate(axis, degrees: float) -> np.ndarray:
 
 
 def look_at(origin, target, up=None) -> np.ndarray:
-    """Camera-to-world of a camera at `origin` that looks along +z at `target`, with +x to its left (Mitsuba 3).
+    """Camera-to-world matrix of a camera at `origin` that looks at `target`: +z forward, +x left (Mitsuba 3).
 
-    Raises ValueError where the three leave the orientation open.
+    Raises ValueError if the vectors do not define an orientation.
     """
     origin, target = np.asarray(origin, float), np.asarray(target, float)
-    ahead = _unit(target - origin)
+    forward = _unit(target - origin)
     if up is None or not np.any(up):
-        up = perpendicular(ahead)
-    left = _unit(np.cross(np.asarray(up, float), ahead))
+        up = perpendicular(forward)
+    left = _unit(np.cross(np.asarray(up, float), forward))
     matrix = np.eye(4)
-    matrix[:3, :4] = np.stack([left, np.cross(ahead, left), ahead, origin], axis=1)
+    matrix[:3, :4] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
     return matrix
 
 
@@ -52,7 +52,7 @@ def perpendicular(normal: np.ndarray) -> np.ndarray:
 
 
 def rotation_from_z(normal: np.ndarray) -> np.ndarray:
-    """Rotation that takes +z to a unit vector."""
+    """Rotation of +z to a unit vector."""
     tangent = perpendicular(normal)
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
@@ -60,20 +60,20 @@ def rotation_from_z(normal: np.ndarray) -> np.ndarray:
 
 
 def polar_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(Q, S) with matrix[:3, :3] = Q S, Q a rotation and S symmetric; S is negative where the matrix mirrors."""
+    """(Q, S) with matrix[:3, :3] = Q S, Q a rotation and S symmetric; S is negative definite if the matrix mirrors."""
     u, sigma, vt = np.linalg.svd(matrix[:3, :3])
     sign = 1.0 if np.linalg.det(u @ vt) > 0 else -1.0
     return sign * (u @ vt), sign * (vt.T * sigma) @ vt
 
 
-def transform_points(matrix: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Positions (n, 3) taken through an affine transform."""
-    return np.einsum("ij,kj->ik", positions, matrix[:3, :3]) + matrix[:3, 3]
+def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) transformed by an affine matrix."""
+    return np.einsum("ij,kj->ik", points, matrix[:3, :3]) + matrix[:3, 3]
 
 
-def transform_normals(matrix: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Normals (n, 3) taken through the inverse transpose; not normalised."""
-    return np.einsum("ij,jk->ik", directions, np.linalg.inv(matrix[:3, :3]))
+def transform_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Normals (n, 3) transformed by the inverse transpose; not normalised."""
+    return np.einsum("ij,jk->ik", normals, np.linalg.inv(matrix[:3, :3]))
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

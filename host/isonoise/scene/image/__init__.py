@@ -1,1 +1,1 @@
-"""Image files."""
+"""Readers of image files."""

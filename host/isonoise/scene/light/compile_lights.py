@@ -13,7 +13,7 @@ from isonoise.scene.light import lights as lighting
 from isonoise.scene.light.alias_table import alias_table, selection_probabilities
 from isonoise.scene.light.envmap import EnvironmentMap
 from isonoise.scene.light.light_kinds import light_bits, select
-from isonoise.scene.material.textures import Textures, is_plain
+from isonoise.scene.material.textures import Textures, is_constant
 from isonoise.scene.mesh.surfaces import Surface
 
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
@@ -42,7 +42,7 @@ class CompiledLights:
 
 def radiance_texture(emitter: dict, textures: Textures) -> int:
     """Index of the texture of an area emitter's radiance, NONE if the radiance is constant."""
-    return structs.NONE if is_plain(emitter["radiance"]) else textures.index(emitter["radiance"], "radiance")
+    return structs.NONE if is_constant(emitter["radiance"]) else textures.index(emitter["radiance"], "radiance")
 
 
 def compile_lights(

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.luminance import REC709_LUMINANCE
 from isonoise.scene.image.image import Image
 from isonoise.scene.light.alias_table import alias_tables
 
@@ -37,7 +38,7 @@ ENVIRONMENT_ROW = np.dtype(
     ]
 )
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # as in kernels/util/math.h, which computes the density with them
+_LUMINANCE = np.array(REC709_LUMINANCE)  # the kernels compute the density with these weights
 _CHUNK_ROWS = 64  # rows processed at once
 _MAX_STRETCH = 1e-3  # relative deviation of to_world from an orthogonal matrix
 

@@ -1,1 +1,1 @@
-"""BSDFs, textures and media as device records."""
+"""Compiles bsdfs, textures and media to device records."""

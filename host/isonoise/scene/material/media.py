@@ -1,4 +1,7 @@
-"""Media of the description -> records for the device, and what lies on the two sides of a shape."""
+"""Compiles media of the description to device records, and the media on the two sides of a shape.
+
+Called by `scene/compile.py`.
+"""
 
 import numpy as np
 
@@ -7,16 +10,16 @@ from isonoise.scene import structs
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.spectra import colour_to_rgb
 
-_ISOTROPIC = {"type": "isotropic"}  # Mitsuba 3's phase function of a medium that names none
+_DEFAULT_PHASE = {"type": "isotropic"}  # Mitsuba 3's, for a medium without a phase function
 
 
 class Media:
-    """Collects media, equal ones once; their phase functions become materials of `bsdfs`."""
+    """Collects medium records; equal ones are stored once. Their phase functions become records of `bsdfs`."""
 
     def __init__(self, bsdfs: Bsdfs):
         self._bsdfs = bsdfs
         self._records: list[np.ndarray] = []
-        self._known: dict[bytes, int] = {}
+        self._index_by_record: dict[bytes, int] = {}
 
     @property
     def records(self) -> np.ndarray:
@@ -30,17 +33,17 @@ class Media:
         record = np.zeros(1, structs.MEDIUM)
         record["sigma_t"] = colour_to_rgb(medium["sigma_t"], "unbounded") * medium["scale"]
         record["albedo"] = colour_to_rgb(medium["albedo"], "reflectance")
-        record["phase"] = self._bsdfs.phase(medium.get("phase", _ISOTROPIC), medium["sample_emitters"])
+        record["phase"] = self._bsdfs.phase(medium.get("phase", _DEFAULT_PHASE), medium["sample_emitters"])
         key = record.tobytes()
-        if key not in self._known:
+        if key not in self._index_by_record:
             if len(self._records) == structs.MEDIUM_NONE:
-                raise SceneError(f"a scene has at most {structs.MEDIUM_NONE:,} different media")
-            self._known[key] = len(self._records)
+                raise SceneError(f"the scene has more than {structs.MEDIUM_NONE:,} different media")
+            self._index_by_record[key] = len(self._records)
             self._records.append(record)
-        return self._known[key]
+        return self._index_by_record[key]
 
     def sides(self, shape: dict) -> int:
-        """SHAPE.media of a shape of the description."""
+        """structs.SHAPE["media"] of a shape of the description: its interior and exterior medium."""
         if "interior" not in shape and "exterior" not in shape:
             return structs.NONE
         return self.index(shape.get("interior")) | self.index(shape.get("exterior")) << 16

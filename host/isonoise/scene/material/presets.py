@@ -1,4 +1,4 @@
-"""Named materials: refractive indices of dielectrics, complex indices of conductors as RGB."""
+"""Named materials: refractive indices of dielectrics, complex refractive indices of conductors as RGB."""
 
 from functools import lru_cache
 from importlib.resources import files
@@ -6,7 +6,7 @@ from importlib.resources import files
 import numpy as np
 
 MIRROR = "none"
-"""The conductor that reflects everything."""
+"""Name of the perfect mirror."""
 
 
 def _rows(name: str):
@@ -18,7 +18,7 @@ def _rows(name: str):
 
 @lru_cache(maxsize=1)
 def refractive_indices() -> dict[str, float]:
-    """Index of refraction by (lower case) name."""
+    """Index of refraction by lower-case name."""
     return {name: float(values[0]) for name, values in _rows("indices.csv")}
 
 

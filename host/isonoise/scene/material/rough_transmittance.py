@@ -1,6 +1,6 @@
-"""What boundaries do to light that crosses them: mean inner reflectance, and transmittance by angle of rough ones.
+"""Reflectance and transmittance of plastic's dielectric boundary, smooth and rough. Called by `bsdfs.py`.
 
-Numbers are Mitsuba 3's, its approximations included: a material has the same colour in both.
+The values are Mitsuba 3's, including its approximations, so that a material has the same colour in both.
 """
 
 from functools import lru_cache
@@ -8,15 +8,17 @@ from functools import lru_cache
 import numpy as np
 
 NODES = 64
-"""Cosines 0, 1/63 ... 1 at which a transmittance is tabulated; kernels interpolate linearly, as Mitsuba does."""
-_FEW_NODES, _MANY_NODES = 32, 128  # of quadrature along either axis; many where there is total reflection
+"""Number of cosines 0, 1/63 ... 1 at which a transmittance is tabulated; kernels interpolate linearly, like Mitsuba."""
+# Nodes of quadrature along either axis. More are needed for total internal reflection.
+_NODES_FROM_OUTSIDE, _NODES_FROM_INSIDE = 32, 128
 
 
 def inner_reflectance(eta: float) -> float:
-    """Mean reflectance of a smooth boundary for diffuse light from within; `eta` is inner over outer index.
+    """Mean reflectance of a smooth boundary for diffuse light from inside; `eta` is inner over outer index.
 
-    Fits for eta > 1 (Egan and Hilgeman 1973, to 0.6 % below 2) and eta <= 1 (d'Eon and Irving 2011, 0.2 %). Above 3 the
-    true one, by quadrature: the fit, and so Mitsuba 3, makes more light than comes in, and from 3.9 on less than none.
+    Fits for eta > 1 (Egan and Hilgeman 1973, error up to 0.6 % below 2) and eta <= 1 (d'Eon and Irving 2011, 0.2 %).
+    Above 3 it is computed by quadrature: there the fit, and so Mitsuba 3, creates energy, and from 3.9 on its
+    transmittance is negative.
     """
     if eta > 3.0:
         cosines = (np.arange(4096) + 0.5) / 4096
@@ -28,40 +30,41 @@ def inner_reflectance(eta: float) -> float:
 
 @lru_cache(maxsize=64)
 def rough_boundary(alpha: float, eta: float, ggx: bool) -> tuple[np.ndarray, float]:
-    """(transmittance from outside (NODES,) float64, mean reflectance from within) of an isotropic rough boundary.
+    """(transmittance from outside (NODES,) float64, mean reflectance from inside) of an isotropic rough boundary.
 
-    Single scattering at its facets. The mean is the sum over the nodes by Mitsuba, which counts both ends in full.
+    Only single scattering by the microfacets is included. The mean is Mitsuba's sum over the nodes, which gives both
+    end nodes full weight.
     """
     cosines = np.maximum(np.linspace(0.0, 1.0, NODES), 1e-6)
     alpha = max(alpha, 1e-4)
-    w = np.stack([np.sqrt(1.0 - cosines**2), np.zeros(NODES), cosines])[:, :, None]
-    transmittance = _scattered(w, alpha, eta, ggx, transmitted=True)
-    reflectance = _scattered(w, alpha, 1.0 / eta, ggx, transmitted=False)
+    wi = np.stack([np.sqrt(1.0 - cosines**2), np.zeros(NODES), cosines])[:, :, None]
+    transmittance = _scattered_fraction(wi, alpha, eta, ggx, is_transmitted=True)
+    reflectance = _scattered_fraction(wi, alpha, 1.0 / eta, ggx, is_transmitted=False)
     return transmittance, float(2.0 * (reflectance * cosines).mean())
 
 
-def _scattered(w: np.ndarray, alpha: float, eta: float, ggx: bool, transmitted: bool) -> np.ndarray:
-    """Share of the light from `w` (3, n, 1) that is reflected, or transmitted: (n,)."""
-    m, weight = _facets(w, alpha, ggx, _FEW_NODES if eta > 1.0 else _MANY_NODES)
-    cosine = (w * m).sum(axis=0)
-    reflectance, refracted = _fresnel(cosine, eta)
-    if transmitted:
-        o, share = (cosine / eta - refracted) * m - w / eta, 1.0 - reflectance
+def _scattered_fraction(wi: np.ndarray, alpha: float, eta: float, ggx: bool, is_transmitted: bool) -> np.ndarray:
+    """Fraction (n,) of the light from `wi` (3, n, 1) that is reflected or transmitted."""
+    m, weight = _visible_normals(wi, alpha, ggx, _NODES_FROM_OUTSIDE if eta > 1.0 else _NODES_FROM_INSIDE)
+    cosine = (wi * m).sum(axis=0)
+    reflectance, cosine_refracted = _fresnel(cosine, eta)
+    if is_transmitted:
+        wo, fraction = (cosine / eta - cosine_refracted) * m - wi / eta, 1.0 - reflectance
     else:
-        o, share = 2.0 * cosine * m - w, reflectance
-    leaves = (o[2] < 0.0) if transmitted else (o[2] > 0.0)
-    return (share * np.where(leaves, _seen(o, alpha, ggx), 0.0)) @ weight
+        wo, fraction = 2.0 * cosine * m - wi, reflectance
+    is_valid = (wo[2] < 0.0) if is_transmitted else (wo[2] > 0.0)
+    return (fraction * np.where(is_valid, _smith_g1(wo, alpha, ggx), 0.0)) @ weight
 
 
 def _fresnel(cosine: np.ndarray, eta: float) -> tuple[np.ndarray, np.ndarray]:
-    """(reflectance, cosine of refraction) of a smooth boundary; `eta` is index of the far side over the near."""
+    """(reflectance, cosine of refraction) of a smooth boundary; `eta` is the far over the near index."""
     refracted = np.sqrt(np.maximum(1.0 - (1.0 - cosine**2) / eta**2, 0.0))
     parallel = (eta * cosine - refracted) / (eta * cosine + refracted)
     perpendicular = (cosine - eta * refracted) / (cosine + eta * refracted)
     return 0.5 * (parallel**2 + perpendicular**2), refracted
 
 
-def _seen(v: np.ndarray, alpha: float, ggx: bool) -> np.ndarray:
+def _smith_g1(v: np.ndarray, alpha: float, ggx: bool) -> np.ndarray:
     """Smith's G1, as in kernels/bsdf/microfacet.h."""
     slope, z = alpha * np.hypot(v[0], v[1]), np.abs(v[2])
     if ggx:
@@ -70,46 +73,46 @@ def _seen(v: np.ndarray, alpha: float, ggx: bool) -> np.ndarray:
     return np.where(z >= 1.6 * slope, 1.0, fit)
 
 
-def _facets(w: np.ndarray, alpha: float, ggx: bool, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Normals (3, n, k) as they are seen from w (3, n, 1) in the xz plane, and weights (k,) of sum 1.
+def _visible_normals(wi: np.ndarray, alpha: float, ggx: bool, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Microfacet normals (3, n, k) visible from wi (3, n, 1) in the xz plane, and weights (k,) that sum to 1.
 
-    They are what the sampling routine makes of the nodes of a Gauss-Legendre rule on the square: Mitsuba's quadrature.
-    One half of the square stands for both.
+    They are the sampling routine's normals for the nodes of a Gauss-Legendre rule on the square, Mitsuba's quadrature.
+    By symmetry, one half of the square is enough.
     """
-    length = np.hypot(alpha * w[0], w[2])
-    sine, cosine = alpha * w[0] / length, w[2] / length  # as a surface of roughness 1 sees it
-    at, weight = np.polynomial.legendre.leggauss(nodes)
+    length = np.hypot(alpha * wi[0], wi[2])
+    sine, cosine = alpha * wi[0] / length, wi[2] / length  # of wi, after stretching to roughness 1
+    u, weight = np.polynomial.legendre.leggauss(nodes)
     weight = np.outer(weight, weight[nodes // 2 :]).ravel() / 2.0
     if ggx:
-        x, y = _disk(at[None, nodes // 2 :], at[:, None])
-        share = 0.5 * (1.0 + cosine)
-        y = (1.0 - share) * np.sqrt(1.0 - x**2) + share * y
+        x, y = _square_to_disk(u[None, nodes // 2 :], u[:, None])
+        fraction = 0.5 * (1.0 + cosine)
+        y = (1.0 - fraction) * np.sqrt(1.0 - x**2) + fraction * y
         z = np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))
-        slopes = [alpha * (z * sine - y * cosine), alpha * x, np.maximum(z * cosine + y * sine, 0.0)]
+        stretched = [alpha * (z * sine - y * cosine), alpha * x, np.maximum(z * cosine + y * sine, 0.0)]
     else:
-        along = np.stack([_slopes(s, c, at) for s, c in zip(sine.ravel(), cosine.ravel(), strict=True)])
-        across = _slopes(0.0, 1.0, at[nodes // 2 :])
-        slopes = [-alpha * np.repeat(along, len(across), axis=1), -alpha * np.tile(across, nodes), np.ones(1)]
-    m = np.stack(np.broadcast_arrays(*slopes))
+        x = np.stack([_beckmann_slopes(s, c, u) for s, c in zip(sine.ravel(), cosine.ravel(), strict=True)])
+        y = _beckmann_slopes(0.0, 1.0, u[nodes // 2 :])
+        stretched = [-alpha * np.repeat(x, len(y), axis=1), -alpha * np.tile(y, nodes), np.ones(1)]
+    m = np.stack(np.broadcast_arrays(*stretched))
     return m / np.sqrt((m**2).sum(axis=0)), weight
 
 
-def _disk(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _square_to_disk(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shirley and Chiu's map of the square [-1, 1]^2 to the disk, flattened."""
-    wide = np.abs(x) > np.abs(y)
-    radius = np.where(wide, x, y)
-    angle = np.pi / 4.0 * np.where(wide, y, x) / radius
-    near, far = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-    return np.where(wide.ravel(), near, far), np.where(wide.ravel(), far, near)
+    is_wide = np.abs(x) > np.abs(y)
+    radius = np.where(is_wide, x, y)
+    angle = np.pi / 4.0 * np.where(is_wide, y, x) / radius
+    along, across = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    return np.where(is_wide.ravel(), along, across), np.where(is_wide.ravel(), across, along)
 
 
-def _slopes(sine: float, cosine: float, at: np.ndarray) -> np.ndarray:
-    """Slopes of a Gaussian surface of roughness 1 below which it shows (1 + at) / 2 of itself to the direction.
+def _beckmann_slopes(sine: float, cosine: float, u: np.ndarray) -> np.ndarray:
+    """Visible slopes of a Gaussian surface of roughness 1, at the quantiles (1 + u) / 2.
 
-    Heitz and d'Eon 2014: the density is exp(-x^2) (cosine - x sine) where that is positive; here as a table.
+    Heitz and d'Eon 2014: the density is exp(-x^2) (cosine - x sine) where that is positive. It is inverted by a table.
     """
-    farthest = 6.0  # the rest is below 1e-15
-    x = np.linspace(-farthest, cosine / sine if cosine < farthest * sine else farthest, 2001)
+    max_slope = 6.0  # the rest is below 1e-15
+    x = np.linspace(-max_slope, cosine / sine if cosine < max_slope * sine else max_slope, 2001)
     density = np.exp(-(x**2)) * (cosine - x * sine)
-    below = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    return np.interp(0.5 * (1.0 + at), below / below[-1], x)
+    cdf = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    return np.interp(0.5 * (1.0 + u), cdf / cdf[-1], x)

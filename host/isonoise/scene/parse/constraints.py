@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from isonoise.scene.camera import MAX_PIXELS, fits_film, focal_length, is_rigid
+from isonoise.scene.camera import MAX_PIXELS, crop_fits_film, is_rigid, parse_focal_length
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
 from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
 from isonoise.scene.material.presets import conductors
@@ -56,7 +56,7 @@ def _orthographic(sensor: dict, location: SourceLocation):
 
 def _perspective(sensor: dict, location: SourceLocation):
     _sensor(sensor, location)
-    if "focal_length" in sensor and focal_length(sensor["focal_length"]) is None:
+    if "focal_length" in sensor and parse_focal_length(sensor["focal_length"]) is None:
         location.raise_error(
             f"a focal length is a number of millimetres such as '50mm', got '{sensor['focal_length'][:40]}'"
         )
@@ -71,7 +71,7 @@ def _thin_lens(sensor: dict, location: SourceLocation):
 
 
 def _hdrfilm(film: dict, location: SourceLocation):
-    if not fits_film(film):
+    if not crop_fits_film(film):
         location.raise_error("the crop window leaves the film; crop_offset plus crop size is at most width and height")
     width, height = film.get("crop_width", film["width"]), film.get("crop_height", film["height"])
     if width * height > MAX_PIXELS:
