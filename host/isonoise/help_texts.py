@@ -59,11 +59,11 @@ exit codes: 0 done; 2 bad input, or DIR holds another comparison; 130 after Ctrl
 
 def bench_epilog() -> str:
     """Generated scenes, and what --against, --peers and --specialisation measure."""
-    from isonoise.benchmark.generated_scenes import MADE_SCENES
+    from isonoise.benchmark.generated_scenes import GENERATED_SCENES
     from isonoise.commands.bench import DEFAULT_SCENES
 
     return f"""\
-scenes in addition to files and built-in ones: {", ".join(MADE_SCENES)}, meshes of that many triangles under
+scenes in addition to files and built-in ones: {", ".join(GENERATED_SCENES)}, meshes of that many triangles under
 an environment map. They are generated; `python -m isonoise.benchmark.generated_scenes NAME FOLDER` writes one.
 Without SCENE: {", ".join(DEFAULT_SCENES)}; with --peers also mesh-1.3m; with --specialisation the
 built-in scenes.
@@ -78,8 +78,8 @@ the driver may differ.
 For scenes of triangles only, also with Embree on one thread on the same rays: the camera's, and those after one
 diffuse bounce. It needs the extra `peers`; DRJIT_LIBLLVM_PATH may have to name a libLLVM, 19 or newer.
 
---specialisation measures in turn with kernels that support more than the scene uses: `path` all features for scenes
-with that integrator, `everything` also those for volpath. It compares the images, too. Compilation times are
+--specialisation measures in turn with kernels that support more than the scene uses: `all-path` has all features
+of the integrator path, `all-volpath` also those of volpath. It compares the images, too. Compilation times are
 measured in separate processes, about a minute per scene on a CPU.
 
 exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C"""

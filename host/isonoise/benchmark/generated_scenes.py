@@ -1,8 +1,7 @@
-"""Scenes of many triangles, made when they are asked for: a bumpy ring over a floor, under an environment map.
+"""Generates scenes of many triangles: a bumpy ring over a floor under an environment map; called by `isonoise bench`.
 
-    python -m isonoise.benchmark.generated_scenes mesh-82k FOLDER
-
-writes FOLDER/mesh-82k.xml with its mesh and map, for any program that reads Mitsuba 3's format.
+`python -m isonoise.benchmark.generated_scenes mesh-82k FOLDER` writes FOLDER/mesh-82k.xml with its mesh and environment
+map, for any program that reads Mitsuba 3's format.
 """
 
 import sys
@@ -14,9 +13,9 @@ from isonoise.errors import UserError
 from isonoise.film.exr import write_exr
 from isonoise.film.files import write_atomically
 
-MADE_SCENES = {"mesh-82k": (256, 160), "mesh-1.3m": (1024, 640)}
+GENERATED_SCENES = {"mesh-82k": (256, 160), "mesh-1.3m": (1024, 640)}
 """Quads around the ring and around its tube: 81,920 and 1,310,720 triangles."""
-_TUBE, _BUMPS = 0.42, 0.09  # radii, where the ring's is 1
+_TUBE_RADIUS, _BUMP_HEIGHT = 0.42, 0.09  # the radius of the ring is 1
 
 _XML = """<?xml version="1.0" encoding="utf-8"?>
 <!-- A bumpy ring of {triangles:,} triangles over a floor, under an environment map. -->
@@ -63,10 +62,10 @@ _XML = """<?xml version="1.0" encoding="utf-8"?>
 """
 
 
-def write_made_scene(name: str, folder: Path) -> Path:
-    """Writes one of `MADE_SCENES` with its files into an existing folder; returns the path of its XML file."""
-    corners, faces = bumpy_ring(*MADE_SCENES[name])
-    write_atomically(folder / f"{name}.ply", lambda path: _write_ply(path, corners, faces))
+def write_generated_scene(name: str, folder: Path) -> Path:
+    """Write one of `GENERATED_SCENES` into an existing folder; returns the path of its XML file."""
+    vertices, faces = bumpy_ring(*GENERATED_SCENES[name])
+    write_atomically(folder / f"{name}.ply", lambda path: _write_ply(path, vertices, faces))
     write_exr(folder / f"{name}-sky.exr", {"": sky()}, {})
     xml = _XML.format(name=name, triangles=len(faces))
     write_atomically(folder / f"{name}.xml", lambda path: path.write_text(xml, encoding="utf-8"))
@@ -74,13 +73,13 @@ def write_made_scene(name: str, folder: Path) -> Path:
 
 
 def bumpy_ring(around: int, tube: int) -> tuple[np.ndarray, np.ndarray]:
-    """A closed torus with waves of three lengths: vertices (around * tube, 3) float32, faces (2 * around * tube, 3)."""
+    """A closed torus with waves of three lengths: vertices (around * tube, 3), faces (2 * around * tube, 3)."""
     u, v = np.meshgrid(np.arange(around) / around, np.arange(tube) / tube, indexing="ij")
     u, v = 2 * np.pi * u, 2 * np.pi * v
     waves = np.sin(9 * u) * np.sin(4 * v) + 0.5 * np.sin(23 * u + 11 * v) + 0.25 * np.sin(61 * u - 37 * v)
-    radius = _TUBE + _BUMPS * waves / 1.75
-    out = 1 + radius * np.cos(v)
-    vertices = np.stack([out * np.cos(u), radius * np.sin(v), out * np.sin(u)], axis=-1).reshape(-1, 3)
+    radius = _TUBE_RADIUS + _BUMP_HEIGHT * waves / 1.75
+    distance = 1 + radius * np.cos(v)  # from the axis
+    vertices = np.stack([distance * np.cos(u), radius * np.sin(v), distance * np.sin(u)], axis=-1).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(around), np.arange(tube), indexing="ij")
     a, b = i * tube + j, (i + 1) % around * tube + j
     c, d = (i + 1) % around * tube + (j + 1) % tube, i * tube + (j + 1) % tube
@@ -89,7 +88,7 @@ def bumpy_ring(around: int, tube: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sky(width: int = 512, height: int = 256) -> np.ndarray:
-    """A clear sky with a soft sun over a dim ground: (height, width, 3) float32."""
+    """Environment map of a clear sky with a soft sun over a dark ground: (height, width, 3) float32."""
     azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
     elevation = np.pi / 2 - np.pi * (np.arange(height)[:, None] + 0.5) / height
     up = np.sin(elevation)
@@ -112,13 +111,15 @@ def _write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    if len(arguments) != 2 or arguments[0] not in MADE_SCENES:
-        print(f"usage: python -m isonoise.benchmark.generated_scenes {'|'.join(MADE_SCENES)} FOLDER", file=sys.stderr)
+    if len(arguments) != 2 or arguments[0] not in GENERATED_SCENES:
+        print(
+            f"usage: python -m isonoise.benchmark.generated_scenes {'|'.join(GENERATED_SCENES)} FOLDER", file=sys.stderr
+        )
         return 2
     folder = Path(arguments[1])
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        print(write_made_scene(arguments[0], folder))
+        print(write_generated_scene(arguments[0], folder))
     except (OSError, UserError) as error:
         print(f"isonoise: {error}", file=sys.stderr)
         return 2

@@ -1,32 +1,39 @@
-"""Measures a scene: throughput without profiling, kernels with it, rays by bounce; all in turn, `repeat` times."""
+"""Measures a scene: throughput without profiling, kernels with it, rays by bounce; in turn, `repeat` times.
+
+Called by `isonoise bench`; the other measurements use its header and settings.
+"""
 
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from isonoise import __version__
-from isonoise.benchmark.bounces import count_shadow_rays, count_tests, ray_facts, timed_bounces
-from isonoise.benchmark.bvh_stats import tree_facts
-from isonoise.benchmark.spread import Spread
-from isonoise.benchmark.startup import start_facts
-from isonoise.benchmark.subject import MeasuredDevice, Run, Subject
+from isonoise.benchmark.bounces import count_shadow_rays, count_tests, ray_rows, time_bounces
+from isonoise.benchmark.bvh_stats import bvh_statistics
+from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene, Run
+from isonoise.benchmark.spread import spread
+from isonoise.benchmark.startup import startup_times
 from isonoise.device.opencl import LOCAL_SIZE, Device
+from isonoise.progress import ProgressBar
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load
 
-SCHEMA, SCHEMA_VERSION = "isonoise-bench", 1
-"""The version goes up when a field changes its meaning or goes; new fields don't change it."""
-SAMPLES_CPU, SAMPLES_GPU = 2**21, 2**24
-"""Samples of a run, unless it is said how many: 16 pools, and about a second."""
+SCHEMA, SCHEMA_VERSION = "isonoise-bench", 2
+"""The version goes up when a field is removed or changes its meaning; fields may be added."""
+CPU_SAMPLES, GPU_SAMPLES = 2**21, 2**24
+"""Default number of samples of a run: 16 pools, and about a second."""
 PATH_BUFFERS = ("paths", "hits", "shadow rays", "flags of the paths")
-"""Names of the buffers that hold the state of the paths in flight."""
+"""Buffers that hold the state of the paths in flight."""
+
+ShowProgress = Callable[[float, str], None]
+"""Gets the finished share of a measurement, and what is measured next."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How to measure; None leaves a choice to the scene or to the device."""
+    """Options of the command; None stands for the default of the scene or of the device."""
 
     repeat: int = 5
     size: tuple[int, int] | None = None
@@ -36,56 +43,67 @@ class Settings:
     pool_size: int | None = None
 
     def render_options(self) -> list[str]:
-        """The same for `isonoise render`."""
+        """The same settings as options of `isonoise render`."""
         size = ["--size", f"{self.size[0]}x{self.size[1]}"] if self.size else []
         depth = ["--max-depth", str(self.max_depth)] if self.max_depth is not None else []
         return [*size, *depth, *(["--device", self.device] if self.device is not None else [])]
 
 
-def head(settings: Settings, device: Device) -> dict[str, object]:
-    """What holds for all scenes: program, device, driver, settings."""
+def report_header(schema: str, schema_version: int, settings: Settings, device: Device) -> dict[str, object]:
+    """The JSON fields that do not depend on the scene; `scenes` is an empty list."""
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
+        "schema": schema,
+        "schema_version": schema_version,
         "isonoise_version": __version__,
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "device": device_facts(device),
+        "device": _device_fields(device),
         "repeat": settings.repeat,
         "scenes": [],
     }
 
 
-def device_facts(device: Device) -> dict[str, object]:
-    """Device and driver, in OpenCL's words."""
-    of = device.device
+def _device_fields(device: Device) -> dict[str, object]:
+    opencl_device = device.device
     return {
-        "name": of.name.strip(),
-        "platform": of.platform.name.strip(),
-        "opencl_version": of.version.strip(),
-        "driver_version": of.driver_version.strip(),
+        "name": opencl_device.name.strip(),
+        "platform": opencl_device.platform.name.strip(),
+        "opencl_version": opencl_device.version.strip(),
+        "driver_version": opencl_device.driver_version.strip(),
         "is_cpu": device.is_cpu,
-        "compute_units": of.max_compute_units,
-        "clock_mhz": of.max_clock_frequency,
-        "memory_bytes": of.global_mem_size,
+        "compute_units": opencl_device.max_compute_units,
+        "clock_mhz": opencl_device.max_clock_frequency,
+        "memory_bytes": opencl_device.global_mem_size,
         "local_size": LOCAL_SIZE,
     }
 
 
-def load_subject(source: str, settings: Settings) -> CompiledScene:
+def measure_each(sources: Mapping[str, str], measure: Callable[[str, str, ShowProgress], None]) -> None:
+    """Call `measure` with name, source and progress function of each scene, under one progress bar."""
+    with ProgressBar() as bar:
+        for index, (name, source) in enumerate(sources.items()):
+
+            def show(done: float, what: str, index=index, name=name) -> None:
+                bar.show(index + done, len(sources), f"{name}: {what}")
+
+            measure(name, source, show)
+
+
+def load_scene(source: str, settings: Settings) -> CompiledScene:
+    """The compiled scene of a file or built-in scene."""
     return compile_scene(load(source), size=settings.size, max_depth=settings.max_depth)
 
 
-def samples_of(scene: CompiledScene, settings: Settings, device: Device) -> int:
-    """Samples of a run; as many in every pixel unless --spp is no whole number."""
+def samples_per_run(scene: CompiledScene, settings: Settings, device: Device) -> int:
+    """Number of samples of a run; a multiple of the pixels unless --spp is no whole number."""
     pixels = scene.width * scene.height
     if settings.spp is not None:
         return max(1, round(settings.spp * pixels))
-    return max(1, (SAMPLES_CPU if device.is_cpu else SAMPLES_GPU) // pixels) * pixels
+    return max(1, (CPU_SAMPLES if device.is_cpu else GPU_SAMPLES) // pixels) * pixels
 
 
-def identity(name: str, scene: CompiledScene, samples: int) -> dict[str, object]:
-    """What has to be the same in two measurements that are compared."""
+def scene_identity(name: str, scene: CompiledScene, samples: int) -> dict[str, object]:
+    """The JSON fields that must be equal in two measurements to compare them."""
     return {
         "scene": name,
         "scene_hash": scene.hash,
@@ -96,82 +114,81 @@ def identity(name: str, scene: CompiledScene, samples: int) -> dict[str, object]
     }
 
 
-def measure(
-    name: str,
-    source: str,
-    scene: CompiledScene,
-    settings: Settings,
-    say: Callable[[float, str], None] = lambda done, what: None,
+def measure_scene(
+    name: str, source: str, scene: CompiledScene, settings: Settings, show: ShowProgress = lambda done, what: None
 ) -> dict[str, object]:
-    """All figures of one scene, as the JSON has them. `say` gets the share that is done, and what is being done.
+    """An entry of the JSON field `scenes`.
 
-    `source` is the file or built-in scene that `scene` was compiled from; `name` is how the report calls it.
+    Parameters
+    ----------
+    name : str
+        Name in the report.
+    source : str
+        File or built-in scene that `scene` was compiled from.
     """
-    say(0.0, "start of a process")
-    starts = start_facts(source, settings.render_options(), settings.repeat)
+    show(0.0, "start of a process")
+    startup = startup_times(source, settings.render_options(), settings.repeat)
     device = MeasuredDevice(settings.device)
-    say(0.2, "set-up")
-    subject = Subject(scene, device, samples_of(scene, settings, device), settings.pool_size)
-    say(0.25, "warm-up")
-    subject.run(profile=False)
-    shadow_rays = count_shadow_rays(subject)
+    show(0.2, "set-up")
+    prepared = PreparedScene(scene, device, samples_per_run(scene, settings, device), settings.pool_size)
+    show(0.25, "warm-up")
+    prepared.run(profile=False)
+    shadow_rays = count_shadow_rays(prepared)
     plain, profiled, passes = [], [], []
-    for number in range(settings.repeat):
-        say(0.3 + 0.7 * number / settings.repeat, f"repeat {number + 1} of {settings.repeat}")
-        plain.append(subject.run(profile=False))
-        profiled.append(subject.run(profile=True))
-        passes.append(timed_bounces(subject))
-    tests = count_tests(subject, [bounce.rays for bounce in passes[0]])
-    kernels = kernel_facts(profiled)
-    intersect = next((kernel for kernel in kernels if kernel["kernel"] == "intersect"), None)
+    for index in range(settings.repeat):
+        show(0.3 + 0.7 * index / settings.repeat, f"repeat {index + 1} of {settings.repeat}")
+        plain.append(prepared.run(profile=False))
+        profiled.append(prepared.run(profile=True))
+        passes.append(time_bounces(prepared))
+    tests = count_tests(prepared, [bounce.rays for bounce in passes[0]])
+    kernels = _kernel_rows(profiled)
+    intersect = next((row for row in kernels if row["kernel"] == "intersect"), None)
     return {
-        **identity(name, scene, subject.samples),
+        **scene_identity(name, scene, prepared.samples),
         "rr_depth": scene.rr_depth,
         "triangles": len(scene.faces),
         "analytic_shapes": len(scene.analytics),
         "instances": len(scene.instances),
         "lights": len(scene.lights),
-        "features": [feature for feature, on in subject.wavefront.features.items() if on],
-        "samples_per_s": Spread.of(subject.samples / run.seconds for run in plain).json(),
-        "run_s": Spread.of(run.seconds for run in plain).json(),
-        "profiled_run_s": Spread.of(run.seconds for run in profiled).json(),
-        "busy_share": Spread.of(
-            sum(work.seconds for work in run.kernels.values()) / run.seconds for run in profiled
-        ).json(),
-        "start": starts,
+        "features": [feature for feature, is_on in prepared.wavefront.features.items() if is_on],
+        "samples_per_s": spread(prepared.samples / run.seconds for run in plain),
+        "run_s": spread(run.seconds for run in plain),
+        "profiled_run_s": spread(run.seconds for run in profiled),
+        "device_busy_share": spread(
+            sum(totals.seconds for totals in run.kernels.values()) / run.seconds for run in profiled
+        ),
+        "startup": startup,
         "kernels": kernels,
-        "rays": ray_facts(passes, shadow_rays, tests),
-        "pool_paths": subject.pool_size,
-        "occupancy": intersect["items"] / (intersect["launches"] * subject.pool_size) if intersect else None,
-        "hierarchy": tree_facts(subject.bvh, scene),
-        "memory": memory_facts(device, int(subject.wavefront.stages.arguments["plane_stride"])),
+        "rays": ray_rows(passes, shadow_rays, tests),
+        "pool_size": prepared.pool_size,
+        "pool_occupancy": intersect["items"] / (intersect["launches"] * prepared.pool_size) if intersect else None,
+        "bvh": bvh_statistics(prepared.bvh, scene),
+        "memory": _memory_fields(device, int(prepared.wavefront.stages.arguments["plane_stride"])),
     }
 
 
-def kernel_facts(runs: list[Run]) -> list[dict[str, object]]:
-    """A row a kernel, the one that takes most time first. Shares are those of the medians."""
-    times = {name: Spread.of(run.kernels[name].seconds for run in runs) for name in runs[0].kernels}
-    total = sum(time.median for time in times.values())
-    rows = []
-    for name, work in runs[0].kernels.items():  # launches and items are the same in every run
-        time = times[name]
-        rows.append(
-            {
-                "kernel": name,
-                "launches": work.launches,
-                "items": work.items,
-                "time_s": time.json(),
-                "share": time.median / total if total else 0.0,
-                "ns_per_item": 1e9 * time.median / work.items,
-            }
-        )
-    return sorted(rows, key=lambda row: -row["share"])
+def _kernel_rows(runs: list[Run]) -> list[dict[str, object]]:
+    """A row per kernel, the one with the largest time first; shares are those of the median times."""
+    times = {name: spread(run.kernels[name].seconds for run in runs) for name in runs[0].kernels}
+    total = sum(time["median"] for time in times.values())
+    rows = [
+        {
+            "kernel": name,
+            "launches": totals.launches,
+            "items": totals.items,
+            "time_s": times[name],
+            "time_share": times[name]["median"] / total if total else 0.0,
+            "ns_per_item": 1e9 * times[name]["median"] / totals.items,
+        }
+        for name, totals in runs[0].kernels.items()  # launches and items are equal in all runs
+    ]
+    return sorted(rows, key=lambda row: -row["time_share"])
 
 
-def memory_facts(device: MeasuredDevice, paths: int) -> dict[str, object]:
-    """Bytes on the device, by buffer; there is room for so many paths."""
+def _memory_fields(device: MeasuredDevice, path_capacity: int) -> dict[str, object]:
+    """The JSON field `memory`; the buffers have room for `path_capacity` paths."""
     return {
-        "total_bytes": sum(device.bytes_of.values()),
-        "state_bytes_per_path": sum(device.bytes_of[name] for name in PATH_BUFFERS) / paths,
-        "buffers_bytes": dict(device.bytes_of.most_common()),
+        "total_bytes": sum(device.buffer_bytes.values()),
+        "state_bytes_per_path": sum(device.buffer_bytes[name] for name in PATH_BUFFERS) / path_capacity,
+        "buffers_bytes": dict(device.buffer_bytes.most_common()),
     }

@@ -1,152 +1,142 @@
-"""`bench --specialisation`: a scene's own program against programs with more features than it uses, in turn.
+"""Compares a scene's own program with programs that have more features (`isonoise bench --specialisation`).
 
-Run as a module it compiles one program, in a process and with caches of its own, and prints how long that takes.
+Run as a module it compiles one program and prints the seconds; so compilation is timed in its own process, with empty
+caches.
 """
 
 import json
 import os
-import platform
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 
-from isonoise import __version__
-from isonoise.benchmark.measure import Settings, device_facts, identity, load_subject, samples_of
-from isonoise.benchmark.spread import Spread
-from isonoise.benchmark.startup import CACHES
-from isonoise.benchmark.subject import MeasuredDevice, Subject
-from isonoise.errors import UserError
+from isonoise.benchmark.measure import (
+    Settings,
+    ShowProgress,
+    load_scene,
+    measure_each,
+    report_header,
+    samples_per_run,
+    scene_identity,
+)
+from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene
+from isonoise.benchmark.spread import spread
+from isonoise.benchmark.startup import empty_caches, run_process
+from isonoise.device.program_cache import FOLDER_VARIABLE
 from isonoise.integrator.feature_superset import feature_superset
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import path_bytes
-from isonoise.progress import ProgressBar
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
-SCHEMA, SCHEMA_VERSION = "isonoise-specialisation", 1
-EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
-SPECIALISED = "specialised"
-SAME = ("count", "rejected", "rgb", "mean", "variance")
-"""Statistics that every program keeps."""
+SCHEMA, SCHEMA_VERSION = "isonoise-specialisation", 2
+ALL_STATISTICS = Needs(median=True, batch=4, power=2.0, half=True)
+SPECIALISED, ALL_PATH, ALL_VOLPATH = "specialised", "all-path", "all-volpath"
+COMMON_STATISTICS = ("count", "rejected", "rgb", "mean", "variance")
+"""Statistics that every program computes."""
 
-Build = tuple[Needs, dict[str, bool] | None]
+Program = tuple[Needs, dict[str, bool] | None]
+"""Statistics and features, None for those of the scene."""
 
 
-def builds(scene: CompiledScene) -> dict[str, Build]:
-    """The programs that a scene is measured with, by name: needs and features, None for those that it uses.
+def programs(scene: CompiledScene) -> dict[str, Program]:
+    """The programs that are measured for a scene, by name.
 
-    `path` has all that scenes for the integrator `path` may use, `everything` what those for `volpath` may
-    besides: there a work-item takes one path. A scene of `path` with surfaces that let paths through looks another way
-    under `volpath`, so it has no such program; one of `volpath` has no other.
+    `all-path` has all features of the integrator `path`, `all-volpath` also those of `volpath`, with which a work-item
+    traces one path. A scene of `path` with pass-through surfaces has no program `all-volpath`, because `volpath`
+    samples its light differently. A scene of `volpath` has no program `all-path`.
     """
     used = features(scene)
-    found: dict[str, Build] = {SPECIALISED: (BASIC_NEEDS, None)}
+    found: dict[str, Program] = {SPECIALISED: (BASIC_NEEDS, None)}
     if not used["VOLPATH"]:
-        found["path"] = (EVERY_STATISTIC, feature_superset(used, volpath=False))
+        found[ALL_PATH] = (ALL_STATISTICS, feature_superset(used, volpath=False))
     if used["VOLPATH"] or not (used["NULL"] or used["MASK"]):
-        found["everything"] = (EVERY_STATISTIC, feature_superset(used, volpath=True))
+        found[ALL_VOLPATH] = (ALL_STATISTICS, feature_superset(used, volpath=True))
     return found
 
 
 def measure_specialisation(sources: Mapping[str, str], settings: Settings) -> dict[str, object]:
-    """All figures, as the JSON has them. `sources`: name -> file or built-in scene."""
-    result = {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "isonoise_version": __version__,
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "device": device_facts(MeasuredDevice(settings.device)),
-        "repeat": settings.repeat,
-        "scenes": [],
-    }
-    with ProgressBar() as bar:
-        for number, (name, source) in enumerate(sources.items()):
+    """All figures, as in the JSON file. `sources` maps names to files or built-in scenes."""
+    result = report_header(SCHEMA, SCHEMA_VERSION, settings, MeasuredDevice(settings.device))
 
-            def say(done: float, what: str, number=number, name=name) -> None:
-                bar.show(number + done, len(sources), f"{name}: {what}")
+    def measure(name: str, source: str, show: ShowProgress) -> None:
+        result["scenes"].append(_measure_programs(name, source, settings, show))
 
-            result["scenes"].append(_measure(name, source, settings, say))
+    measure_each(sources, measure)
     return result
 
 
-def _measure(name: str, source: str, settings: Settings, say: Callable[[float, str], None]) -> dict[str, object]:
-    scene = load_subject(source, settings)
-    chosen = builds(scene)
+def _measure_programs(name: str, source: str, settings: Settings, show: ShowProgress) -> dict[str, object]:
+    scene = load_scene(source, settings)
+    chosen = programs(scene)
     compile_s = {}
-    for number, build in enumerate(chosen):
-        say(0.5 * number / len(chosen), f"compiling, {build}")
-        compile_s[build] = compile_seconds(source, build, settings)
-    subjects, images, launches = {}, {}, {}
-    for number, (build, (needs, feature_override)) in enumerate(chosen.items()):
-        say(0.5 + 0.2 * number / len(chosen), f"warm-up, {build}")
+    for index, program in enumerate(chosen):
+        show(0.5 * index / len(chosen), f"compiling, {program}")
+        compile_s[program] = compile_seconds(source, program, settings)
+    prepared, images, launches = {}, {}, {}
+    for index, (program, (needs, feature_override)) in enumerate(chosen.items()):
+        show(0.5 + 0.2 * index / len(chosen), f"warm-up, {program}")
         device = MeasuredDevice(settings.device)
-        samples = samples_of(scene, settings, device)
-        subject = subjects[build] = Subject(scene, device, samples, settings.pool_size, needs, feature_override)
-        launches[build] = sum(work.launches for work in subject.run(profile=True).kernels.values())
-        images[build] = subject.wavefront.accumulator.statistics(scene.radiance_scale)
-    seconds: dict[str, list[float]] = {build: [] for build in chosen}
+        samples = samples_per_run(scene, settings, device)
+        prepared[program] = PreparedScene(scene, device, samples, settings.pool_size, needs, feature_override)
+        kernels = prepared[program].run(profile=True).kernels
+        launches[program] = sum(totals.launches for totals in kernels.values())
+        images[program] = prepared[program].wavefront.accumulator.statistics(scene.radiance_scale)
+    seconds: dict[str, list[float]] = {program: [] for program in chosen}
     for turn in range(settings.repeat):
-        say(0.7 + 0.3 * turn / settings.repeat, f"repeat {turn + 1} of {settings.repeat}")
-        for build, subject in subjects.items():
-            seconds[build].append(subject.run(profile=False).seconds)
-    rows = []
-    for build, subject in subjects.items():
-        on, ratios = subject.wavefront.features, zip(seconds[build], seconds[SPECIALISED], strict=True)
-        rows.append(
-            {
-                "build": build,
-                "features": int(sum(on.values())),
-                "samples_per_s": Spread.of(subject.samples / time for time in seconds[build]).json(),
-                "specialised_ratio": Spread.of(theirs / ours for theirs, ours in ratios).json(),
-                "compile_s": compile_s[build],
-                "state_bytes_per_path": sum(path_bytes(on).values()),
-                "total_bytes": sum(subject.device.bytes_of.values()),
-                "stages": list(subject.wavefront.stages),
-                "launches": launches[build],
-                **_difference(images[build], images[SPECIALISED]),
-            }
-        )
-    return {**identity(name, scene, subjects[SPECIALISED].samples), "builds": rows}
+        show(0.7 + 0.3 * turn / settings.repeat, f"repeat {turn + 1} of {settings.repeat}")
+        for program in chosen:
+            seconds[program].append(prepared[program].run(profile=False).seconds)
+    rows = [
+        {
+            "program": program,
+            "feature_count": int(sum(prepared[program].wavefront.features.values())),
+            "samples_per_s": spread(samples / s for s in seconds[program]),
+            "specialised_speedup": spread(
+                s / specialised for s, specialised in zip(seconds[program], seconds[SPECIALISED], strict=True)
+            ),
+            "compile_s": compile_s[program],
+            "state_bytes_per_path": sum(path_bytes(prepared[program].wavefront.features).values()),
+            "total_bytes": sum(prepared[program].device.buffer_bytes.values()),
+            "stages": list(prepared[program].wavefront.stages),
+            "launches": launches[program],
+            **image_difference(images[program], images[SPECIALISED]),
+        }
+        for program in chosen
+    ]
+    return {**scene_identity(name, scene, samples), "programs": rows}
 
 
-def _difference(image: Statistics, other: Statistics) -> dict[str, object]:
-    """Whether two images are the same bits, and by how much a number differs at most, over the largest one."""
+def image_difference(image: Statistics, other: Statistics) -> dict[str, object]:
+    """Whether all bits are equal; the largest difference of a channel over the largest channel value of `other`."""
     largest = float(np.abs(other.rgb).max())
     return {
-        "same_bits": all(getattr(image, name).tobytes() == getattr(other, name).tobytes() for name in SAME),
-        "largest_difference": float(np.abs(image.rgb - other.rgb).max()) / largest if largest else None,
+        "bit_identical": all(
+            getattr(image, name).tobytes() == getattr(other, name).tobytes() for name in COMMON_STATISTICS
+        ),
+        "max_relative_difference": float(np.abs(image.rgb - other.rgb).max()) / largest if largest else None,
     }
 
 
-def compile_seconds(source: str, build: str, settings: Settings) -> float:
-    """Seconds for programs, buffers and the first launches where nothing was compiled before."""
-    with tempfile.TemporaryDirectory(prefix="isonoise-bench-") as folder:
-        caches = {name: str(Path(folder) / place) for name, place in CACHES.items()}
-        for place in caches.values():
-            Path(place).mkdir()
-        command = [sys.executable, "-m", __name__, source, build, json.dumps(asdict(settings))]
-        done = subprocess.run(command, env=os.environ | caches, capture_output=True, text=True)
-    if done.returncode:
-        raise UserError(f"compiling in a process of its own failed:\n{done.stderr.strip()}")
-    return float(done.stdout)
+def compile_seconds(source: str, program: str, settings: Settings) -> float:
+    """Seconds for programs, buffers and first launches in a process with empty caches."""
+    with empty_caches() as environment:
+        return float(run_process(["-m", __name__, source, program, json.dumps(asdict(settings))], environment))
 
 
 def main(arguments: list[str]) -> None:
-    """Compiles one program: `SOURCE BUILD SETTINGS`."""
-    source, build, settings = arguments[0], arguments[1], Settings(**json.loads(arguments[2]))
-    scene = load_subject(source, settings)
-    needs, feature_override = builds(scene)[build]
+    """Compile one program: `SOURCE PROGRAM SETTINGS`."""
+    source, program, settings = arguments[0], arguments[1], Settings(**json.loads(arguments[2]))
+    scene = load_scene(source, settings)
+    needs, feature_override = programs(scene)[program]
     device = MeasuredDevice(settings.device)
-    begun = time.perf_counter()
-    Subject(scene, device, scene.width * scene.height, settings.pool_size, needs, feature_override)
-    print(time.perf_counter() - begun)
-    os.environ["ISONOISE_PROGRAM_CACHE"] = "off"  # nobody will ask for what was compiled
+    start = time.perf_counter()
+    PreparedScene(scene, device, scene.width * scene.height, settings.pool_size, needs, feature_override)
+    print(time.perf_counter() - start)
+    os.environ[FOLDER_VARIABLE] = "off"  # do not store the programs at exit: the cache is deleted
 
 
 if __name__ == "__main__":

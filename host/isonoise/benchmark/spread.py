@@ -1,20 +1,10 @@
-"""A figure that was measured several times: its median, least and largest value."""
+"""Spread of a figure over the repeats of a measurement, as in the JSON files."""
 
 import statistics
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
 
 
-@dataclass(frozen=True)
-class Spread:
-    median: float
-    min: float
-    max: float
-
-    @classmethod
-    def of(cls, values: Iterable[float]) -> "Spread":
-        values = list(values)
-        return cls(statistics.median(values), min(values), max(values))
-
-    def json(self) -> dict[str, float]:
-        return asdict(self)
+def spread(values: Iterable[float]) -> dict[str, float]:
+    """`median`, `min` and `max` of the values."""
+    values = list(values)
+    return {"median": statistics.median(values), "min": min(values), "max": max(values)}

@@ -1,4 +1,4 @@
-"""`isonoise bench`: check what can be checked, measure scene by scene, report, compare."""
+"""`isonoise bench`: checks the options, measures scene by scene, prints and writes the report."""
 
 import argparse
 import json
@@ -7,10 +7,29 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from isonoise.benchmark.baseline import Earlier
-from isonoise.benchmark.generated_scenes import MADE_SCENES, write_made_scene
-from isonoise.benchmark.measure import Settings, head, identity, load_subject, measure, samples_of
-from isonoise.benchmark.text import against_text, head_text, pools_text, scene_text, summary_text
+from isonoise.benchmark.baseline import Baseline
+from isonoise.benchmark.generated_scenes import GENERATED_SCENES, write_generated_scene
+from isonoise.benchmark.measure import (
+    SCHEMA,
+    SCHEMA_VERSION,
+    Settings,
+    ShowProgress,
+    load_scene,
+    measure_each,
+    measure_scene,
+    report_header,
+    samples_per_run,
+    scene_identity,
+)
+from isonoise.benchmark.report_text import (
+    comparison_text,
+    header_text,
+    peers_text,
+    pool_sizes_text,
+    scene_text,
+    specialisation_text,
+    summary_text,
+)
 from isonoise.commands import EXIT_DONE
 from isonoise.device import pool_size, program_cache
 from isonoise.device.opencl import Device
@@ -26,99 +45,94 @@ TUNED_SCENES = ("cornell",)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure as the options say; returns the exit code. Raises UserError for what is the user's to mend."""
-    if options.json:
-        check_writable(options.json)
-    if options.threshold is not None and not options.against:
-        raise UserError("--threshold says how slow is too slow against a file: name it with --against")
+    """Run the command; returns the exit code. Raises UserError if options, files or devices are unusable."""
+    _check_options(options)
     settings = Settings(options.repeat, options.size, options.spp, options.max_depth, options.device)
     with tempfile.TemporaryDirectory(prefix="isonoise-bench-") as folder:
         if options.tune:
-            if options.against or options.json:
-                raise UserError("--tune chooses a pool size: it goes with neither --against nor --json")
             return _tune(settings, _sources(options.scenes or TUNED_SCENES, Path(folder)))
-        if options.against and (options.peers or options.specialisation):
-            raise UserError("--against compares measurements without --peers and without --specialisation")
         if options.specialisation:
             from isonoise.benchmark.specialisation import measure_specialisation
-            from isonoise.benchmark.specialisation_text import specialisation_text
 
-            sources = _sources(options.scenes or builtin_scenes(), Path(folder))
-            result = measure_specialisation(sources, settings)
+            result = measure_specialisation(_sources(options.scenes or builtin_scenes(), Path(folder)), settings)
             _write(options.json, result)
-            _say(specialisation_text(result))
+            _print(specialisation_text(result))
             return EXIT_DONE
         if options.peers:
             from isonoise.benchmark.peers import PEER_SCENES, measure_peers
-            from isonoise.benchmark.peers_text import peers_text
 
             result = measure_peers(_sources(options.scenes or PEER_SCENES, Path(folder)), settings)
             _write(options.json, result)
-            _say(peers_text(result))
+            _print(peers_text(result))
             return EXIT_DONE
         return _bench(options, settings, _sources(options.scenes or DEFAULT_SCENES, Path(folder)))
 
 
+def _check_options(options: argparse.Namespace) -> None:
+    if options.json:
+        check_writable(options.json)
+    if options.threshold is not None and not options.against:
+        raise UserError("--threshold needs a file to compare with: name it with --against")
+    if options.tune and (options.against or options.json):
+        raise UserError("--tune only chooses a pool size: it cannot be combined with --against or --json")
+    if options.against and (options.peers or options.specialisation):
+        raise UserError("--against only compares measurements without --peers and without --specialisation")
+
+
 def _bench(options: argparse.Namespace, settings: Settings, sources: Mapping[str, str]) -> int:
-    earlier = Earlier(options.against) if options.against else None
+    baseline = Baseline(options.against) if options.against else None
     device = Device(options.device)
-    result = head(settings, device)
-    if earlier:
-        earlier.check_device(result)
-    _say(head_text(result))
-    with ProgressBar() as bar:
-        for number, (name, source) in enumerate(sources.items()):
-            scene = load_subject(source, settings)
-            if earlier:
-                earlier.check_scene(identity(name, scene, samples_of(scene, settings, device)))
+    result = report_header(SCHEMA, SCHEMA_VERSION, settings, device)
+    if baseline:
+        baseline.check_device(result)
+    _print(header_text(result))
 
-            def show(done: float, what: str, number=number, name=name) -> None:
-                bar.show(number + done, len(sources), f"{name}: {what}")
+    def measure(name: str, source: str, show: ShowProgress) -> None:
+        scene = load_scene(source, settings)
+        if baseline:
+            baseline.check_scene(scene_identity(name, scene, samples_per_run(scene, settings, device)))
+        result["scenes"].append(measure_scene(name, source, scene, settings, show))
+        _print(scene_text(result["scenes"][-1]))
 
-            result["scenes"].append(measure(name, source, scene, settings, show))
-            _say(scene_text(result["scenes"][-1]))
-    _say(summary_text(result))
+    measure_each(sources, measure)
+    _print(summary_text(result))
     _write(options.json, result)
-    return _judge(earlier, result, options.threshold or DEFAULT_THRESHOLD) if earlier else EXIT_DONE
+    return _compare(baseline, result, options.threshold or DEFAULT_THRESHOLD) if baseline else EXIT_DONE
 
 
 def _tune(settings: Settings, sources: Mapping[str, str]) -> int:
-    """Measures pool sizes and keeps the fastest for the device."""
-    from isonoise.benchmark.tune import fastest, measure_pools
+    """Measure pool sizes and store the fastest one for the device."""
+    from isonoise.benchmark.tune import choose_pool_size, measure_pools
 
     device = Device(settings.device).device
-    scenes = [load_subject(source, settings) for source in sources.values()]
+    scenes = [load_scene(source, settings) for source in sources.values()]
     with ProgressBar() as bar:
         speeds = measure_pools(scenes, settings, lambda done, what: bar.show(done, 1, what))
-    usual = pool_size.untuned_pool_size(device)
-    chosen = fastest(speeds, usual)
-    _say(pools_text(speeds, usual, chosen))
+    untuned = pool_size.untuned_pool_size(device)
+    chosen = choose_pool_size(speeds, untuned)
+    _print(pool_sizes_text(speeds, untuned, chosen))
     if not pool_size.store_tuned_pool_size(device, chosen):
         raise UserError(
-            f"the choice cannot be kept: {program_cache.FOLDER_VARIABLE} is off, or its folder cannot be written to"
+            f"the pool size cannot be stored: {program_cache.FOLDER_VARIABLE} is off, or its folder is not writable"
         )
     return EXIT_DONE
 
 
-def _judge(earlier: Earlier, result: Mapping, threshold: float) -> int:
-    comparison = earlier.compare(result)
-    _say(against_text(comparison, threshold))
+def _compare(baseline: Baseline, result: Mapping, threshold: float) -> int:
+    comparison = baseline.compare(result)
+    _print(comparison_text(comparison, threshold))
     slower = comparison.slower(threshold)
     if not slower:
         return EXIT_DONE
-    print(f"isonoise: slower than in '{earlier.path}': {'; '.join(map(str, slower))}", file=sys.stderr)
+    print(f"isonoise: slower than in '{baseline.path}': {'; '.join(map(str, slower))}", file=sys.stderr)
     return EXIT_SLOWER
 
 
 def _sources(names: list[str], folder: Path) -> dict[str, str]:
-    """Name -> file or built-in scene; made scenes are written into `folder`. Raises UserError for what is not there."""
-    sources = {}
-    for name in names:
-        if name in MADE_SCENES and not Path(name).exists():
-            sources[name] = ""
-        else:
-            sources[name] = str(find_scene(name))
-    return {name: source or str(write_made_scene(name, folder)) for name, source in sources.items()}
+    """Name -> file or built-in scene; generated scenes are written to `folder`. Raises UserError for unknown names."""
+    is_generated = {name: name in GENERATED_SCENES and not Path(name).exists() for name in names}
+    found = {name: str(find_scene(name)) for name in names if not is_generated[name]}
+    return {name: found[name] if name in found else str(write_generated_scene(name, folder)) for name in names}
 
 
 def _write(path: str | None, result: Mapping) -> None:
@@ -127,6 +141,6 @@ def _write(path: str | None, result: Mapping) -> None:
         write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     if text:
         print(text, flush=True)

@@ -1,4 +1,4 @@
-"""A scene on a device, to be measured: every run traces the same samples, so that counts don't vary, only times."""
+"""A compiled scene on a device, ready to be measured: every run traces the same samples, so only times vary."""
 
 import time
 from collections import Counter
@@ -16,20 +16,20 @@ from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
 class MeasuredDevice(Device):
-    """A device that keeps the bytes of its buffers (`bytes_of`), by what they are for."""
+    """A device that records the bytes of its buffers by their content (`buffer_bytes`)."""
 
     def __init__(self, choice: str | int | None = None):
-        self.bytes_of: Counter[str] = Counter()
+        self.buffer_bytes: Counter[str] = Counter()
         super().__init__(choice)
 
     def buffer(self, size: int | np.ndarray, what: str):
-        self.bytes_of[what.removeprefix("the ")] += size.nbytes if isinstance(size, np.ndarray) else int(size)
+        self.buffer_bytes[what.removeprefix("the ")] += size.nbytes if isinstance(size, np.ndarray) else int(size)
         return super().buffer(size, what)
 
 
 @dataclass
-class Work:
-    """What a kernel did in one run."""
+class KernelTotals:
+    """Sums over all launches of a kernel in one run."""
 
     launches: int = 0
     items: int = 0
@@ -38,17 +38,17 @@ class Work:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: by the wall clock, and by kernel where the queue kept times."""
+    """One run: wall-clock seconds, and totals by kernel if it was profiled."""
 
     seconds: float
-    kernels: dict[str, Work] | None
+    kernels: dict[str, KernelTotals] | None
 
 
-class Subject:
-    """A compiled scene with its program built and every kernel launched once.
+class PreparedScene:
+    """A compiled scene with its programs built and every kernel launched once.
 
-    A run is a uniform wave of `samples` samples, at most one more in one pixel than in another, and the reading of its
-    statistics. `needs` and `feature_override` as of `Wavefront`.
+    A run is one uniform wave of `samples` samples, with counts per pixel that differ by at most one, and the transfer
+    of its statistics. `needs`, `pool_size` and `feature_override` are those of `Wavefront`.
     """
 
     def __init__(
@@ -73,28 +73,28 @@ class Subject:
         return self.wavefront.pool_size
 
     def run(self, profile: bool) -> Run:
-        """The wave and its statistics, from the first sample on."""
+        """Trace the wave from its first sample on and read its statistics."""
         device = self.device
-        self.begin(profile)
-        kernels: dict[str, Work] = {}
+        self.reset(profile)
+        kernels: dict[str, KernelTotals] = {}
 
         def on_launch(kernel: str, items: int, seconds: float) -> None:
-            work = kernels.setdefault(kernel, Work())
-            work.launches += 1
-            work.items += items
-            work.seconds += seconds
+            totals = kernels.setdefault(kernel, KernelTotals())
+            totals.launches += 1
+            totals.items += items
+            totals.seconds += seconds
 
         device.on_launch = on_launch
-        begun = time.perf_counter()
+        start = time.perf_counter()
         self.wavefront.trace(self.allocation)
         self.wavefront.accumulator.statistics(self.scene.radiance_scale)
         device.finish()
-        seconds = time.perf_counter() - begun
+        seconds = time.perf_counter() - start
         device.on_launch = None
         return Run(seconds, kernels if profile else None)
 
-    def begin(self, profile: bool) -> None:
-        """As if nothing had been traced yet, with or without a queue that keeps times."""
+    def reset(self, profile: bool) -> None:
+        """Discard all samples and profiled times; turn profiling of the queue on or off."""
         self.device.set_profiling(profile)
         self.device.reset_profile()
         self.wavefront.accumulator.reset()
