@@ -237,7 +237,7 @@ def test_a_log_that_fails_does_not_cost_the_image(capsys, monkeypatch):
 
     monkeypatch.setattr(LogWriter, "write", fail)
     assert isonoise(*SMALL, "--spp", "4", "-o", "a.exr", "--log", "a.csv") == 2
-    assert "No space left on device; the log ends early, the image is whole" in capsys.readouterr().err
+    assert "No space left on device; the log is incomplete, the image is complete" in capsys.readouterr().err
     assert read_reference("a.exr")[0].shape == (12, 16, 3)
 
 

@@ -299,9 +299,9 @@ def test_bad_input_is_a_message(arguments, message, capsys):
 
 def test_nothing_to_compare_is_a_message(capsys):
     assert compare("--strategies", "uniform", "-o", "out", scene=None) == 2
-    assert "name a SCENE" in capsys.readouterr().err
+    assert "give a SCENE" in capsys.readouterr().err
     assert compare("-o", "out") == 2
-    assert "name the --strategies" in capsys.readouterr().err
+    assert "give --strategies" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("package", "message"), [("jinja2", "isonoise[compare]"), ("mitsuba", "isonoise[peers]")])
@@ -452,7 +452,7 @@ def test_a_plan_that_grows_keeps_its_runs(capsys):
     before = kept.stat().st_mtime_ns
     capsys.readouterr()
     assert compare(*options("out", STRATEGIES, 2), *given) == 0
-    assert "with more: relative-mean, seed 1" in capsys.readouterr().out
+    assert "added: relative-mean, seed 1" in capsys.readouterr().out
     assert len(run_files("out")) == 4
     assert kept.stat().st_mtime_ns == before
     assert compare(*options("whole", STRATEGIES, 2), *given) == 0
@@ -509,7 +509,7 @@ def test_ctrl_c_keeps_what_is_finished():
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert "what is finished is kept" in err
+    assert "finished runs are kept" in err
     assert "Traceback" not in err
     assert 2 <= len(run_files("out")) < 50
     assert Path("out/report.html").exists()

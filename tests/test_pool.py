@@ -132,7 +132,7 @@ def test_bench_tune_keeps_and_devices_says_so(device, monkeypatch, capsys):
     speeds[2 * usual] = [1e6, 1e6]
     assert main(["bench", "--tune", "cornell"]) == 0
     assert main(["devices"]) == 0
-    assert f"{usual:,} paths in flight, as usual" in capsys.readouterr().out
+    assert f"{usual:,} paths in flight, the default" in capsys.readouterr().out
 
 
 def test_bench_tune_says_when_it_cannot_keep(device, monkeypatch, capsys):
@@ -140,6 +140,6 @@ def test_bench_tune_says_when_it_cannot_keep(device, monkeypatch, capsys):
     monkeypatch.setattr(tune, "measure_pools", lambda *arguments: {usual: [1.0], 2 * usual: [2.0]})
     monkeypatch.setenv(program_cache.FOLDER_VARIABLE, "off")
     assert main(["bench", "--tune", "cornell"]) == 2
-    assert "cannot be kept" in capsys.readouterr().err
+    assert "cannot be stored" in capsys.readouterr().err
     assert main(["bench", "--tune", "--json", "x.json"]) == 2
     assert "--tune" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`isonoise compare`: check what can be checked, render what is missing, make tables, plots and report."""
+"""`isonoise compare`: checks the plan, renders the missing runs, writes tables, plots and the report."""
 
 import argparse
 import importlib.util
@@ -20,7 +20,7 @@ REPORT_PACKAGES = ("matplotlib", "jinja2")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compare as the options say; returns the exit code. Raises UserError for what is the user's to mend."""
+    """Run the command; return the exit code."""
     request = _request(options)
     _check_packages(request)
     directory = Path(options.output)
@@ -34,33 +34,31 @@ def run(options: argparse.Namespace) -> int:
 
     code = EXIT_DONE
     try:
-        run_plan(plan, directory.resolve(), options.device, _say)
+        run_plan(plan, directory.resolve(), options.device, _print)
     except KeyboardInterrupt:
         code = 128 + signal.SIGINT
-        print(
-            "isonoise: interrupted; what is finished is kept, and the same command goes on from there", file=sys.stderr
-        )
+        print("isonoise: interrupted; finished runs are kept: rerun the same command to resume", file=sys.stderr)
         if not any((directory / "runs").glob("*/*/[0-9]*.npz")):
             return code
     from isonoise.comparison.report import write_report
     from isonoise.comparison.summary import summary_text
 
     write_report(directory)
-    _say(summary_text(directory))
-    _say(f"report  {directory / 'report.html'}")
+    _print(summary_text(directory))
+    _print(f"report  {directory / 'report.html'}")
     return code
 
 
 def _request(options: argparse.Namespace) -> Request:
-    """The preset's pieces, each replaced by the option that was given."""
+    """The preset's settings, replaced by the given options."""
     if options.preset and options.preset not in PRESETS:
         raise UserError(f"there is no preset '{options.preset}'; known are {', '.join(PRESETS)}")
     preset = PRESETS[options.preset] if options.preset else None
     strategies = [spec for text in options.strategies for spec in split_specs(text)]
     if not preset and not options.scenes:
-        raise UserError("nothing to compare: name a SCENE, or a --preset")
+        raise UserError("nothing to compare: give a SCENE or a --preset")
     if not preset and not strategies:
-        raise UserError("nothing to compare: name the --strategies, or a --preset")
+        raise UserError("nothing to compare: give --strategies or a --preset")
     time = options.time
     if time is None and options.spp is None:
         time = preset.time if preset else DEFAULT_TIME
@@ -89,7 +87,7 @@ def _check_packages(request: Request) -> None:
 
 
 def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:
-    """Make the folder and write the plan, unless another comparison was begun there."""
+    """Create the folder and write the plan, unless the folder holds another comparison."""
     if stored is None:
         try:
             (directory / "references").mkdir(parents=True, exist_ok=True)
@@ -97,17 +95,17 @@ def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:
             raise UserError(f"cannot write into '{directory}': {error.strerror}") from error
         check_writable(directory / "plan.json")
     else:
-        found = differences(stored, plan)
-        if found:
+        changed = differences(stored, plan)
+        if changed:
             raise UserError(
-                f"'{directory}' holds another comparison: {'; '.join(found)}. Name the same, or more scenes, "
-                "strategies and seeds, to go on with it; or choose another folder with -o"
+                f"'{directory}' holds another comparison: {'; '.join(changed)}. Give the same settings (scenes, "
+                "strategies and seeds can be added) to resume it, or another folder with -o"
             )
         added = additions(stored, plan)
-        _say(f"going on in {directory}" + (f", with more: {', '.join(added)}" if added else ""))
+        _print(f"resuming {directory}" + (f", added: {', '.join(added)}" if added else ""))
     remove_temporary_files(directory)
     write_plan(directory, plan)
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     print(text, flush=True)

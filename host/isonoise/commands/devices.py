@@ -1,4 +1,4 @@
-"""`isonoise devices`: which OpenCL devices there are, and which one a render takes by default."""
+"""`isonoise devices`: lists the OpenCL devices and the default one."""
 
 import argparse
 
@@ -9,15 +9,17 @@ from isonoise.errors import DeviceError
 
 
 def run(options: argparse.Namespace) -> int:
-    """List the devices with the numbers that --device takes. Raises DeviceError, with what to install, without any."""
+    """Run the command; return the exit code. Raises DeviceError, with advice, if there is no device."""
     devices = list_devices()
     if not devices:
         raise DeviceError(f"no OpenCL device found; {driver_advice()}")
     for number, device in enumerate(devices):
         print(f"{number}: {device.name.strip()}{' (default)' if number == 0 else ''}")
         print(f"   platform {device.platform.name.strip()}, {device.version.strip()}, driver {device.driver_version}")
-        memory, largest = (size / 2**30 for size in (device.global_mem_size, device.max_mem_alloc_size))
-        print(f"   {device.max_compute_units} compute units, {memory:.1f} GiB memory, {largest:.1f} GiB in one buffer")
-        how = "found by `isonoise bench --tune`" if tuned_pool_size(device) else "as usual"
-        print(f"   {default_pool_size(device):,} paths in flight, {how}")
+        memory, largest_buffer = (
+            f"{size / 2**30:.1f} GiB" for size in (device.global_mem_size, device.max_mem_alloc_size)
+        )
+        print(f"   {device.max_compute_units} compute units, {memory} memory, {largest_buffer} in one buffer")
+        source = "found by `isonoise bench --tune`" if tuned_pool_size(device) else "the default"
+        print(f"   {default_pool_size(device):,} paths in flight, {source}")
     return EXIT_DONE

@@ -1,4 +1,4 @@
-"""`isonoise info`: what a scene holds and compiles to, or what an image says about how it was made."""
+"""`isonoise info`: a scene's contents and compiled features, or an image's layers and render settings."""
 
 import argparse
 from pathlib import Path
@@ -26,15 +26,15 @@ LIGHTS = {light_bits(name): f"{name}s" if kind.is_area else kind.plugin for name
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what there is to say about a scene or an .exr file. Raises UserError if it cannot be read."""
+    """Run the command; return the exit code."""
     if Path(options.source).suffix.lower() == ".exr":
-        _image(options.source)
+        _print_image(options.source)
     else:
-        _scene(options.source, dict(options.parameters))
+        _print_scene(options.source, dict(options.parameters))
     return EXIT_DONE
 
 
-def _image(path: str) -> None:
+def _print_image(path: str) -> None:
     from isonoise.film.exr import read_header
 
     channels, (width, height), header = read_header(path)
@@ -44,7 +44,7 @@ def _image(path: str) -> None:
         print(f"{name:24}  {value}")
 
 
-def _scene(source: str, parameters: dict[str, str]) -> None:
+def _print_scene(source: str, parameters: dict[str, str]) -> None:
     from isonoise.integrator.feature_costs import cost
     from isonoise.integrator.features import FEATURES, features
     from isonoise.integrator.kernel_table import path_bytes
@@ -61,15 +61,15 @@ def _scene(source: str, parameters: dict[str, str]) -> None:
         return f"  {name:{width}}  {FEATURES[name].meaning}: {cost(name, used)}"
 
     state = sum(path_bytes(used).values())
-    print(f"\nin, with the strategy {DEFAULT_STRATEGY}; a path in flight has {state} bytes of state:")
+    print(f"\ncompiled in (strategy {DEFAULT_STRATEGY}); a path in flight has {state} bytes of state:")
     print(*(line(name) for name, on in used.items() if on), sep="\n")
-    print("\nleft out, because the scene or the strategy has no use for it, with what that saves:")
+    print("\nleft out, because neither scene nor strategy uses it, with the saving:")
     print(*(line(name) for name, on in used.items() if not on), sep="\n")
 
 
 def facts(scene: CompiledScene) -> dict[str, str]:
-    """What a person wants to know about a scene, line by line."""
-    depth = "no end" if scene.max_depth < 0 else str(scene.max_depth)
+    """The lines of a scene's summary: label -> text."""
+    depth = "unlimited" if scene.max_depth < 0 else str(scene.max_depth)
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in scene.bounds)
     return {
         "size": f"{scene.width}x{scene.height}, {scene.sample_count} samples per pixel, filter {scene.filter}",
@@ -89,5 +89,5 @@ def facts(scene: CompiledScene) -> dict[str, str]:
 
 
 def _counts(names: dict[int, str], kinds: np.ndarray) -> str:
-    found = zip(*np.unique(kinds, return_counts=True), strict=True)
-    return ", ".join(f"{number:,} {names[kind]}" for kind, number in found) or "none"
+    counts = zip(*np.unique(kinds, return_counts=True), strict=True)
+    return ", ".join(f"{number:,} {names[kind]}" for kind, number in counts) or "none"

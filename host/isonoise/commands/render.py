@@ -1,4 +1,4 @@
-"""`isonoise render`: check what can be checked, set up, render, write, report."""
+"""`isonoise render`: checks the files, sets up, renders, writes images and log, reports."""
 
 import argparse
 import json
@@ -21,7 +21,7 @@ from isonoise.progress import RenderProgressBar, format_duration, format_percent
 from isonoise.renderer import Renderer
 from isonoise.strategies import describe
 
-HEADER = (
+HEADER_FIELDS = (
     "version",
     "scene",
     "scene_hash",
@@ -34,18 +34,18 @@ HEADER = (
     "floor",
     "stopped_by",
 )
-"""Facts that the header of an .exr file holds, each with the prefix 'isonoise.'."""
+"""Fields of the result that are written to the header of an .exr file, with the prefix 'isonoise.'."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Render as the options say; returns the exit code. Raises UserError for what is the user's to mend."""
+    """Run the command; return the exit code."""
     _check_files(options)
     reference = read_reference(options.reference) if options.reference else None
     log = _Log(options.log, true_errors=reference is not None)
-    renderer = _renderer(options)
-    _check_shape(options, reference, renderer)
-    say = _say_nothing if options.json else _say
-    _say_what(say, options, renderer)
+    renderer = _make_renderer(options)
+    _check_reference_size(options, reference, renderer)
+    if not options.json:
+        _print_settings(options, renderer)
 
     stops = _stops(options, renderer)
     with _stop_signals() as received, RenderProgressBar() as bar:
@@ -57,39 +57,41 @@ def run(options: argparse.Namespace) -> int:
             reference=reference,
             should_stop=lambda: bool(received),
         )
-    interrupted = 128 + (received or [signal.SIGINT])[0]
+    exit_interrupted = 128 + (received or [signal.SIGINT])[0]
     if outcome.statistics.samples == 0:
         print("isonoise: stopped before the first sample; no image is written", file=sys.stderr)
-        return interrupted
+        return exit_interrupted
 
-    facts = _facts(options, renderer, stops, outcome)
+    result = _result(options, renderer, stops, outcome)
     layers = image_layers(outcome.statistics, outcome.floor)
     for path in options.output:
-        write_image(path, layers, {f"isonoise.{key}": facts[key] for key in HEADER})
-    _say_result(say, facts)
+        write_image(path, layers, {f"isonoise.{key}": result[key] for key in HEADER_FIELDS})
     if options.json:
-        print(json.dumps(_finite(facts)))
-    log.finish()
+        print(json.dumps(_without_nan(result)))
+    else:
+        _print_result(result)
+    log.raise_failure()
     if outcome.reason == "interrupted":
-        return interrupted
+        return exit_interrupted
     return EXIT_ERROR_NOT_MET if options.error and outcome.reason != "error" else EXIT_DONE
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    """Every output can be written, and none takes the place of another or of an input."""
+    """Check that every output can be written and overwrites neither an input nor another output."""
     for path in options.output:
         check_output(path)
-    taken = {}
+    roles = {}
     files = [("the scene", options.scene), ("--reference", options.reference), ("--log", options.log)]
-    for what, path in [*files, *(("-o", path) for path in options.output)]:
+    for name, path in [*files, *(("-o", path) for path in options.output)]:
         if path:
-            other = taken.setdefault(Path(path).resolve(), f"{what} {path}")
-            if other != f"{what} {path}" or options.output.count(path) > 1:
-                raise UserError(f"{what} {path} is the same file as {other}")
+            role = f"{name} {path}"
+            other = roles.setdefault(Path(path).resolve(), role)
+            if other != role or options.output.count(path) > 1:
+                raise UserError(f"{role} is the same file as {other}")
 
 
-def _renderer(options: argparse.Namespace) -> Renderer:
-    chosen = {"strategy": options.strategy} if options.strategy else {}
+def _make_renderer(options: argparse.Namespace) -> Renderer:
+    strategy = {"strategy": options.strategy} if options.strategy else {}
     return Renderer(
         options.scene,
         device=options.device,
@@ -97,18 +99,18 @@ def _renderer(options: argparse.Namespace) -> Renderer:
         size=options.size,
         max_depth=options.max_depth,
         parameters=dict(options.parameters),
-        **chosen,
+        **strategy,
     )
 
 
 def _stops(options: argparse.Namespace, renderer: Renderer) -> Stops:
-    """The limits asked for; with none of them the scene's samples per pixel."""
-    asked = options.spp or options.time or options.error
-    spp = options.spp if asked else float(renderer.scene.sample_count)
+    """The given limits; without any, the scene's samples per pixel."""
+    has_limit = options.spp or options.time or options.error
+    spp = options.spp if has_limit else float(renderer.scene.sample_count)
     return Stops(spp=spp, time=options.time, error=options.error, quantile=options.quantile)
 
 
-def _check_shape(options: argparse.Namespace, reference, renderer: Renderer) -> None:
+def _check_reference_size(options: argparse.Namespace, reference, renderer: Renderer) -> None:
     expected = (renderer.scene.height, renderer.scene.width)
     if reference is not None and reference[0].shape[:2] != expected:
         height, width = reference[0].shape[:2]
@@ -120,24 +122,24 @@ def _check_shape(options: argparse.Namespace, reference, renderer: Renderer) -> 
 
 @contextmanager
 def _stop_signals() -> Iterator[list[int]]:
-    """Collects Ctrl-C and a batch system's SIGTERM in a list, so that the render ends after the work in flight.
+    """Collect Ctrl-C and SIGTERM (of batch systems) in a list, so that the render can end after the paths in flight.
 
-    A second signal acts as it did before: a second Ctrl-C interrupts at once.
+    After the first signal the previous handlers are restored: a second Ctrl-C interrupts at once.
     """
     received = []
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    before = {number: handler for number, handler in before.items() if handler != signal.SIG_IGN}  # as under nohup
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: handler for number, handler in handlers.items() if handler != signal.SIG_IGN}  # under nohup
 
-    def note(number, frame):
+    def on_signal(number, frame):
         received.append(number)
         restore()
 
     def restore():
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
-    for number in before:
-        signal.signal(number, note)
+    for number in handlers:
+        signal.signal(number, on_signal)
     try:
         yield received
     finally:
@@ -145,7 +147,7 @@ def _stop_signals() -> Iterator[list[int]]:
 
 
 class _Log:
-    """The log, if one was asked for. A disk that fills up ends the log, not the render; `finish` says so."""
+    """The log, if there is one. A write error, such as a full disk, ends the log but not the render."""
 
     def __init__(self, path: str | None, true_errors: bool):
         self._writer = LogWriter(path, true_errors) if path else None
@@ -158,13 +160,13 @@ class _Log:
             except UserError as error:
                 self._failure = error
 
-    def finish(self) -> None:
+    def raise_failure(self) -> None:
         if self._failure:
-            raise UserError(f"{self._failure}; the log ends early, the image is whole")
+            raise UserError(f"{self._failure}; the log is incomplete, the image is complete")
 
 
-def _facts(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcome: Outcome) -> dict[str, object]:
-    """What there is to say about a finished render: the fields of --json, those of `HEADER` among them."""
+def _result(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcome: Outcome) -> dict[str, object]:
+    """The fields of --json; they include `HEADER_FIELDS`."""
     statistics = outcome.statistics
     return {
         "version": __version__,
@@ -191,50 +193,44 @@ def _facts(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcom
     }
 
 
-def _finite(value):
-    """The same with None for every number that JSON has no word for."""
+def _without_nan(value):
+    """The value with None for NaN and infinity, which JSON does not have."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _without_nan(item) for key, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _say(label: str, text: str) -> None:
+def _print_line(label: str, text: str) -> None:
     print(f"{label:9} {text}", flush=True)
 
 
-def _say_nothing(label: str, text: str) -> None:
-    pass
-
-
-def _say_what(say, options: argparse.Namespace, renderer: Renderer) -> None:
+def _print_settings(options: argparse.Namespace, renderer: Renderer) -> None:
     scene = renderer.scene
-    say("scene", f"{options.scene}, {scene.width}x{scene.height}")
-    say("strategy", f"{describe(renderer.strategy)}, seed {options.seed}")
-    say("device", renderer.device_name)
-    say("set-up", ", ".join(f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items()))
+    _print_line("scene", f"{options.scene}, {scene.width}x{scene.height}")
+    _print_line("strategy", f"{describe(renderer.strategy)}, seed {options.seed}")
+    _print_line("device", renderer.device_name)
+    times = (f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items())
+    _print_line("set-up", ", ".join(times))
 
 
-def _say_result(say, facts: dict[str, object]) -> None:
-    say("rendered", f"{format_duration(facts['time_s'])}, {facts['samples']:,} samples, {facts['spp']:.4g} per pixel")
-    say(
-        "stopped",
-        {"interrupted": "on request", "full": "as a pixel's count of samples is full"}.get(
-            facts["stopped_by"], f"by --{facts['stopped_by']}"
-        ),
-    )
-    say("error", f"{format_percent(facts['stated_error'])} (stated, quantile {facts['quantile']:g})")
-    last = facts["last_wave"] or {}
+def _print_result(result: dict[str, object]) -> None:
+    time, samples, spp = format_duration(result["time_s"]), f"{result['samples']:,}", f"{result['spp']:.4g}"
+    _print_line("rendered", f"{time}, {samples} samples, {spp} per pixel")
+    reasons = {"interrupted": "by a signal", "full": "because a pixel's sample count is full"}
+    _print_line("stopped", reasons.get(result["stopped_by"], f"by --{result['stopped_by']}"))
+    _print_line("error", f"{format_percent(result['stated_error'])} (stated, quantile {result['quantile']:g})")
+    last = result["last_wave"] or {}
     if "true_p99" in last:
-        quantiles = ", ".join(f"p{q} {format_percent(last[f'true_p{q}'])}" for q in (50, 95, 99))
-        stated = ", ".join(f"p{q} {format_percent(last[f'stated_p{q}'])}" for q in (50, 95, 99))
-        say(
-            "",
-            f"true    {quantiles}; relMSE {last['true_rel_mse']:.3g}, image mean ratio {last['true_energy_ratio']:.4f}",
+        true, stated = (
+            ", ".join(f"p{q} {format_percent(last[f'{kind}_p{q}'])}" for q in (50, 95, 99))
+            for kind in ("true", "stated")
         )
-        say("", f"stated  {stated}")
-    if facts["rejected"]:
-        say("rejected", f"{facts['rejected']:,} samples were negative or not finite and are left out")
-    for path in facts["output"]:
-        say("image", path)
-    if facts["log"]:
-        say("log", facts["log"])
+        rel_mse, energy_ratio = f"{last['true_rel_mse']:.3g}", f"{last['true_energy_ratio']:.4f}"
+        _print_line("", f"true    {true}; relMSE {rel_mse}, image mean ratio {energy_ratio}")
+        _print_line("", f"stated  {stated}")
+    if result["rejected"]:
+        _print_line("rejected", f"{result['rejected']:,} samples were negative or not finite and were left out")
+    for path in result["output"]:
+        _print_line("image", path)
+    if result["log"]:
+        _print_line("log", result["log"])
