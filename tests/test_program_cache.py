@@ -1,4 +1,4 @@
-"""Compiled programs between processes: what is kept is used, and nothing that lies in the folder can do harm."""
+"""The program cache: stored programs are used, and damaged or foreign files do no harm."""
 
 import os
 import stat
@@ -27,18 +27,18 @@ COUNT = 1000
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty cache, and a process that has built nothing yet."""
+    """An empty cache folder, and no programs in this process."""
     monkeypatch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path / "made" / "when needed"))
-    return begin_anew(monkeypatch, tmp_path / "made" / "when needed")
+    return forget_programs(monkeypatch, tmp_path / "made" / "when needed")
 
 
 @pytest.fixture(autouse=True)
-def keeps_nothing_by_itself(monkeypatch):
-    """The device's driver is taken for one that needs the cache: PoCL doesn't, but it can be asked for binaries."""
+def driver_without_cache(monkeypatch):
+    """Treat PoCL as a driver without a cache of its own."""
     monkeypatch.setattr(Device, "is_pocl", False)
 
 
-def begin_anew(monkeypatch, folder):
+def forget_programs(monkeypatch, folder):
     monkeypatch.setattr(opencl, "_programs", {})
     monkeypatch.setattr(opencl, "_programs_to_store", {})
     return folder
@@ -46,17 +46,17 @@ def begin_anew(monkeypatch, folder):
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """The source texts that are compiled from now on."""
-    texts = []
-    built = Device._build_program
+    """Options of the programs that are compiled from source."""
+    compilations = []
+    original = Device._build_program
 
-    def note(self, program, options):
+    def build(self, program, options):
         if program.get_info(opencl._opencl().program_info.SOURCE):
-            texts.append(options)
-        return built(self, program, options)
+            compilations.append(options)
+        return original(self, program, options)
 
-    monkeypatch.setattr(Device, "_build_program", note)
-    return texts
+    monkeypatch.setattr(Device, "_build_program", build)
+    return compilations
 
 
 def roots(options=OPTIONS) -> bytes:
@@ -66,21 +66,21 @@ def roots(options=OPTIONS) -> bytes:
     return device.read(values, np.float32, COUNT).tobytes()
 
 
-def later_process(monkeypatch, folder) -> bytes:
+def roots_in_new_process(monkeypatch, folder) -> bytes:
     opencl._store_programs()
-    begin_anew(monkeypatch, folder)
+    forget_programs(monkeypatch, folder)
     return roots()
 
 
-def test_a_program_that_was_kept_gives_the_same_bits(folder, compiled, monkeypatch):
+def test_a_cached_program_gives_the_same_bits(folder, compiled, monkeypatch):
     first = roots()
-    assert later_process(monkeypatch, folder) == first
+    assert roots_in_new_process(monkeypatch, folder) == first
     assert len(compiled) == 1
     assert len(list(folder.iterdir())) == 1
 
 
-@pytest.mark.parametrize("harm", ["empty", "cut off", "one bit", "foreign", "no program", "a folder"])
-def test_a_broken_file_is_as_good_as_none_and_is_replaced(folder, compiled, monkeypatch, harm):
+@pytest.mark.parametrize("damage", ["empty", "cut off", "one bit", "foreign", "no program", "a folder"])
+def test_a_damaged_file_is_replaced(folder, compiled, monkeypatch, damage):
     first = roots()
     opencl._store_programs()
     (file,) = folder.iterdir()
@@ -88,23 +88,23 @@ def test_a_broken_file_is_as_good_as_none_and_is_replaced(folder, compiled, monk
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     contents = {"empty": b"", "cut off": whole[:-1], "one bit": bytes(flipped), "foreign": b"\x7fELF" + whole}
-    if harm == "no program":  # the file is sound, but the driver does not know what to do with it
+    if damage == "no program":  # a valid file that the driver rejects
         program_cache.store(file.name, b"something else")
-    elif harm == "a folder":
+    elif damage == "a folder":
         file.unlink()
         file.mkdir()
     else:
-        file.write_bytes(contents[harm])
-    begin_anew(monkeypatch, folder)
+        file.write_bytes(contents[damage])
+    forget_programs(monkeypatch, folder)
     assert roots() == first
     assert len(compiled) == 2
-    if harm != "a folder":
-        assert later_process(monkeypatch, folder) == first
+    if damage != "a folder":
+        assert roots_in_new_process(monkeypatch, folder) == first
         assert len(compiled) == 2
 
 
 @pytest.mark.parametrize("obstacle", ["a file", "read-only"])
-def test_without_a_folder_to_write_to_all_works(tmp_path, compiled, monkeypatch, obstacle):
+def test_a_folder_that_cannot_be_written(tmp_path, compiled, monkeypatch, obstacle):
     place = tmp_path / "cache"
     if obstacle == "a file":
         place.touch()
@@ -113,36 +113,36 @@ def test_without_a_folder_to_write_to_all_works(tmp_path, compiled, monkeypatch,
         if os.access(place, os.W_OK):
             pytest.skip("this user may write everywhere")
     monkeypatch.setenv(program_cache.FOLDER_VARIABLE, str(place / "programs"))
-    begin_anew(monkeypatch, place)
-    assert roots() == later_process(monkeypatch, place)
+    forget_programs(monkeypatch, place)
+    assert roots() == roots_in_new_process(monkeypatch, place)
     assert len(compiled) == 2
 
 
-def test_off_keeps_nothing(monkeypatch, tmp_path, compiled):
+def test_the_cache_can_be_off(monkeypatch, tmp_path, compiled):
     monkeypatch.setenv(program_cache.FOLDER_VARIABLE, "off")
     monkeypatch.chdir(tmp_path)
-    begin_anew(monkeypatch, tmp_path)
-    assert roots() == later_process(monkeypatch, tmp_path)
+    forget_programs(monkeypatch, tmp_path)
+    assert roots() == roots_in_new_process(monkeypatch, tmp_path)
     assert len(compiled) == 2
     assert not list(tmp_path.iterdir())
 
 
-def test_pocl_keeps_its_programs_by_itself(folder, compiled, monkeypatch):
+def test_pocl_programs_are_not_cached(folder, compiled, monkeypatch):
     monkeypatch.setattr(Device, "is_pocl", True)
     first = roots()
-    assert not opencl._programs_to_store  # asked for at the process's end, its binaries take as long as the first image
-    program_cache.store(program_cache.program_key(SOURCE, OPTIONS, Device()._cache_identity), b"is not looked for")
-    assert later_process(monkeypatch, folder) == first
+    assert not opencl._programs_to_store  # its binaries take as long as compiling
+    program_cache.store(program_cache.program_key(SOURCE, OPTIONS, Device()._cache_identity), b"not read")
+    assert roots_in_new_process(monkeypatch, folder) == first
     assert len(compiled) == 2
 
 
-def test_a_render_starts_the_compiler_three_times(folder, compiled):
-    """For the pixels, for what shapes change, and for what materials change."""
+def test_a_render_compiles_three_programs(folder, compiled):
+    """Pixel stages, stages that depend on shapes, stages that depend on materials."""
     Renderer(lamp_over_floor())
     assert len(compiled) == 3
 
 
-def test_the_usual_folder_is_the_users(monkeypatch, tmp_path):
+def test_the_default_folder_is_the_users(monkeypatch, tmp_path):
     monkeypatch.delenv(program_cache.FOLDER_VARIABLE)
     monkeypatch.setattr(program_cache.sys, "platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -152,7 +152,7 @@ def test_the_usual_folder_is_the_users(monkeypatch, tmp_path):
     assert program_cache.cache_folder() == tmp_path / "local" / "isonoise" / "programs"
 
 
-def test_every_part_of_the_key_counts():
+def test_every_part_of_the_key_matters():
     keys = [
         program_cache.program_key(*parts)
         for parts in [
@@ -171,22 +171,22 @@ def test_every_part_of_the_key_counts():
 def test_other_options_are_another_program(folder, compiled, monkeypatch):
     first = roots()
     opencl._store_programs()
-    begin_anew(monkeypatch, folder)
+    forget_programs(monkeypatch, folder)
     assert roots((OPTIONS[0], "-DOFFSET=0.4f")) != first
     assert len(compiled) == 2
 
 
-def test_the_size_is_bounded_and_the_oldest_go(folder, monkeypatch):
+def test_the_least_recently_used_files_are_removed(folder, monkeypatch):
     monkeypatch.setattr(program_cache, "MAX_SIZE_BYTES", 3500)
     for age, name in enumerate(["now", "yesterday", "last week"]):
         program_cache.store(name, bytes(1000))
         os.utime(folder / name, (1e9 - age, 1e9 - age))
-    assert program_cache.load("last week")  # and with that it is the newest
+    assert program_cache.load("last week")  # this makes it the newest
     program_cache.store("new", bytes(1000))
     assert sorted(file.name for file in folder.iterdir()) == ["last week", "new", "now"]
 
 
-def test_readers_see_whole_files_while_others_write(folder):
+def test_concurrent_reads_and_writes(folder):
     binaries = [bytes([fill]) * 300_000 for fill in range(2)]
     program_cache.store("key", binaries[0])
     writers = [
@@ -202,18 +202,18 @@ def test_readers_see_whole_files_while_others_write(folder):
 
 def test_a_driver_without_binaries_is_no_error(folder, compiled, monkeypatch):
     roots()
-    (kept,) = opencl._programs_to_store.values()
+    (program,) = opencl._programs_to_store.values()
 
-    class Silent:
+    class WithoutBinaries:
         def get_info(self, what):
             raise opencl._opencl().RuntimeError("clGetProgramInfo failed: INVALID_VALUE")
 
-    monkeypatch.setattr(opencl, "_programs_to_store", {"a": Silent(), "b": kept})
+    monkeypatch.setattr(opencl, "_programs_to_store", {"a": WithoutBinaries(), "b": program})
     opencl._store_programs()
     assert [file.name for file in folder.iterdir()] == ["b"]
 
 
-def test_what_does_not_compile_is_an_error_and_is_not_kept(folder):
+def test_a_compiler_error_is_reported_and_not_cached(folder):
     with pytest.raises(DeviceError, match="refused"):
         Device().build("__kernel void wrong( {}", OPTIONS)
     assert not opencl._programs_to_store
