@@ -12,9 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from shared_programs import LIGHTS, SHAPES, share_programs
 
 import isonoise
 from isonoise.luminance import luminance
+
+shared_programs = share_programs((*SHAPES, *LIGHTS, "DIFFUSE", "TWOSIDED"))
 
 Z = 5.2
 ROUNDING = 1e-5

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import references
 from scalar_mitsuba import assert_same_picture
+from shared_programs import share_programs
 from test_bsdf_lobes import KERNEL, Lobe, numbers, uniform_sphere
 
 import isonoise
@@ -23,6 +24,18 @@ from isonoise.scene.material.bsdf_kinds import bsdf_bits
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.material.rough_transmittance import NODES
 from isonoise.scene.mesh.triangle_records import triangle_records
+
+PLAIN = (
+    *("TRIANGLES", "ANALYTICS", "SPHERES", "CYLINDERS", "DIFFUSE", "NULL", "VOLPATH", "MEDIA", "ORTHOGRAPHIC"),
+    *("POINT_LIGHTS", "AREA_LIGHTS", "SPHERE_LIGHTS", "CONSTANT_LIGHT", "MANY_LIGHTS", "NEXT_EVENT"),
+    "RUSSIAN_ROULETTE",
+)
+SHEETS_AND_LAMP = (
+    *("TRIANGLES", "UVS", "TEXTURES", "CHECKERBOARDS", "ORTHOGRAPHIC", "VOLPATH"),
+    *("DIFFUSE", "NULL", "DIELECTRIC", "THIN_DIELECTRIC", "MASK", "BLEND", "BUMP"),
+    *("POINT_LIGHTS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "MANY_LIGHTS", "NEXT_EVENT"),
+)
+shared_programs = share_programs(PLAIN, SHEETS_AND_LAMP)
 
 NULL = {"type": "null"}
 LAMBERT = {"type": "diffuse", "reflectance": 0.5}
@@ -652,7 +665,7 @@ def test_media_of_a_file(scene_of):
     assert own["albedo"] == pytest.approx([0.1, 0.2, 0.3])
     phases = compiled.bsdfs[[fog["phase"], own["phase"]]]
     assert (phases["kind"] == bsdf_bits("hg")).all()
-    assert phases["values"][:, 0] == pytest.approx([0.0, 0.8])
+    assert phases["constants"][:, 0] == pytest.approx([0.0, 0.8])
     assert (phases["flags"] & structs.BSDF_NO_LIGHT_SAMPLING).astype(bool).tolist() == [False, True]
     sphere, cube, plain = compiled.shapes["media"]
     assert sphere >> 16 == compiled.sensor_medium

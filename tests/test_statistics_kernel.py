@@ -14,7 +14,7 @@ import pytest
 
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
-from isonoise.integrator.accumulator import STRIP
+from isonoise.integrator import accumulator
 from isonoise.selftest.synthetic_samples import Reducer, chunk_median_mean, luminance32, to_rgb32
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
@@ -179,9 +179,10 @@ def test_powers_do_not_overflow(power, scale):
         assert power_mean[0] > 1e19
 
 
-def test_images_larger_than_a_strip():
+def test_images_larger_than_a_strip(monkeypatch):
     """Pixels on both sides of the borders of strips, and in the last, narrower strip."""
-    reducer = Reducer(Device(), 2 * STRIP + 1000, ALL)
+    monkeypatch.setattr(accumulator, "STRIP", 1000)
+    reducer = Reducer(Device(), 2 * accumulator.STRIP + 100, ALL)
     pixels = reducer.accumulator.pixels
     for k in range(3):
         reducer.add(list(np.arange(pixels, dtype=np.float32)[:, None] + k))

@@ -218,7 +218,7 @@ def axis_aligned_rays(context: Context, method: str) -> Iterator[Case]:
 def bvh_boxes(context: Context) -> Iterator[Case]:
     """The boxes of the BVH lose no hit: against the same triangles in boxes that every ray enters."""
     random = np.random.default_rng(5)
-    ball, faces = icosphere(3)
+    ball, faces = icosphere(2)
     corners = (np.round(8 * ball) / 8).astype(np.float32)[faces]  # flat boxes, and rays in the planes of boxes
     n = 20_000
     directions = random.standard_normal((n, 3)) * random.choice([1, 1, 1, 0, 1e-20, 1e-42], (n, 3))

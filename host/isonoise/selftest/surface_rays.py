@@ -74,18 +74,18 @@ def _convex_bodies(scale: float, offset: float) -> dict[str, dict]:
 
 def convex_bodies(context: Context) -> Iterator[Case]:
     """Rays leave convex bodies and do not hit them again."""
-    for size in (*SIZES, FAR_BODY):
-        yield from convex_bodies_of_size(context, *size)
+    for size_name, scale, offset in (*SIZES, FAR_BODY):
+        for body_name in _convex_bodies(scale, offset):
+            yield convex_body(context, body_name, size_name, scale, offset)
 
 
-def convex_bodies_of_size(context: Context, size_name: str, scale: float, offset: float) -> Iterator[Case]:
-    """The cases of one size."""
+def convex_body(context: Context, body_name: str, size_name: str, scale: float, offset: float) -> Case:
+    """Returns the case of one body of one size."""
+    body = _white(_convex_bodies(scale, offset)[body_name])
     camera = look_at(offset + scale * np.array([0.5, -3.0, 1.0]), (offset,) * 3)
-    for name, body in _convex_bodies(scale, offset).items():
-        lens = {"near_clip": 1e-4 * scale}
-        bounces = _rays_by_bounce(context, make_scene(camera, SIDE, 4, sensor=lens, body=_white(body)))
-        case_name = f"{name}, {size_name}: rays that leave it and hit it again"
-        yield count_case(case_name, bounces[1][1], "none allowed: it is convex")
+    scene = make_scene(camera, SIDE, 4, sensor={"near_clip": 1e-4 * scale}, body=body)
+    hits = _rays_by_bounce(context, scene)[1][1]
+    return count_case(f"{body_name}, {size_name}: rays that leave it and hit it again", hits, "none: it is convex")
 
 
 def closed_bodies(context: Context) -> Iterator[Case]:
