@@ -58,7 +58,7 @@ def _print_scene(source: str, parameters: dict[str, str]) -> None:
     width = max(map(len, used))
 
     def line(name: str) -> str:
-        return f"  {name:{width}}  {FEATURES[name].meaning}: {cost(name, used)}"
+        return f"  {name:{width}}  {FEATURES[name].description}: {cost(name, used)}"
 
     state = sum(path_bytes(used).values())
     print(f"\ncompiled in (strategy {DEFAULT_STRATEGY}); a path in flight has {state} bytes of state:")

@@ -1,10 +1,11 @@
-"""The feature set: what of the program, the buffers and the stages a scene and a strategy need; all else is left out.
+"""The features: what a scene or a strategy may need of the programs, the buffers and the stages.
 
-Kernels test `FEATURE_<name>` with #if; the host sets every one to 0 or 1.
+Kernels test `FEATURE_<name>` with #if; the host sets every one to 0 or 1. What a scene does not use is left out.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from isonoise.scene.accel.bvh import BLOCK_ROWS, BVH_WIDTH
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light import light_list
 from isonoise.scene.light.light_kinds import KINDS as LIGHT_KINDS
-from isonoise.scene.light.light_kinds import light_bits
+from isonoise.scene.light.light_kinds import LightKind, light_bits
 from isonoise.scene.light.light_tree import LIGHT_NODE_ROWS, use_light_tree
 from isonoise.scene.material import bsdf_kinds, textures
 from isonoise.scene.material.bsdf_kinds import bsdf_bits, feature_of
@@ -23,151 +24,214 @@ from isonoise.statistics import BASIC_NEEDS, Needs
 
 
 @dataclass(frozen=True)
+class _Use:
+    """A scene with a strategy's needs, and facts about them that several features ask for."""
+
+    scene: CompiledScene | None
+    needs: Needs
+
+    @cached_property
+    def bsdf_bits(self) -> int:
+        return int(np.bitwise_or.reduce(self.scene.bsdfs["kind"]))
+
+    @cached_property
+    def light_bits(self) -> int:
+        return int(np.bitwise_or.reduce(self.scene.lights["kind"]))
+
+    @cached_property
+    def samples_lights(self) -> bool:
+        """Whether next-event estimation can find light."""
+        kinds = bsdf_kinds.select(lambda kind: kind.scatters and not kind.is_delta)
+        can_scatter = self.bsdf_bits & bsdf_bits(*(kind.name for kind in kinds)) != 0
+        return self.light_bits != 0 and can_scatter and (self.is_unlimited or self.scene.max_depth > 1)
+
+    @cached_property
+    def weighs_lights(self) -> bool:
+        """Whether lights are selected by their importance for a point."""
+        return self.samples_lights and use_light_tree(self.scene.lights)
+
+    @cached_property
+    def uses_light_list(self) -> bool:
+        # with VOLPATH paths are shaded one by one, where the list takes 2 to 5 times as long as the tree
+        return light_list.use_light_list(self.scene.lights) and not self.is_volpath
+
+    @cached_property
+    def is_volpath(self) -> bool:
+        return len(self.scene.media) > 0 or self.has_bsdf_flag(structs.BSDF_PASS_THROUGH)
+
+    @property
+    def is_unlimited(self) -> bool:
+        return self.scene.max_depth < 0
+
+    @property
+    def has_textured_lights(self) -> bool:
+        return bool((self.scene.lights["texture"] != structs.NONE).any())
+
+    def has_bsdf_flag(self, flag: int) -> bool:
+        return bool((self.scene.bsdfs["flags"] & flag).any())
+
+    def has_analytic(self, kind: int) -> bool:
+        return kind in self.scene.analytics["kind"]
+
+    def has_texture(self, kind: int) -> bool:
+        return kind in self.scene.textures["kind"]
+
+
+@dataclass(frozen=True)
 class Feature:
-    """What a feature is. `buffers` are there for it, by the names of the kernels' arguments, with the size of what they
-    hold; some serve several features. What else it costs is computed from the kernels: `integrator.costs`."""
+    """A feature. What it costs beside its buffers is computed from the kernels: `feature_costs`."""
 
-    meaning: str
+    description: str
+    is_used: Callable[[_Use], bool]
     buffers: Mapping[str, str] = field(default_factory=dict)
+    """Buffers that exist for the feature, by the names of the kernel arguments, with their sizes in words. Several
+    features may share a buffer."""
 
 
-def _records(dtype: np.dtype, of: str) -> str:
-    return f"{dtype.itemsize} bytes {of}"
+def _records(dtype: np.dtype, item: str) -> str:
+    return f"{dtype.itemsize} bytes {item}"
 
 
 _LIGHTS = {"lights": _records(structs.LIGHT, "a light"), "light_alias": _records(structs.ALIAS, "a light")}
 
-_SCATTERING = bsdf_kinds.select(lambda kind: kind.scatters and not kind.feature)
-_OTHER_BSDFS = bsdf_kinds.select(lambda kind: not kind.scatters)
+
+def _bsdf_features(condition: Callable[[bsdf_kinds.BsdfKind], bool]) -> dict[str, Feature]:
+    def feature(kind: bsdf_kinds.BsdfKind) -> Feature:
+        bit = bsdf_bits(kind.name)
+        return Feature(kind.description, lambda use: use.bsdf_bits & bit != 0, kind.buffers)
+
+    return {feature_of(kind): feature(kind) for kind in bsdf_kinds.select(condition)}
 
 
-def _bsdf_feature(kind: bsdf_kinds.BsdfKind) -> Feature:
-    return Feature(kind.description, kind.buffers)
+def _light_features() -> dict[str, Feature]:
+    def feature(name: str, kind: LightKind) -> Feature:
+        bit = light_bits(name)
+        return Feature(kind.description, lambda use: use.light_bits & bit != 0, {**_LIGHTS, **kind.buffers})
 
+    return {kind.feature: feature(name, kind) for name, kind in LIGHT_KINDS.items()}
+
+
+_AREA_LIGHTS = light_bits(*(name for name, kind in LIGHT_KINDS.items() if kind.is_area))
 
 FEATURES = {
     "TRIANGLES": Feature(
         "triangle meshes",
+        lambda use: len(use.scene.faces) > 0,
         {
             "triangles": _records(structs.TRIANGLE, "a triangle"),
             "blocks": f"{4 * BLOCK_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} triangles",
-            "corners": "12 bytes a corner, where there is no hierarchy",
-            "corner_indices": "12 bytes a triangle, where there is no hierarchy",
+            "corners": "12 bytes a corner, in scenes without a hierarchy",
+            "corner_indices": "12 bytes a triangle, in scenes without a hierarchy",
         },
     ),
-    "VERTEX_NORMALS": Feature("smooth shading by vertex normals", {"corner_normals": "36 bytes a triangle"}),
-    "UVS": Feature("texture coordinates", {"uvs": "8 bytes a vertex", "faces": "12 bytes a triangle"}),
-    "TEXTURES": Feature("parameters that vary over a surface", {"textures": _records(textures.TEXTURE, "a texture")}),
+    "VERTEX_NORMALS": Feature(
+        "smooth shading by vertex normals",
+        lambda use: bool((use.scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
+        {"corner_normals": "36 bytes a triangle"},
+    ),
+    "UVS": Feature(
+        "texture coordinates",
+        lambda use: reads_uvs(use.scene.bsdfs) or use.has_textured_lights,
+        {"uvs": "8 bytes a vertex", "faces": "12 bytes a triangle"},
+    ),
+    "TEXTURES": Feature(
+        "textures", lambda use: len(use.scene.textures) > 0, {"textures": _records(textures.TEXTURE, "a texture")}
+    ),
     "BITMAPS": Feature(
-        "images as textures",
+        "image textures",
+        lambda use: use.has_texture(textures.TEXTURE_BITMAP),
         {
             "texel_bytes": "4 bytes a texel of 8-bit images",
-            "texel_floats": "16 bytes a texel of others",
+            "texel_floats": "16 bytes a texel of other images",
             "srgb": "1,024 bytes",
         },
     ),
-    "CHECKERBOARDS": Feature("checkerboards"),
-    "MESH_ATTRIBUTES": Feature("colours of vertices and faces", {"attributes": "12 bytes a colour"}),
+    "CHECKERBOARDS": Feature("checkerboards", lambda use: use.has_texture(textures.TEXTURE_CHECKERBOARD)),
+    "MESH_ATTRIBUTES": Feature(
+        "colours of vertices and faces",
+        lambda use: use.has_texture(textures.TEXTURE_MESH_ATTRIBUTE),
+        {"attributes": "12 bytes a colour"},
+    ),
     "ANALYTICS": Feature(
-        "shapes that are not triangles",
+        "analytic shapes",
+        lambda use: len(use.scene.analytics) > 0,
         {"analytics": _records(structs.ANALYTIC, "a shape"), "shapes": _records(structs.SHAPE, "a shape or mesh")},
     ),
-    "SPHERES": Feature("spheres"),
-    "DISKS": Feature("disks"),
-    "CYLINDERS": Feature("cylinders"),
+    "SPHERES": Feature("spheres", lambda use: use.has_analytic(structs.ANALYTIC_SPHERE)),
+    "DISKS": Feature("disks", lambda use: use.has_analytic(structs.ANALYTIC_DISK)),
+    "CYLINDERS": Feature("cylinders", lambda use: use.has_analytic(structs.ANALYTIC_CYLINDER)),
     "INSTANCES": Feature(
-        "groups of shapes that stand in several places", {"instances": _records(structs.INSTANCE, "an instance")}
+        "instances",
+        lambda use: len(use.scene.instances) > 0,
+        {"instances": _records(structs.INSTANCE, "an instance")},
     ),
-    **{feature_of(kind): _bsdf_feature(kind) for kind in _SCATTERING},
-    "BECKMANN": Feature("rough surfaces by Beckmann's distribution"),
-    "SAMPLE_ALL_NORMALS": Feature("rough surfaces sampled by all their normals"),
-    **{feature_of(kind): _bsdf_feature(kind) for kind in _OTHER_BSDFS},
-    "TWOSIDED": Feature("two-sided materials"),
-    "VOLPATH": Feature("surfaces that let paths and light through unturned"),
-    "MEDIA": Feature("media", {"media": _records(structs.MEDIUM, "a medium")}),
-    "AREA_LIGHTS": Feature("surfaces that shine", _LIGHTS),
-    "TEXTURED_LIGHTS": Feature("lights whose radiance varies over them"),
-    **{kind.feature: Feature(kind.description, {**_LIGHTS, **kind.buffers}) for kind in LIGHT_KINDS.values()},
-    "MANY_LIGHTS": Feature("more than one light"),
+    **_bsdf_features(lambda kind: kind.scatters and not kind.feature),
+    "BECKMANN": Feature("Beckmann microfacet distribution", lambda use: use.has_bsdf_flag(structs.BSDF_BECKMANN)),
+    "SAMPLE_ALL_NORMALS": Feature(
+        "microfacets sampled without regard to their visibility",
+        lambda use: use.has_bsdf_flag(structs.BSDF_SAMPLE_ALL_NORMALS),
+    ),
+    **_bsdf_features(lambda kind: not kind.scatters),
+    "TWOSIDED": Feature("two-sided materials", lambda use: use.has_bsdf_flag(structs.BSDF_TWOSIDED)),
+    "VOLPATH": Feature("pass-through surfaces and media: integrator volpath", lambda use: use.is_volpath),
+    "MEDIA": Feature("media", lambda use: len(use.scene.media) > 0, {"media": _records(structs.MEDIUM, "a medium")}),
+    "AREA_LIGHTS": Feature("area emitters", lambda use: use.light_bits & _AREA_LIGHTS != 0, _LIGHTS),
+    "TEXTURED_LIGHTS": Feature("textured area emitters", lambda use: use.has_textured_lights),
+    **_light_features(),
+    "MANY_LIGHTS": Feature("more than one light", lambda use: len(use.scene.lights) > 1),
     "LIGHT_TREE": Feature(
-        "many lights, picked by what they could send to a point",
+        "light tree: one of many lights is selected by its importance for a point",
+        lambda use: use.weighs_lights and not use.uses_light_list,
         {
             "light_nodes": f"{4 * LIGHT_NODE_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} lights or nodes",
             "light_parents": "4 bytes a light and node",
         },
     ),
     "LIGHT_LIST": Feature(
-        "some lights, each weighed by what it could send to a point",
+        "light list: one of a few lights is selected by its importance for a point",
+        lambda use: use.weighs_lights and use.uses_light_list,
         {"light_bounds": _records(structs.LIGHT_BOUND, "a light")},
     ),
-    "NEXT_EVENT": Feature("next-event estimation"),
-    "RUSSIAN_ROULETTE": Feature("russian roulette"),
-    "HIDE_EMITTERS": Feature("lights hidden from the camera"),
-    "THIN_LENS": Feature("a lens with depth of field"),
-    "ORTHOGRAPHIC": Feature("a camera of parallel rays"),
-    "FILTER_TABLE": Feature("pixel filter other than a box", {"inverse_cdf": f"{4 * (CELLS + 1):,} bytes"}),
-    "CHUNK_MEDIANS": Feature("chunk medians M_x", {"medians": "4 bytes a pixel and entry of a chunk, and 4 a pixel"}),
-    "BATCH_MEANS": Feature("chunks of means of several samples", {"medians": "8 bytes more a pixel"}),
-    "POWER_MEAN": Feature("mean of a power of the samples", {"powers": "8 bytes a pixel"}),
-    "HALF_BUFFER": Feature("mean of every second sample", {"halves": "24 bytes a pixel"}),
-    "COUNT_TESTS": Feature("nodes and blocks of triangles tested, counted"),
+    "NEXT_EVENT": Feature("next-event estimation", lambda use: use.samples_lights),
+    "RUSSIAN_ROULETTE": Feature(
+        "Russian roulette", lambda use: use.is_unlimited or use.scene.rr_depth < use.scene.max_depth
+    ),
+    "HIDE_EMITTERS": Feature("emitters that the camera does not see", lambda use: use.scene.hide_emitters),
+    "THIN_LENS": Feature("depth of field", lambda use: bool(use.scene.camera["kind"][0] == structs.CAMERA_THIN_LENS)),
+    "ORTHOGRAPHIC": Feature(
+        "orthographic camera", lambda use: bool(use.scene.camera["kind"][0] == structs.CAMERA_ORTHOGRAPHIC)
+    ),
+    "FILTER_TABLE": Feature(
+        "pixel filter other than a box",
+        lambda use: use.scene.filter != "box",
+        {"inverse_cdf": f"{4 * (CELLS + 1):,} bytes"},
+    ),
+    "CHUNK_MEDIANS": Feature(
+        "chunk medians M_x",
+        lambda use: use.needs.median,
+        {"medians": "4 bytes a pixel and entry of a chunk, and 4 a pixel"},
+    ),
+    "BATCH_MEANS": Feature(
+        "chunk entries that are means of several samples",
+        lambda use: use.needs.median and use.needs.batch > 1,
+        {"medians": "8 bytes more a pixel"},
+    ),
+    "POWER_MEAN": Feature(
+        "mean of a power of the samples", lambda use: use.needs.power is not None, {"powers": "8 bytes a pixel"}
+    ),
+    "HALF_BUFFER": Feature("mean of every second sample", lambda use: use.needs.half, {"halves": "24 bytes a pixel"}),
+    "COUNT_TESTS": Feature("node and triangle tests, counted for measurements", lambda use: False),
 }
-"""What a scene, or a strategy, may use. What is in all programs, such as `nodes` and `bsdfs`, is in no feature."""
+"""All features, in the order in which they are printed. Buffers of every program, such as `bsdfs`, are in none."""
 
 
 def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool]:
-    """Which features the scene uses, and the statistics of `needs` ask for. Keys and order as in `FEATURES`."""
-    analytic = set(scene.analytics["kind"])
-    bsdf, light = (int(np.bitwise_or.reduce(table["kind"])) for table in (scene.bsdfs, scene.lights))
-    non_delta = bsdf_bits(*(kind.name for kind in bsdf_kinds.select(lambda kind: kind.scatters and not kind.is_delta)))
-    area = light_bits(*(name for name, kind in LIGHT_KINDS.items() if kind.is_area))
-    endless = scene.max_depth < 0
-    next_event = light != 0 and bsdf & non_delta != 0 and (endless or scene.max_depth > 1)
-    weighs_lights = next_event and use_light_tree(scene.lights)
-    volpath = len(scene.media) > 0 or bool((scene.bsdfs["flags"] & structs.BSDF_PASS_THROUGH).any())
-    lists_lights = light_list.use_light_list(scene.lights) and not volpath  # one by one they take 2 to 5 times as long
-    return {
-        "TRIANGLES": len(scene.faces) > 0,
-        "VERTEX_NORMALS": bool((scene.shapes["flags"] & structs.SHAPE_VERTEX_NORMALS).any()),
-        "UVS": reads_uvs(scene.bsdfs) or bool((scene.lights["texture"] != structs.NONE).any()),
-        "TEXTURES": len(scene.textures) > 0,
-        "BITMAPS": textures.TEXTURE_BITMAP in scene.textures["kind"],
-        "CHECKERBOARDS": textures.TEXTURE_CHECKERBOARD in scene.textures["kind"],
-        "MESH_ATTRIBUTES": textures.TEXTURE_MESH_ATTRIBUTE in scene.textures["kind"],
-        "ANALYTICS": len(scene.analytics) > 0,
-        "SPHERES": structs.ANALYTIC_SPHERE in analytic,
-        "DISKS": structs.ANALYTIC_DISK in analytic,
-        "CYLINDERS": structs.ANALYTIC_CYLINDER in analytic,
-        "INSTANCES": len(scene.instances) > 0,
-        **{feature_of(kind): bsdf & bsdf_bits(kind.name) != 0 for kind in _SCATTERING},
-        "BECKMANN": bool((scene.bsdfs["flags"] & structs.BSDF_BECKMANN).any()),
-        "SAMPLE_ALL_NORMALS": bool((scene.bsdfs["flags"] & structs.BSDF_SAMPLE_ALL_NORMALS).any()),
-        **{feature_of(kind): bsdf & bsdf_bits(kind.name) != 0 for kind in _OTHER_BSDFS},
-        "TWOSIDED": bool((scene.bsdfs["flags"] & structs.BSDF_TWOSIDED).any()),
-        "VOLPATH": volpath,
-        "MEDIA": len(scene.media) > 0,
-        "AREA_LIGHTS": light & area != 0,
-        "TEXTURED_LIGHTS": bool((scene.lights["texture"] != structs.NONE).any()),
-        **{kind.feature: light & light_bits(name) != 0 for name, kind in LIGHT_KINDS.items()},
-        "MANY_LIGHTS": len(scene.lights) > 1,
-        "LIGHT_TREE": weighs_lights and not lists_lights,
-        "LIGHT_LIST": weighs_lights and lists_lights,
-        "NEXT_EVENT": next_event,
-        "RUSSIAN_ROULETTE": endless or scene.rr_depth < scene.max_depth,
-        "HIDE_EMITTERS": scene.hide_emitters,
-        "THIN_LENS": bool(scene.camera["kind"][0] == structs.CAMERA_THIN_LENS),
-        "ORTHOGRAPHIC": bool(scene.camera["kind"][0] == structs.CAMERA_ORTHOGRAPHIC),
-        "FILTER_TABLE": scene.filter != "box",
-        **statistics_features(needs),
-        "COUNT_TESTS": False,  # a picture never needs it: it is switched on to measure
-    }
+    """Which features a scene uses, and a strategy that reads the statistics of `needs`."""
+    use = _Use(scene, needs)
+    return {name: bool(feature.is_used(use)) for name, feature in FEATURES.items()}
 
 
 def statistics_features(needs: Needs) -> dict[str, bool]:
-    """Which features the statistics of `needs` ask for: all that the stages `reduce` and `summarise` know."""
-    return {
-        "CHUNK_MEDIANS": needs.median,
-        "BATCH_MEANS": needs.median and needs.batch > 1,
-        "POWER_MEAN": needs.power is not None,
-        "HALF_BUFFER": needs.half,
-    }
+    """Which features of the stages `reduce` and `summarise` the statistics of `needs` use."""
+    names = ("CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER")
+    return {name: FEATURES[name].is_used(_Use(None, needs)) for name in names}
