@@ -525,29 +525,29 @@ def test_deep_hierarchies_fit_the_stack(monkeypatch):
 
 MALFORMED = [
     ('<shape type="instance"/>', "shape 'instance' needs a nested shapegroup"),
-    ('<shape type="instance"><ref id="nobody"/></shape>', "nothing has the id 'nobody'"),
+    ('<shape type="instance"><ref id="nobody"/></shape>', "there is no object with the id 'nobody'"),
     ('<shape type="shapegroup"/>', "shape 'shapegroup' needs a nested shape"),
-    ('<shape type="instance"><shape type="sphere"/></shape>', "instance cannot hold a shape 'sphere' .*shapegroup"),
+    ('<shape type="instance"><shape type="sphere"/></shape>', "instance cannot contain a shape 'sphere' .*shapegroup"),
     (
         '<shape type="shapegroup" id="g"><shape type="sphere"/></shape><shape type="instance"><ref id="g"/>'
         '<ref id="g"/></shape>',
-        "instance may hold only one shape",
+        "instance can contain only one shape",
     ),
     (
         '<shape type="shapegroup" id="g"><shape type="sphere"/></shape>'
         '<shape type="shapegroup"><shape type="instance"><ref id="g"/></shape></shape>',
-        "shapegroup cannot hold a shape 'instance'",
+        "shapegroup cannot contain a shape 'instance'",
     ),
     (
         '<shape type="shapegroup"><shape type="shapegroup"><shape type="sphere"/></shape></shape>',
-        "shapegroup cannot hold a shape 'shapegroup'",
+        "shapegroup cannot contain a shape 'shapegroup'",
     ),
     (
         '<shape type="shapegroup"><shape type="sphere"><emitter type="area"/></shape></shape>',
         "a shape of a shapegroup cannot shine",
     ),
-    ('<shape type="shapegroup"><bsdf type="diffuse"/></shape>', "'shapegroup' cannot hold a bsdf"),
-    ('<shape type="instance"><bsdf type="diffuse"/></shape>', "'instance' cannot hold a bsdf"),
+    ('<shape type="shapegroup"><bsdf type="diffuse"/></shape>', "'shapegroup' cannot contain a bsdf"),
+    ('<shape type="instance"><bsdf type="diffuse"/></shape>', "'instance' cannot contain a bsdf"),
     ('<shape type="shapegroup" id="g"><ref id="g"/></shape>', "refers to itself"),
 ]
 GROUP = '<shape type="shapegroup" id="g"><shape type="{}"/></shape>'

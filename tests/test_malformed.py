@@ -182,21 +182,21 @@ SCENES = {
     ),
     "a texture in itself": (
         SCENE.format(SURFACE.format('<texture type="checkerboard" id="t"><ref name="color0" id="t"/></texture>')),
-        "refers to itself|cannot hold",
+        "refers to itself|cannot contain",
     ),
     "a film of gigapixels": (
         '<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm"><integer name="width" value="65536"/>'
         '<integer name="height" value="65536"/></film></sensor></scene>',
-        "the picture has 65536 x 65536 pixels",
+        "the image has 65536 x 65536 pixels",
     ),
     "a film of nothing": (
         '<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm"><integer name="height" value="0"/>'
         "</film></sensor></scene>",
-        "'height' has to lie in",
+        "'height' has to be in",
     ),
     "a long type": (SCENE.format(f'<bsdf type="{"d" * (1 << 20)}"/>'), "unknown bsdf 'ddd"),
     "a long element": (SCENE.format(f"<{'d' * (1 << 20)}/>"), "unknown element"),
-    "a long id": (SCENE.format(f'<ref id="{"d" * (1 << 20)}"/>'), "nothing has the id"),
+    "a long id": (SCENE.format(f'<ref id="{"d" * (1 << 20)}"/>'), "there is no object with the id"),
     "a long name": (SCENE.format(SHAPE.format("ply").replace("m.ply", "m" * 5000)), "there is no 'mmm"),
     "a long number": (
         SCENE.format(f'<shape type="sphere"><float name="radius" value="{"1" * 100_000}"/></shape>'),

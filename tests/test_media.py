@@ -687,7 +687,7 @@ def test_media_of_a_file(scene_of):
         *(
             (f'<medium name="interior" type="homogeneous">{inner}</medium>', problem)
             for inner, problem in (
-                ('<phase type="hg"><float name="g" value="1"/></phase>', r"'g' has to lie in \(-1, 1\)"),
+                ('<phase type="hg"><float name="g" value="1"/></phase>', r"'g' has to be in \(-1, 1\)"),
                 ('<phase type="hg"/><phase type="isotropic"/>', "only one phase"),
                 ('<phase type="rayleigh"/>', "phase 'rayleigh' is not supported"),
                 ('<float name="sigma_t" value="-1"/>', "not negative"),
@@ -695,7 +695,7 @@ def test_media_of_a_file(scene_of):
                 ('<rgb name="albedo" value="0.5 0.5 1.5"/>', "at most 1"),
                 ('<volume name="albedo" type="constvolume"><float name="value" value="2"/></volume>', "at most 1"),
                 ('<volume name="albedo" type="gridvolume"/>', "volume 'gridvolume' is not supported"),
-                ('<texture name="albedo" type="checkerboard"/>', "cannot hold a texture"),
+                ('<texture name="albedo" type="checkerboard"/>', "cannot contain a texture"),
                 ('<float name="scale" value="-1"/>', "scale"),
                 ('<float name="sigma_t" value="1e20"/><float name="scale" value="1e20"/>', "overflow"),
                 ('<float name="sigma_s" value="1"/>', "no parameter 'sigma_s'"),

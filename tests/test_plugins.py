@@ -221,7 +221,7 @@ def test_every_parameter_does_what_the_registry_says(plugin, parameter, files):
     for outside in (0.0, -1.5, 1.5, 1e5) if parameter.interval and parameter.status == SUPPORTED else ():
         number = outside if parameter.type == "float" else int(outside)
         if not parameter.admits(number):
-            with pytest.raises(SceneError, match=rf"'{parameter.name}' has to lie in "):
+            with pytest.raises(SceneError, match=rf"'{parameter.name}' has to be in "):
                 compiled(plugin, thing | {parameter.name: number}, files)
 
 

@@ -98,7 +98,7 @@ def test_in_a_scene(write, scene_of):
     scene = compile_scene(scene_of(inside.format(flat)))
     np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [1, 1, 0.1]], rtol=1e-6)
     assert scene.vertex_normals.shape == (0, 3)
-    with pytest.raises(SceneError, match=r"'shape_index' has to lie in \[0,"):
+    with pytest.raises(SceneError, match=r"'shape_index' has to be in \[0,"):
         scene_of(inside.format('<integer name="shape_index" value="-1"/>'))
 
 

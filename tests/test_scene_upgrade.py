@@ -128,16 +128,16 @@ def test_versions_that_need_no_upgrade(version, read):
     "version", ["4.0.0", "12", "", "new", "-1.0.0", "0.5.x", "0.5.0.1", "3.0.0a", "\u0661.0.0", "9" * 5000]
 )
 def test_unknown_versions(version, read):
-    with pytest.raises(SceneError, match=r"scene\.xml:1: <scene>: (version .* is not read|'.*' is not a version)"):
+    with pytest.raises(SceneError, match=r"scene\.xml:1: <scene>: (version .* is not supported|'.*' is not a version)"):
         read("", version)
 
 
 @pytest.mark.parametrize(
     ("inside", "message"),
     [
-        ('<texture type="bitmap"><string name="uscale" value="2"/></texture>', "<string .*: 'uscale' is a number"),
-        ('<texture type="bitmap"><boolean name="voffset" value="true"/></texture>', "'voffset' is a number"),
-        ('<texture type="bitmap"><texture name="uoffset" type="bitmap"/></texture>', "'uoffset' is a number"),
+        ('<texture type="bitmap"><string name="uscale" value="2"/></texture>', "<string .*'uscale' has to be a number"),
+        ('<texture type="bitmap"><boolean name="voffset" value="true"/></texture>', "'voffset' has to be a number"),
+        ('<texture type="bitmap"><texture name="uoffset" type="bitmap"/></texture>', "'uoffset' has to be a number"),
         (
             '<texture type="bitmap"><float name="uscale" value="2"/><float name="uscale" value="2"/></texture>',
             "'uscale' is given twice",
@@ -146,8 +146,8 @@ def test_unknown_versions(version, read):
             '<bsdf type="dielectric"><float name="intIOR" value="2"/><float name="int_ior" value="2"/></bsdf>',
             "'int_ior' is given twice",
         ),
-        ('<camera type="perspective"/>', "belongs to Mitsuba 0.x.*write <sensor>"),
-        ('<shape type="sphere"><luminaire type="area"/></shape>', "belongs to Mitsuba 0.x.*write <emitter>"),
+        ('<camera type="perspective"/>', "was removed in Mitsuba 3.*write <sensor>"),
+        ('<shape type="sphere"><luminaire type="area"/></shape>', "was removed in Mitsuba 3.*write <emitter>"),
         ('<bsdf type="diffuse"><srgb name="reflectance" value="#fff"/></bsdf>', "write <rgb> with linear values"),
         ('<bsdf type="diffuse"><float name="reflectanse" value="1"/></bsdf>', "did you mean 'reflectance'"),
     ],

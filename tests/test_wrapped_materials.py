@@ -339,5 +339,5 @@ def test_a_bump_within_a_bump_is_refused(outer, inner, between):
     def with_textures(value):
         return {k: named.get(k, with_textures(v)) for k, v in value.items()} if isinstance(value, dict) else value
 
-    with pytest.raises(SceneError, match=r"cannot hold a (bump|normal)map"):
+    with pytest.raises(SceneError, match=r"cannot contain a (bump|normal)map"):
         description(with_textures(outer(between(inner(RED)))))

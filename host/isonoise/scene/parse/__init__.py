@@ -1,1 +1,1 @@
-"""From scene files and dicts to a checked description."""
+"""Parses scene files and dicts, and checks them against the vocabulary."""

@@ -1,4 +1,4 @@
-"""Python dicts in Mitsuba 3's load_dict vocabulary -> Elements."""
+"""Reads Python dicts in the vocabulary of Mitsuba 3's load_dict into Elements. Called by `load`."""
 
 from collections.abc import Mapping
 
@@ -6,46 +6,46 @@ import numpy as np
 
 from isonoise.scene.parse.elements import Element, Reference, SourceLocation
 
-_DEPTH = 64  # nesting nobody needs; a dict that holds itself ends here
+_MAX_DEPTH = 64  # nested dicts; also ends the recursion of a dict that contains itself
 
 
 def read_dict(source: Mapping) -> Element:
-    """The Element tree of a scene dict. Raises SceneError with the path of keys where it cannot be one."""
-    return _element(source, "", 0)
+    """The Element tree of a scene dict. Raises SceneError with the path of keys if it is invalid."""
+    return _read_element(source, "", 0)
 
 
-def _element(source: Mapping, path: str, depth: int) -> Element:
+def _read_element(source: Mapping, path: str, depth: int) -> Element:
     type_ = source.get("type")
     location = SourceLocation(element=path or "scene")
-    if depth > _DEPTH:
-        location.raise_error(f"nested more than {_DEPTH} levels deep")
+    if depth > _MAX_DEPTH:
+        location.raise_error(f"nested more than {_MAX_DEPTH} levels deep")
     if not isinstance(type_, str):
         location.raise_error("a scene object is a dict with a 'type' entry, such as {'type': 'sphere'}")
-    identifier = source.get("id", path)  # as in Mitsuba 3, what has no id goes by its keys: 'floor.bsdf'
+    identifier = source.get("id", path)  # as in Mitsuba 3, the default id is the path of keys: 'floor.bsdf'
     if not isinstance(identifier, str):
-        location.raise_error(f"'id' is a string, got {identifier!r}")
+        location.raise_error(f"'id' has to be a string, got {identifier!r}")
     element = Element(location, "scene" if type_ == "scene" else "", type_, identifier)
     for name, value in source.items():
         if not isinstance(name, str):
-            location.raise_error(f"the keys of a scene object are strings, got {name!r}")
+            location.raise_error(f"the keys of a scene object have to be strings, got {name!r}")
         if name in ("type", "id"):
             continue
-        below = f"{path}.{name}" if path else name
-        element.entries.append((name, _value(value, below, depth), SourceLocation(element=below)))
+        value_path = f"{path}.{name}" if path else name
+        element.entries.append((name, _read_value(value, value_path, depth), SourceLocation(element=value_path)))
     return element
 
 
-def _value(value, path: str, depth: int):
+def _read_value(value, path: str, depth: int):
     if isinstance(value, Mapping):
-        kind = value.get("type")
-        kind = kind if isinstance(kind, str) else None
-        if kind in ("rgb", "spectrum"):
+        type_ = value.get("type")
+        type_ = type_ if isinstance(type_, str) else None
+        if type_ in ("rgb", "spectrum"):
             return dict(value)
-        if kind == "ref":
+        if type_ == "ref":
             if not isinstance(value.get("id"), str):
-                SourceLocation(element=path).raise_error("a reference needs the 'id' of what it refers to")
+                SourceLocation(element=path).raise_error("a reference needs the 'id' of an object")
             return Reference(value["id"])
-        return _element(value, path, depth + 1)
+        return _read_element(value, path, depth + 1)
     if isinstance(value, (bool, int, float, str)) or value is None:
         return value
     try:
@@ -53,7 +53,7 @@ def _value(value, path: str, depth: int):
     except (TypeError, ValueError):
         array = np.asarray(None)
     if array.dtype.kind not in "biuf":
-        return value  # the check against the parameter's type names it
+        return value  # rejected when the parameter's type is checked
     if array.ndim == 0:
         return array.item()
     return tuple(array.tolist()) if array.ndim == 1 else array

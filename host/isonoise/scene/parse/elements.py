@@ -1,4 +1,4 @@
-"""Where things stand in the user's files, so that every error can say it."""
+"""Elements: the objects of a scene as they were read, with the location that every error names."""
 
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -7,45 +7,45 @@ from typing import NoReturn
 
 from isonoise.errors import SceneError
 
-_MESSAGE = 2000  # characters; files may hold names of any length
-_WORD, _CHOICES = 60, 1000  # what is compared to find the nearest name: its time grows with the square
+_MAX_MESSAGE_CHARS = 2000  # files may contain names of any length
+_MAX_COMPARED_CHARS, _MAX_COMPARED_NAMES = 60, 1000  # comparing names takes time quadratic in their length
 
 
 @dataclass(frozen=True)
 class SourceLocation:
-    """A spot in the scene: a file and a line, or a path of keys inside a Python dict."""
+    """A location in the scene: a file and a line, or a path of keys in a Python dict."""
 
     file: str = ""
     line: int = 0
     element: str = ""
 
     def __str__(self) -> str:
-        spot = f"{self.file}:{self.line}" if self.line else self.file
-        return ": ".join(part for part in (spot, self.element) if part)
+        file = f"{self.file}:{self.line}" if self.line else self.file
+        return ": ".join(part for part in (file, self.element) if part)
 
     def raise_error(self, message: str) -> NoReturn:
-        """Raise a SceneError that begins with this place."""
+        """Raise a SceneError whose message begins with this location."""
         prefix = str(self)
         text = (f"{prefix}: {message}" if prefix else message).replace("\n", " ")
-        raise SceneError(text if len(text) <= _MESSAGE else text[:_MESSAGE] + " ...")
+        raise SceneError(text if len(text) <= _MAX_MESSAGE_CHARS else text[:_MAX_MESSAGE_CHARS] + " ...")
 
 
 @dataclass
 class Element:
-    """One object of the scene as it was read, before any check: XML elements and Python dicts both become this."""
+    """One unchecked object of the scene, from an XML element or a Python dict."""
 
     location: SourceLocation
-    kind: str  # the XML tag ('bsdf', 'shape', ...); '' where it has to follow from the type (Python dicts)
+    kind: str  # the XML tag ('bsdf', 'shape', ...); '' for Python dicts, where it follows from the type
     type: str
     id: str
     entries: list[tuple[str, object, SourceLocation]] = field(default_factory=list)
-    """(name, value, place): nested Elements and References under their name ('' if they have none), else values."""
-    aliases: dict[str, str] = field(default_factory=dict)  # root only: further ids, by the id they stand for
+    """(name, value, location): a value is an Element, a Reference or plain data. The name of an object may be ''."""
+    aliases: dict[str, str] = field(default_factory=dict)  # of the root: alias -> id
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Stands for the object with this id."""
+    """A reference to the object with this id."""
 
     id: str
 
@@ -56,15 +56,15 @@ def with_article(noun: str) -> str:
 
 
 def closest_name(name: str, choices) -> str:
-    """The one of `choices` that `name` is most likely meant to be ('' if there are none at all, or too many)."""
-    ordered = sorted(choices) if len(choices) <= _CHOICES else ()
-    lowered = {choice[:_WORD].lower(): choice for choice in ordered}
-    match = get_close_matches(name[:_WORD].lower(), list(lowered), n=1, cutoff=0.0)
-    return lowered[match[0]] if match else ""
+    """The choice that is most similar to `name`; '' if there are no choices or too many."""
+    ordered = sorted(choices) if len(choices) <= _MAX_COMPARED_NAMES else ()
+    by_key = {choice[:_MAX_COMPARED_CHARS].lower(): choice for choice in ordered}
+    match = get_close_matches(name[:_MAX_COMPARED_CHARS].lower(), list(by_key), n=1, cutoff=0.0)
+    return by_key[match[0]] if match else ""
 
 
 def path_exists(path: Path) -> bool:
-    """Whether there is a file or folder of this name; False for names that none can have."""
+    """Whether a file or folder exists; False for invalid names."""
     try:
         return path.exists()
     except (OSError, ValueError):

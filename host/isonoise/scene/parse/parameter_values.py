@@ -1,4 +1,4 @@
-"""Values of parameters, checked against the type, range and choices that the registry declares."""
+"""Checks the values of parameters against the type, interval and choices in the vocabulary. Called by `validate.py`."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -9,150 +9,140 @@ from isonoise.scene.material.presets import refractive_indices
 from isonoise.scene.parse.elements import SourceLocation, closest_name
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter
 
-_LARGEST = float(np.finfo(np.float32).max)
+_MAX_FLOAT32 = float(np.finfo(np.float32).max)
 
 
 def check_value(parameter: Parameter, value, location: SourceLocation):
-    """The value as the parameter's Python type. Raises SceneError where it is not of that type or out of range."""
+    """The value as the parameter's Python type. Raises SceneError if it has another type or is out of range."""
     type_ = parameter.type
     if type_ in COLOURS:
-        return _colour(type_, value, location)
+        return _check_colour(type_, value, location)
     if type_ == "index":
-        return _index(value, location)
-    check = _CHECKS[type_]
-    result = check(value)
+        return _check_index(value, location)
+    convert, expected = _TYPES[type_]
+    result = convert(value)
     if result is None:
-        location.raise_error(f"'{parameter.name}' is {_MEANING[type_]}, got {_shown(value)}")
+        location.raise_error(f"'{parameter.name}' has to be {expected}, got {_shortened(value)}")
     if parameter.interval and not parameter.admits(result):
-        location.raise_error(f"'{parameter.name}' has to lie in {parameter.interval}, got {_shown(value)}")
+        location.raise_error(f"'{parameter.name}' has to be in {parameter.interval}, got {_shortened(value)}")
     if parameter.choices and result not in parameter.choices:
         hint = closest_name(result, parameter.choices)
-        location.raise_error(
-            f"'{parameter.name}' is one of {', '.join(parameter.choices)}; got '{result}', did you mean '{hint}'?"
-        )
+        choices = ", ".join(parameter.choices)
+        location.raise_error(f"'{parameter.name}' is one of {choices}; got '{result}', did you mean '{hint}'?")
     return result
 
 
-def _float(value) -> float | None:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(value) if number and abs(value) <= _LARGEST else None  # NaN compares false
+def _to_float(value) -> float | None:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if is_number and abs(value) <= _MAX_FLOAT32 else None  # False for NaN
 
 
-def _vector(value) -> tuple[float, float, float] | None:
-    if not isinstance(value, tuple) or len(value) != 3 or any(_float(v) is None for v in value):
+def _to_vector(value) -> tuple[float, float, float] | None:
+    if not isinstance(value, tuple) or len(value) != 3 or any(_to_float(v) is None for v in value):
         return None
     return tuple(float(v) for v in value)
 
 
-def _transform(value) -> np.ndarray | None:
-    good = isinstance(value, np.ndarray) and value.shape == (4, 4) and value.dtype.kind in "iuf"
-    good = good and bool((np.abs(value) <= _LARGEST).all())
-    return value.astype(np.float64) if good else None
+def _to_transform(value) -> np.ndarray | None:
+    is_valid = isinstance(value, np.ndarray) and value.shape == (4, 4) and value.dtype.kind in "iuf"
+    is_valid = is_valid and bool((np.abs(value) <= _MAX_FLOAT32).all())
+    return value.astype(np.float64) if is_valid else None
 
 
-def _integer(value) -> int | None:
+def _to_integer(value) -> int | None:
     return int(value) if isinstance(value, int) and not isinstance(value, bool) else None
 
 
-def _is_table(value) -> bool:
+def _is_n_by_3(value) -> bool:
     return isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 3
 
 
-def _positions(value) -> np.ndarray | None:
-    good = _is_table(value) and value.dtype.kind in "iuf" and np.isfinite(value).all()
-    return value.astype(np.float64) if good else None
+def _to_positions(value) -> np.ndarray | None:
+    is_valid = _is_n_by_3(value) and value.dtype.kind in "iuf" and np.isfinite(value).all()
+    return value.astype(np.float64) if is_valid else None
 
 
-def _indices(value) -> np.ndarray | None:
-    good = _is_table(value) and value.dtype.kind in "iu"
-    return value.astype(np.int64) if good else None
+def _to_indices(value) -> np.ndarray | None:
+    is_valid = _is_n_by_3(value) and value.dtype.kind in "iu"
+    return value.astype(np.int64) if is_valid else None
 
 
-_CHECKS = {
-    "float": _float,
-    "integer": _integer,
-    "boolean": lambda value: value if isinstance(value, bool) else None,
-    "string": lambda value: value if isinstance(value, str) else None,
-    "file": lambda value: str(Path(value).absolute()) if isinstance(value, str) and value else None,
-    "vector": _vector,
-    "transform": _transform,
-    "positions": _positions,
-    "indices": _indices,
-    "texture": lambda value: None,
-}
-_MEANING = {
-    "float": "a finite number within 3.4e38",
-    "integer": "a whole number",
-    "boolean": "true or false",
-    "string": "a string",
-    "file": "a file name",
-    "vector": "three finite numbers within 3.4e38",
-    "transform": "a transform of finite numbers within 3.4e38",
-    "positions": "an array of n x 3 finite numbers",
-    "indices": "an array of n x 3 whole numbers",
-    "texture": "a nested texture",
+# type -> (conversion that returns None for an invalid value, the expected value for errors)
+_TYPES = {
+    "float": (_to_float, "a finite number within 3.4e38"),
+    "integer": (_to_integer, "a whole number"),
+    "boolean": (lambda value: value if isinstance(value, bool) else None, "true or false"),
+    "string": (lambda value: value if isinstance(value, str) else None, "a string"),
+    "file": (lambda value: str(Path(value).absolute()) if isinstance(value, str) and value else None, "a file name"),
+    "vector": (_to_vector, "three finite numbers within 3.4e38"),
+    "transform": (_to_transform, "a transform of finite numbers within 3.4e38"),
+    "positions": (_to_positions, "an array of n x 3 finite numbers"),
+    "indices": (_to_indices, "an array of n x 3 whole numbers"),
+    "texture": (lambda value: None, "a nested texture"),
 }
 
 
-def _index(value, location: SourceLocation) -> float:
-    """An index of refraction, by number or by name."""
-    named = refractive_indices()
+def _check_index(value, location: SourceLocation) -> float:
+    """An index of refraction, given by number or by name."""
+    by_name = refractive_indices()
     if isinstance(value, str):
-        if value.lower() not in named:
-            location.raise_error(
-                f"unknown material '{value}'; did you mean '{closest_name(value, named)}'? (or give a number)"
-            )
-        return named[value.lower()]
-    number = _float(value)
+        if value.lower() not in by_name:
+            hint = closest_name(value, by_name)
+            location.raise_error(f"unknown material '{value}'; did you mean '{hint}'? (or give a number)")
+        return by_name[value.lower()]
+    number = _to_float(value)
     if number is None or number <= 0:
-        location.raise_error(f"an index of refraction is a positive number or a material's name, got {_shown(value)}")
+        location.raise_error(
+            f"an index of refraction is a positive number or the name of a material, got {_shortened(value)}"
+        )
     return number
 
 
-def _colour(kind: str, value, location: SourceLocation):
+def _check_colour(kind: str, value, location: SourceLocation):
     """A float, or a dict of type 'rgb' (three floats) or 'spectrum' (one float, or pairs of wavelength and value)."""
     if isinstance(value, dict) and value["type"] == "spectrum":
-        return {"type": "spectrum", "value": _spectrum(kind, value, location)}
+        return {"type": "spectrum", "value": _check_spectrum(kind, value, location)}
     if isinstance(value, dict):
         given = value.get("value")
         given = tuple(np.atleast_1d(np.asarray(given, dtype=object)).tolist()) if given is not None else ()
         channels = given * 3 if len(given) == 1 else given
-        if _vector(channels) is None:
-            location.raise_error(f"an rgb colour is one or three finite numbers, got {_shown(value.get('value'))}")
-        _bounds(kind, channels, location)
+        if _to_vector(channels) is None:
+            location.raise_error(f"an rgb colour is one or three finite numbers, got {_shortened(value.get('value'))}")
+        _check_colour_range(kind, channels, location)
         return {"type": "rgb", "value": [float(v) for v in channels]}
-    number = _float(value)
+    number = _to_float(value)
     if number is None:
-        location.raise_error(f"a colour is a number, an rgb value or a spectrum, got {_shown(value)}")
-    _bounds(kind, (number,), location)
+        location.raise_error(f"a colour is a number, an rgb value or a spectrum, got {_shortened(value)}")
+    _check_colour_range(kind, (number,), location)
     return number
 
 
-def _spectrum(kind: str, value: dict, location: SourceLocation):
+def _check_spectrum(kind: str, value: dict, location: SourceLocation):
     given = value.get("value")
-    number = _float(given)
+    number = _to_float(given)
     if number is not None:
-        _bounds(kind, (number,), location)
+        _check_colour_range(kind, (number,), location)
         return number
     try:
-        pairs = [(float(w), float(v)) for w, v in given]
+        pairs = [(float(wavelength), float(v)) for wavelength, v in given]
     except (TypeError, ValueError):
-        location.raise_error(f"a spectrum is one number or pairs of wavelength and value, got {_shown(given)}")
+        location.raise_error(f"a spectrum is one number or pairs of wavelength and value, got {_shortened(given)}")
     if len(pairs) < 2 or not np.isfinite(pairs).all():
-        location.raise_error("a spectrum needs two or more pairs of finite numbers")
+        location.raise_error("a spectrum needs at least two pairs of finite numbers")
     if any(b[0] <= a[0] for a, b in pairwise(pairs)):
         location.raise_error("the wavelengths of a spectrum have to increase")
-    _bounds("unbounded", [v for _, v in pairs], location)
+    _check_colour_range("unbounded", [v for _, v in pairs], location)
     return pairs
 
 
-def _bounds(kind: str, channels, location: SourceLocation):
+def _check_colour_range(kind: str, channels, location: SourceLocation):
     if min(channels) < 0:
-        location.raise_error(f"a {'colour' if kind == 'unbounded' else kind} is not negative, got {_shown(channels)}")
+        noun = "colour" if kind == "unbounded" else kind
+        location.raise_error(f"a {noun} cannot be negative, got {_shortened(channels)}")
     if kind == "reflectance" and max(channels) > 1:
-        location.raise_error(f"a reflectance is at most 1, got {_shown(channels)}")
+        location.raise_error(f"a reflectance is at most 1, got {_shortened(channels)}")
 
 
-def _shown(value) -> str:
+def _shortened(value) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:77] + "..."

@@ -1,7 +1,7 @@
-"""Files of Mitsuba 0.x, upgraded to Mitsuba 3's vocabulary as it does so itself (transform_upgrade of its parser, 3.9).
+"""Upgrades files of Mitsuba 0.x to Mitsuba 3's vocabulary, as Mitsuba 3.9 does (transform_upgrade in its parser).
 
-Names of parameters become snake_case, `diffuse_reflectance` of a diffuse bsdf `reflectance`, offsets and scales of
-textures a `to_uv`. Defaults are Mitsuba 3's own. Files of version 2 read like those of version 3.
+Parameter names become snake_case, `diffuse_reflectance` of a diffuse bsdf becomes `reflectance`, and offsets and scales
+of textures become a `to_uv`. Defaults are those of Mitsuba 3. Files of version 2 need no upgrade.
 """
 
 import re
@@ -10,41 +10,41 @@ from isonoise.scene import transforms
 from isonoise.scene.parse.elements import Element
 from isonoise.scene.parse.xml_tags import Tag
 
-_NEWEST = 3  # major version
-_FIRST_UNCHANGED = 2
-_UV = ("uoffset", "voffset", "uscale", "vscale")
-_GONE = {
+_MAX_MAJOR_VERSION = 3
+_MIN_UNCHANGED_VERSION = 2
+_UV_PARAMETERS = ("uoffset", "voffset", "uscale", "vscale")
+_REMOVED = {
     "camera": "write <sensor>",
     "luminaire": "write <emitter>",
     "srgb": "write <rgb> with linear values",
     "blackbody": "write <rgb> with linear values",
-    "animation": "write the <transform> of one moment",
-    "subsurface": "there is no replacement for it",
+    "animation": "write a <transform>",
+    "subsurface": "remove it, there is no replacement",
 }
 
 
-def is_old(root: Tag) -> bool:
-    """Whether a file has to be upgraded. Raises SceneError where its version is missing or not known."""
+def needs_upgrade(root: Tag) -> bool:
+    """Whether a file needs an upgrade. Raises SceneError if its version is missing or not supported."""
     if "version" not in root.attributes:
-        root.location.raise_error('the root element lacks its version, such as <scene version="3.0.0">')
+        root.location.raise_error('the root element needs a version, such as <scene version="3.0.0">')
     version = root.attributes["version"].strip()
     if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,9}){0,2}", version):
-        root.location.raise_error(f"'{version[:20]}' is not a version; an example is 3.0.0")
+        root.location.raise_error(f"'{version[:20]}' is not a version such as 3.0.0")
     major = int(version.split(".")[0])
-    if major > _NEWEST:
-        root.location.raise_error(f"version {version} is not read; isonoise reads files up to version {_NEWEST}")
-    return major < _FIRST_UNCHANGED
+    if major > _MAX_MAJOR_VERSION:
+        root.location.raise_error(
+            f"version {version} is not supported; isonoise reads files up to version {_MAX_MAJOR_VERSION}"
+        )
+    return major < _MIN_UNCHANGED_VERSION
 
 
 def upgrade_tags(root: Tag):
-    """Rename elements of an old file; complain about those that Mitsuba 3 has no more."""
+    """Rename elements of an old file. Raises SceneError for elements that Mitsuba 3 removed."""
     queue = [root]
     while queue:
         tag = queue.pop()
-        if tag.name in _GONE:
-            tag.location.raise_error(
-                f"belongs to Mitsuba 0.x, and Mitsuba 3 does not read it either; {_GONE[tag.name]}"
-            )
+        if tag.name in _REMOVED:
+            tag.location.raise_error(f"was removed in Mitsuba 3; {_REMOVED[tag.name]}")
         if tag.name == "lookAt":
             tag.name = "lookat"
         queue.extend(reversed(tag.children))
@@ -52,26 +52,26 @@ def upgrade_tags(root: Tag):
 
 def upgrade_element(element: Element):
     """Rename and convert the parameters of one object of an old file, in place."""
-    entries, moved = [], {}
+    entries, uv_values = [], {}
     for name, value, location in element.entries:
         name = snake_case(name)
         if name == "diffuse_reflectance" and element.type == "diffuse":
             name = "reflectance"
-        if name not in _UV:
+        if name not in _UV_PARAMETERS:
             entries.append((name, value, location))
             continue
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            location.raise_error(f"'{name}' is a number")
-        if name in moved:
+            location.raise_error(f"'{name}' has to be a number")
+        if name in uv_values:
             location.raise_error(f"'{name}' is given twice")
-        moved[name], last = value, location
-    if moved:
-        scale = transforms.scale((moved.get("uscale", 1.0), moved.get("vscale", 1.0), 1.0))
-        offset = transforms.translate((moved.get("uoffset", 0.0), moved.get("voffset", 0.0), 0.0))
-        entries.append(("to_uv", scale @ offset, last))
+        uv_values[name], last_location = value, location
+    if uv_values:
+        scale = transforms.scale((uv_values.get("uscale", 1.0), uv_values.get("vscale", 1.0), 1.0))
+        offset = transforms.translate((uv_values.get("uoffset", 0.0), uv_values.get("voffset", 0.0), 0.0))
+        entries.append(("to_uv", scale @ offset, last_location))
     element.entries = entries
 
 
 def snake_case(name: str) -> str:
-    """toWorld -> to_world, intIOR -> int_ior: every run of capitals after a small letter."""
+    """toWorld -> to_world, intIOR -> int_ior: split before each run of capitals that follows a lower-case letter."""
     return re.sub(r"(?<=[a-z])[A-Z]+", lambda match: "_" + match[0].lower(), name)

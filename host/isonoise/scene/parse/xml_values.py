@@ -1,4 +1,4 @@
-"""Values of Mitsuba 3 XML: numbers, vectors, colours and transforms from the attributes of tags."""
+"""Parses the values of Mitsuba 3 XML: numbers, vectors, colours and transforms in the attributes of tags."""
 
 import math
 import re
@@ -8,22 +8,22 @@ import numpy as np
 from isonoise.scene import transforms
 from isonoise.scene.parse.xml_tags import Tag
 
-OPERATIONS = ("translate", "rotate", "scale", "lookat", "matrix")
+TRANSFORM_OPERATIONS = ("translate", "rotate", "scale", "lookat", "matrix")
 
 
 def check_attributes(tag: Tag, required: tuple[str, ...], optional: tuple[str, ...] = ()):
-    """Complain about attributes that are missing or unknown."""
+    """Raise SceneError if an attribute is missing or unknown."""
     for name in required:
         if name not in tag.attributes:
             tag.location.raise_error(f"the attribute '{name}' is missing")
     for name in tag.attributes:
         if name not in required and name not in optional:
-            listed = ", ".join((*required, *optional))
-            tag.location.raise_error(f"unexpected attribute '{name}' (known here: {listed})")
+            known = ", ".join((*required, *optional))
+            tag.location.raise_error(f"unexpected attribute '{name}' (known here: {known})")
 
 
-def number(tag: Tag, text: str) -> float:
-    """A finite float; trailing units are refused."""
+def parse_number(tag: Tag, text: str) -> float:
+    """A finite float; units are rejected."""
     try:
         value = float(text)
     except ValueError:
@@ -33,54 +33,52 @@ def number(tag: Tag, text: str) -> float:
     return value
 
 
-def numbers(tag: Tag, text: str) -> list[float]:
+def parse_numbers(tag: Tag, text: str) -> list[float]:
     """Numbers separated by commas or white space."""
-    return [number(tag, part) for part in re.split(r"[\s,]+", text.strip()) if part]
+    return [parse_number(tag, part) for part in re.split(r"[\s,]+", text.strip()) if part]
 
 
-def xyz(tag: Tag, default: float | None, *others: str) -> tuple[float, float, float]:
-    """A vector from `value` (one or three numbers) or from x, y, z; those left out are `default` (None: required)."""
+def parse_vector(tag: Tag, default: float | None, *others: str) -> tuple[float, float, float]:
+    """A vector from `value` (one or three numbers) or from x, y, z, whose default is `default` (None: required)."""
     if "value" in tag.attributes:
         check_attributes(tag, ("value", *others))
-        given = numbers(tag, tag.attributes["value"])
+        given = parse_numbers(tag, tag.attributes["value"])
         if len(given) not in (1, 3):
-            tag.location.raise_error(f"'value' is one or three numbers, got {len(given)}")
+            tag.location.raise_error(f"'value' has to be one or three numbers, got {len(given)}")
         return tuple(given * 3 if len(given) == 1 else given)
     axes = ("x", "y", "z")
     check_attributes(tag, (*others, *axes) if default is None else others, axes)
-    return tuple(number(tag, tag.attributes[axis]) if axis in tag.attributes else default for axis in axes)
+    return tuple(parse_number(tag, tag.attributes[axis]) if axis in tag.attributes else default for axis in axes)
 
 
-def _integer(tag: Tag) -> int:
+def _parse_integer(tag: Tag) -> int:
     text = tag.attributes["value"].strip()
     if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
         tag.location.raise_error(f"'{text[:60]}' is not a whole number")
     return int(text)
 
 
-def _boolean(tag: Tag) -> bool:
+def _parse_boolean(tag: Tag) -> bool:
     text = tag.attributes["value"].strip().lower()
     if text not in ("true", "false"):
         tag.location.raise_error(f"'{text[:60]}' is neither true nor false")
     return text == "true"
 
 
-def _rgb(tag: Tag) -> dict:
-    given = numbers(tag, tag.attributes["value"])
+def _parse_rgb(tag: Tag) -> dict:
+    given = parse_numbers(tag, tag.attributes["value"])
     if len(given) not in (1, 3):
         tag.location.raise_error(f"an rgb colour is one or three numbers, got {len(given)}")
     return {"type": "rgb", "value": given}
 
 
-def _spectrum(tag: Tag) -> dict:
+def _parse_spectrum(tag: Tag) -> dict:
     check_attributes(tag, ("name",), ("value", "filename"))
     if "value" not in tag.attributes:
-        tag.location.raise_error(
-            "spectra from files are not supported; write the pairs of wavelength and value into 'value'"
-        )
+        tag.location.raise_error("spectra from files are not supported; give pairs of wavelength and value in 'value'")
     text = tag.attributes["value"]
     if ":" not in text:
-        given = numbers(tag, text)
+        given = parse_numbers(tag, text)
         if len(given) != 1:
             tag.location.raise_error("a spectrum is one number or pairs such as 400:0.3, 500:0.7")
         return {"type": "spectrum", "value": given[0]}
@@ -90,55 +88,57 @@ def _spectrum(tag: Tag) -> dict:
         if part and not separator:
             tag.location.raise_error(f"'{part[:60]}' is not a pair of wavelength and value such as 400:0.3")
         if part:
-            pairs.append((number(tag, wavelength), number(tag, value)))
+            pairs.append((parse_number(tag, wavelength), parse_number(tag, value)))
     return {"type": "spectrum", "value": pairs}
 
 
-def operation(tag: Tag) -> np.ndarray:
+def transform_matrix(tag: Tag) -> np.ndarray:
     """The 4x4 matrix of one element inside <transform>."""
     if tag.name == "translate":
-        return transforms.translate(xyz(tag, 0.0))
+        return transforms.translate(parse_vector(tag, 0.0))
     if tag.name == "scale":
-        return transforms.scale(xyz(tag, 1.0))
+        return transforms.scale(parse_vector(tag, 1.0))
     if tag.name == "rotate":
-        axis = xyz(tag, 0.0, "angle")
+        axis = parse_vector(tag, 0.0, "angle")
         if not any(axis):
             tag.location.raise_error("the axis of a rotation cannot be zero")
-        return transforms.rotate(axis, number(tag, tag.attributes["angle"]))
+        return transforms.rotate(axis, parse_number(tag, tag.attributes["angle"]))
     if tag.name == "lookat":
-        return _look_at(tag)
+        return _parse_look_at(tag)
     if tag.name == "matrix":
         check_attributes(tag, ("value",))
-        given = numbers(tag, tag.attributes["value"])
+        given = parse_numbers(tag, tag.attributes["value"])
         if len(given) not in (9, 16):
             tag.location.raise_error(f"a matrix has 16 or 9 numbers, got {len(given)}")
         size = 4 if len(given) == 16 else 3
         matrix = np.eye(4)
         matrix[:size, :size] = np.reshape(given, (size, size))
         return matrix
-    tag.location.raise_error(f"a transform is made of {', '.join(OPERATIONS)}")
+    tag.location.raise_error(f"unknown operation; a transform consists of {', '.join(TRANSFORM_OPERATIONS)}")
 
 
-def _look_at(tag: Tag) -> np.ndarray:
+def _parse_look_at(tag: Tag) -> np.ndarray:
     check_attributes(tag, ("origin", "target"), ("up",))
-    vectors = [numbers(tag, tag.attributes[name]) for name in ("origin", "target", "up") if name in tag.attributes]
+    vectors = [
+        parse_numbers(tag, tag.attributes[name]) for name in ("origin", "target", "up") if name in tag.attributes
+    ]
     if any(len(v) != 3 for v in vectors):
-        tag.location.raise_error("origin, target and up are three numbers each")
+        tag.location.raise_error("origin, target and up have to be three numbers each")
     try:
         return transforms.look_at(*vectors)
     except ValueError:
         tag.location.raise_error("target equals origin, or up is parallel to the line between them")
 
 
-def value_of(tag: Tag):
-    """The value that a property tag (not <transform>) stands for."""
+def parse_value(tag: Tag):
+    """The value of a property tag other than <transform>."""
     if tag.name in ("point", "vector"):
-        return xyz(tag, None, "name")
+        return parse_vector(tag, None, "name")
     if tag.name == "spectrum":
-        return _spectrum(tag)
+        return _parse_spectrum(tag)
     check_attributes(tag, ("name", "value"))
     if tag.name == "string":
         return tag.attributes["value"]
     if tag.name == "float":
-        return number(tag, tag.attributes["value"].strip())
-    return {"integer": _integer, "boolean": _boolean, "rgb": _rgb}[tag.name](tag)
+        return parse_number(tag, tag.attributes["value"].strip())
+    return {"integer": _parse_integer, "boolean": _parse_boolean, "rgb": _parse_rgb}[tag.name](tag)
