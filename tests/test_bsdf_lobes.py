@@ -10,14 +10,15 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
+from records import slot
 
 from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
-from isonoise.scene import load
-from isonoise.scene.material.bsdf_kinds import KINDS, feature_of
+from isonoise.scene import load, structs
+from isonoise.scene.material.bsdf_kinds import KINDS, bsdf_bits, feature_of
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.material.presets import conductors
 from isonoise.scene.material.rough_transmittance import NODES, inner_reflectance, rough_boundary
@@ -172,6 +173,12 @@ class Lobe:
         self.frame = np.eye(3) if frame is None else frame
         arrays = self.record, tables, self.frame.astype(np.float32)
         self.buffers = tuple(device.buffer(array, "the material") for array in arrays)
+
+    def index_of_refraction(self) -> float:
+        """Inside over outside; 1 for materials that transmit nothing."""
+        if self.record["kind"] == bsdf_bits("principled"):
+            return slot(self.record, "eta")[0, 0]
+        return slot(self.record, "ior")[0, 0] if self.record["flags"] & structs.BSDF_TRANSMITS else 1.0
 
     def _run(self, kernel: str, wi, other, columns: int) -> np.ndarray:
         n = len(wi)
@@ -491,7 +498,7 @@ def test_weights_are_value_over_pdf(lobe, name):
             assert_close(pdf[smooth], expected[smooth], 1e-3)
         passed = (wo[:, 2] * wi[2] < 0) & smooth
         assert passed.any() == (name in BOTH_SIDES) or view == "low inside"  # where all may be reflected
-        index = lobe(name).record["values"][0, 15 if "principled" in name else 6]
+        index = lobe(name).index_of_refraction()
         assert (eta[smooth & ~passed] == 1).all()
         assert_close(eta[passed], np.full(passed.sum(), index if wi[2] > 0 else 1 / index), 1e-6)
 
@@ -509,7 +516,7 @@ def test_reciprocity(lobe, name):
         a[:, 2], b[:, 2] = np.abs(a[:, 2]), np.abs(b[:, 2])
     there = lobe(name).evaluate(a, b)[0] / np.abs(b[:, 2:])
     back = lobe(name).evaluate(b, a)[0] / np.abs(a[:, 2:])
-    index = lobe(name).record["values"][0, 15 if "principled" in name else 6]
+    index = lobe(name).index_of_refraction()
     passes = a[:, 2] * b[:, 2] < 0
     there[passes] *= np.where(a[passes, 2:] > 0, index**2, 1)
     back[passes] *= np.where(b[passes, 2:] > 0, index**2, 1)

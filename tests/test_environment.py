@@ -32,7 +32,7 @@ __kernel void sample(__global const Environment* record, __global const float* t
     STORE3(radiance, 0, out + 8 * i + 4);
 }
 
-__kernel void sample_direct_lane(__global const Environment* record, __global const float* texels,
+__kernel void radiance(__global const Environment* record, __global const float* texels,
                    __global const float* rows, __global const uint* aliases,
                    __global const float* directions, __global float* out, uint n)
 {
@@ -72,9 +72,9 @@ class OnDevice:
         out = self._run("sample", made, u, 2)
         return out[:, 0, :3], out[:, 0, 3], out[:, 1, :3]
 
-    def look(self, made: EnvironmentMap, directions: np.ndarray):
+    def radiance(self, made: EnvironmentMap, directions: np.ndarray):
         """Radiance (n, 3) and pdf (n,)."""
-        out = self._run("look", made, np.ascontiguousarray(directions, np.float32), 1)
+        out = self._run("radiance", made, np.ascontiguousarray(directions, np.float32), 1)
         return out[:, 0, :3], out[:, 0, 3]
 
 
@@ -188,7 +188,7 @@ def test_sampling_has_its_density(on_device, name):
     shape = made.texels.shape[:2]
     place, solid = quadrature(shape, 2, parts=2)
     directions = directions_of(place.reshape(-1, 2), to_world, shape)
-    probability = (on_device.look(made, directions)[1].reshape(solid.shape) * solid).sum(axis=1)
+    probability = (on_device.radiance(made, directions)[1].reshape(solid.shape) * solid).sum(axis=1)
     assert probability.sum() == pytest.approx(1, abs=2e-5)
 
     sampled, pdf, _ = on_device.sample(made)
@@ -213,7 +213,7 @@ def test_radiance_and_density_of_a_sample(on_device, name):
     height, width = shape = made.texels.shape[:2]
     sampled, pdf, radiance = on_device.sample(made, 1 << 16, seed=4)
     np.testing.assert_allclose(np.linalg.norm(sampled, axis=1), 1, atol=1e-6)
-    seen, density = on_device.look(made, sampled)
+    seen, density = on_device.radiance(made, sampled)
     place, step = places_of(sampled, to_world, shape), np.pi / (height - 1)
     theta = place[:, 1] * step
     off = 2.0**-21 * (width / (2 * np.pi * np.sin(theta)) + 1 / step)
@@ -286,7 +286,7 @@ def test_radiance_is_mitsubas(on_device, mirrored):
         si = mi.SurfaceInteraction3f()
         si.wi = -mi.Vector3f(direction)
         expected.append(np.array(emitter.eval(si)))
-    np.testing.assert_allclose(on_device.look(made, directions)[0], expected, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(on_device.radiance(made, directions)[0], expected, rtol=0, atol=2e-5)
 
 
 def test_poles_and_seam(on_device):
@@ -295,7 +295,7 @@ def test_poles_and_seam(on_device):
     step = 1e-7
     beside = [[0, 1, 0], [0, -1, 0], [step, 1, 0], [0, -1, -step], [0, 0, -1], [0, 0, 1], [-step, 0, -1], [1e-30, 0, 1]]
     directions = np.array(beside, np.float32)
-    radiance, pdf = on_device.look(made, directions)
+    radiance, pdf = on_device.radiance(made, directions)
     assert np.isfinite(radiance).all()
     assert (pdf > 0).all()
     assert np.isfinite(pdf).all()
@@ -310,8 +310,8 @@ def test_directions_that_are_none(on_device):
     """They read nothing beside the map."""
     values = np.array([np.nan, np.inf, -np.inf, 0.0, 1e38])
     directions = np.stack(np.meshgrid(values, values, values), axis=-1).reshape(-1, 3)
-    on_device.look(make("sun"), directions)
-    radiance, _ = on_device.look(make("noise"), np.zeros((1, 3)))
+    on_device.radiance(make("sun"), directions)
+    radiance, _ = on_device.radiance(make("noise"), np.zeros((1, 3)))
     assert np.isfinite(radiance).all()
 
 
@@ -327,7 +327,7 @@ def test_an_even_scale_does_not_matter(on_device):
     directions = np.random.default_rng(9).normal(size=(100, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     plain, scaled = make("noise", turned(3)), make("noise", turned(3, size=4.0))
-    assert (on_device.look(plain, directions)[0] == on_device.look(scaled, directions)[0]).all()
+    assert (on_device.radiance(plain, directions)[0] == on_device.radiance(scaled, directions)[0]).all()
 
 
 def test_images_of_bytes_and_of_one_channel(on_device):
@@ -344,10 +344,10 @@ def test_images_of_bytes_and_of_one_channel(on_device):
     [
         (np.ones((2, 8, 3), np.float32), np.eye(4), "at least 2 x 3 pixels, this one has 8 x 2"),
         (np.ones((3, 1, 3), np.float32), np.eye(4), "at least 2 x 3"),
-        (np.full((3, 2, 3), np.inf, np.float32), np.eye(4), "no finite numbers"),
-        (np.full((3, 2, 3), np.nan, np.float32), np.eye(4), "no finite numbers"),
-        (np.ones((3, 2, 3), np.float32), np.diag([1.0, 2.0, 1.0, 1.0]), "turn, mirror and scale evenly"),
-        (np.ones((3, 2, 3), np.float32), np.zeros((4, 4)), "turn, mirror and scale evenly"),
+        (np.full((3, 2, 3), np.inf, np.float32), np.eye(4), "not finite numbers"),
+        (np.full((3, 2, 3), np.nan, np.float32), np.eye(4), "not finite numbers"),
+        (np.ones((3, 2, 3), np.float32), np.diag([1.0, 2.0, 1.0, 1.0]), "rotate, mirror and scale uniformly"),
+        (np.ones((3, 2, 3), np.float32), np.zeros((4, 4)), "rotate, mirror and scale uniformly"),
     ],
 )
 def test_maps_that_cannot_be(pixels, to_world, message):
@@ -369,7 +369,9 @@ def test_a_real_sky(on_device, public_scenes):
     made = build_environment_map(read_image(public_scenes / "env" / "kloppenheim_05_1k.hdr"), np.eye(4), 1.0, "envmap")
     shape = made.texels.shape[:2]
     place, solid = quadrature(shape, 2)
-    probability = on_device.look(made, directions_of(place.reshape(-1, 2), np.eye(4), shape))[1].reshape(solid.shape)
+    probability = on_device.radiance(made, directions_of(place.reshape(-1, 2), np.eye(4), shape))[1].reshape(
+        solid.shape
+    )
     probability = (probability * solid).sum(axis=1)
     assert probability.sum() == pytest.approx(1, abs=2e-5)
     sampled, pdf, radiance = on_device.sample(made)

@@ -15,7 +15,7 @@ from isonoise.scene.material.textures import MeshAttributes, Textures
 from isonoise.scene.spectra import srgb_to_linear
 
 KERNEL = """
-__kernel void sample_direct_lane(__global const Texture* records, __global const uchar* bytes,
+__kernel void lookup(__global const Texture* records, __global const uchar* bytes,
                    __global const float* floats, __global const float* srgb, __global const float* attributes,
                    __global const uint* faces, uint texture, __global const float* points,
                    __global const uint* triangles, __global float* out, uint n)
@@ -69,7 +69,7 @@ def kernel_of(device, *on: str):
         KERNEL,
     ]
     flags = ["-DFEATURE_TEXTURES=1", "-DFEATURE_BUMP=1", *(f"-DFEATURE_{kind}={int(kind in on)}" for kind in KINDS)]
-    return device.build("\n".join(text), ("-cl-std=CL1.2", "-Werror", *flags))["look"]
+    return device.build("\n".join(text), ("-cl-std=CL1.2", "-Werror", *flags))["lookup"]
 
 
 @pytest.fixture(scope="module")
@@ -389,8 +389,8 @@ def test_attributes_that_a_mesh_lacks(tmp_path):
     assert len(compiled(**ply, bsdf=wrapped).attributes) == 3
     for shape, message in (
         (ply | {"bsdf": {"type": "diffuse", "reflectance": attribute}}, "'vertex_heat'.*it has: vertex_color"),
-        (ply | {"emitter": {"type": "area", "radiance": attribute}}, "'vertex_heat', which its area reads"),
-        ({"type": "sphere", "bsdf": wrapped}, "'vertex_color', which its twosided reads .it has: none"),
+        (ply | {"emitter": {"type": "area", "radiance": attribute}}, "'vertex_heat', which its area uses"),
+        ({"type": "sphere", "bsdf": wrapped}, "'vertex_color', which its twosided uses .it has: none"),
     ):
         with pytest.raises(SceneError, match=f"thing.*has no attribute {message}"):
             compiled(**shape)

@@ -28,7 +28,7 @@ KERNEL = """
 #include "bsdf/bsdf.h"
 #include "bsdf/nested.h"
 
-__kernel void scatter_lane(uint first, __global const Bsdf* bsdfs, __global const float* rough_transmittances,
+__kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const float* rough_transmittances,
                       __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
                       __global const float* surface, __global const float* wi, __global const float* wo,
                       __global const float* u, __global float* out, uint n)
