@@ -17,7 +17,7 @@ from isonoise.device.opencl import Device
 from isonoise.device.program import flatten, stage_source
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS
-from isonoise.integrator.feature_costs import cost, stages_with
+from isonoise.integrator.feature_costs import cost, features_in, stages_with
 from isonoise.integrator.feature_superset import DUMMY_BYTES
 from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.generated_headers import generated_headers
@@ -91,7 +91,7 @@ MARKERS = {  # functions and variables that belong to one feature
         "DIELECTRIC": "dielectric_sample",
         "CONDUCTOR": "conductor_sample",
         "AREA_LIGHTS": "sample_surface",
-        "SPHERE_LIGHTS": "sample_sphere",
+        "SPHERE_LIGHTS": "sample_sphere_light",
         "INSTANCES": "instanced_surface_of_hit",
         "ENVIRONMENT_MAP": "envmap_radiance",
         "VOLPATH": "paths->null_bounces",
@@ -147,7 +147,7 @@ MARKERS = {  # functions and variables that belong to one feature
 )
 def test_every_feature_of_a_stage_makes_a_difference_there(file, lanes, never):
     """Among all others or alone: some share their code. And what marks a feature's own code is gone without it."""
-    names = sorted(set(re.findall(r"\bFEATURE_(\w+)", flatten(file, generated_headers()))) - set(never))
+    names = sorted(features_in(file) - set(never))
     sets = [all_but(*never), only()]
     sets += [set_ for name in names for set_ in (all_but(*never, name), only(name))]
     full, nothing, *each = preprocessed(file, sets, lanes)
@@ -231,7 +231,7 @@ def test_what_is_off_leaves_no_code(lanes):
     for file in files:
         if file == "stages/shadow_transmittance.cl" and lanes > 1:
             continue  # with VOLPATH alone
-        mentioned = set(re.findall(r"FEATURE_(\w+)", flatten(file, generated_headers())))
+        mentioned = features_in(file)
         labels = defaultdict(list)
         for label, set_ in sets.items():
             labels[frozenset(name for name in mentioned if set_[name])].append(label)
@@ -422,10 +422,7 @@ def test_stages_named_for_a_feature_have_its_code():
         named = stages_with(feature)
         assert named
         for stage in named:
-            assert re.search(rf"\bFEATURE_{feature}\b", flatten(f"stages/{stage}.cl", generated_headers())), (
-                feature,
-                stage,
-            )
+            assert feature in features_in(f"stages/{stage}.cl"), (feature, stage)
     assert cost("NEXT_EVENT", only("POINT_LIGHTS")).stages == ("shadow",)
     assert cost("VOLPATH", only("NEXT_EVENT")).stages == ("shadow_transmittance",)
     assert cost("VOLPATH", only("POINT_LIGHTS")).stages == ()

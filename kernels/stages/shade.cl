@@ -28,7 +28,10 @@ INLINE void shade_path(const SceneView* scene, const PathState* paths, size_t i,
 #endif
 
     const bool is_last = p.depth + 1u >= max_depth;
-    if (!scatters || (!FEATURE_VOLPATH && is_last)) return;
+    if (!scatters) return;
+#if !FEATURE_VOLPATH
+    if (is_last) return;
+#endif
     BsdfContext ctx;
     const bool passes_through = make_bsdf_context(scene, &p, &s, &ctx);
 #if HAS_PASS_THROUGH && !FEATURE_VOLPATH
