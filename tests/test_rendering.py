@@ -1,5 +1,7 @@
 """The render loop: limits, deadlines, the log's rows, interruptions."""
 
+import doctest
+import importlib
 import itertools
 import time
 
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 from small_scene import BUILT_IN, HEIGHT, PIXELS, WIDTH, assert_same_bits, assert_sound, lamp_over_floor
 
+import isonoise
 from isonoise import loop
 from isonoise.errors import UserError
 from isonoise.loop import Stops, render, render_loop
@@ -152,3 +155,12 @@ def test_progress_is_reported():
     assert list(samples) == sorted(samples)
     assert all(0 <= seconds <= 0.8 for seconds in remaining)
     assert error[-1] > 0
+
+
+@pytest.mark.parametrize(
+    "name", ["isonoise", "isonoise.loop", "isonoise.renderer", "isonoise.scene.load", "isonoise.strategies.base"]
+)
+def test_examples_in_docstrings(name):
+    result = doctest.testmod(importlib.import_module(name), extraglobs={"isonoise": isonoise})
+    assert result.attempted > 0
+    assert result.failed == 0

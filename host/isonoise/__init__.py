@@ -3,9 +3,9 @@
 Examples
 --------
 >>> import isonoise
->>> outcome = isonoise.render("cornell", error=0.02)
->>> outcome.rgb.shape, outcome.reason
-((256, 256, 3), 'error')
+>>> outcome = isonoise.render("cornell", error=0.2, size=(64, 64))
+>>> outcome.reason, outcome.rgb.shape
+('error', (64, 64, 3))
 """
 
 import importlib

@@ -141,9 +141,9 @@ def render(
 
     Examples
     --------
-    >>> outcome = isonoise.render("cornell", time=10, strategy="pooled")
-    >>> outcome.rgb.dtype, outcome.rows[-1].stated_p99  # doctest: +SKIP
-    (dtype('float32'), 0.0371)
+    >>> outcome = isonoise.render("cornell", spp=32, size=(64, 48), strategy="pooled:window=5")
+    >>> outcome.reason, outcome.rgb.shape, len(outcome.rows)
+    ('spp', (48, 64, 3), 9)
     """
     renderer = Renderer(scene, **options)
     if spp is None and time is None and error is None:
@@ -155,10 +155,10 @@ def render_loop(
     renderer: Renderer,
     stops: Stops,
     *,
-    on_wave: Callable[[LogRow, Statistics], None] = lambda row, statistics: None,
-    on_progress: Callable[[float, int, float | None, float | None], None] = lambda *state: None,
+    on_wave: Callable[[LogRow, Statistics], None] | None = None,
+    on_progress: Callable[[float, int, float | None, float | None], None] | None = None,
     reference: tuple[np.ndarray, np.ndarray | None] | None = None,
-    should_stop: Callable[[], bool] = lambda: False,
+    should_stop: Callable[[], bool] | None = None,
 ) -> Outcome:
     """Run waves until a limit is reached.
 
@@ -168,15 +168,15 @@ def render_loop(
         A renderer that has not rendered yet.
     stops : Stops
         The limits.
-    on_wave : callable
+    on_wave : callable or None
         Called after every wave with its log row and the statistics. The clock stands still meanwhile.
-    on_progress : callable
+    on_progress : callable or None
         Called a few times per second with elapsed seconds, samples, the last stated error and the estimated seconds
         left; the last two are None while unknown.
     reference : tuple or None
         Linear RGB of a converged image and its standard error (or None), both (height, width, 3). With it the log rows
         hold true errors. The clock stands still while these are computed.
-    should_stop : callable
+    should_stop : callable or None
         Called after every bounce. If it returns True, the render ends after the paths in flight.
 
     Returns
@@ -190,7 +190,9 @@ def render_loop(
 class _RenderLoop:
     def __init__(self, renderer, stops, on_wave, on_progress, reference, should_stop):
         self.renderer, self.stops = renderer, stops
-        self.on_wave, self.on_progress, self.should_stop = on_wave, on_progress, should_stop
+        self.on_wave = on_wave or (lambda row, statistics: None)
+        self.on_progress = on_progress or (lambda *state: None)
+        self.should_stop = should_stop or (lambda: False)
         self.reference = reference
         self.reference_floor = None if reference is None else image_floor(luminance(reference[0]))
         self.pixels = renderer.scene.width * renderer.scene.height

@@ -85,10 +85,11 @@ class Renderer:
 
     Examples
     --------
-    >>> renderer = isonoise.Renderer("cornell", size=(64, 64), strategy="pooled:window=5")
-    >>> record = renderer.step()  # the first wave
-    >>> renderer.image().shape
-    (64, 64, 3)
+    >>> renderer = isonoise.Renderer("cornell", size=(64, 48))
+    >>> for wave in range(3):
+    ...     record = renderer.step()
+    >>> record.kind, round(renderer.statistics().samples / (64 * 48), 1)
+    ('uniform', 18.7)
     """
 
     def __init__(
@@ -146,9 +147,7 @@ class Renderer:
         device = self._wavefront.device
         return sum(device.seconds.values()) if device.profile else None
 
-    def step(
-        self, samples: int | None = None, should_continue: Callable[[int], bool] = lambda samples_so_far: True
-    ) -> WaveRecord:
+    def step(self, samples: int | None = None, should_continue: Callable[[int], bool] | None = None) -> WaveRecord:
         """Render the strategy's next wave.
 
         Parameters
@@ -156,7 +155,7 @@ class Renderer:
         samples : int or None
             Upper limit for the samples of the wave. The rest of a uniform wave comes with the next step; the rest of an
             adaptive one is dropped.
-        should_continue : callable
+        should_continue : callable or None
             Called after every bounce with the wave's samples that have entered the statistics. If it returns False, no
             new paths start; those in flight are finished and counted.
 
@@ -183,7 +182,7 @@ class Renderer:
         self._max_pixel_samples += max_allocation
         self._wave_index += 1
         self._statistics = None
-        traced = self._wavefront.trace(allocation, should_continue)
+        traced = self._wavefront.trace(allocation, should_continue or (lambda samples_so_far: True))
         return WaveRecord(wave.kind, traced, planned, time.perf_counter() - start)
 
     def statistics(self) -> Statistics:
