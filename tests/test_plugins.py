@@ -73,7 +73,7 @@ def base(plugin: Plugin, files: Path) -> dict:
             "integrator": {"type": "path"},
             "shape": {"type": "shapegroup", "inside": {"type": "cube"}} if name == "instance" else {"type": "cube"},
         }
-        for number in range(child.least):
+        for number in range(child.min_count):
             assert child.kind in nested, f"say here what a {child.kind} of {name} is"
             result[f"{child.kind}_{number}"] = nested[child.kind]
     return result
@@ -344,11 +344,11 @@ TABLES = (CHECKOUT / "host" / "docs" / "plugins.md").read_text("utf-8")
 
 
 def test_the_tables_are_those_of_the_registry():
-    assert plugin_tables.with_tables(TABLES) == TABLES, (
+    assert plugin_tables.update_tables(TABLES) == TABLES, (
         "write them anew: python -m isonoise.scene.parse.plugin_tables host/docs/plugins.md"
     )
     for kind in plugin_tables.KINDS:
-        for name, status, meaning in plugin_tables.overview(kind):
+        for name, status, meaning in plugin_tables.list_plugins(kind):
             assert f"`{name}`" in TABLES
             assert meaning
             assert status in plugin_tables.STATUS.values()
@@ -357,7 +357,7 @@ def test_the_tables_are_those_of_the_registry():
 def test_the_kinds_are_complete():
     assert set(plugin_tables.KINDS) == {plugin.kind for plugin in READ} | set(UNSUPPORTED_PLUGINS)
     for kind in plugin_tables.KINDS:
-        names = [row[0] for row in plugin_tables.overview(kind)]
+        names = [row[0] for row in plugin_tables.list_plugins(kind)]
         assert len(set(names)) == len(names)
 
 
@@ -366,7 +366,7 @@ def test_the_command_lists_them(capsys):
     listed = capsys.readouterr().out
     for kind in plugin_tables.KINDS:
         assert re.search(rf"^{kind}$", listed, re.MULTILINE)
-        for name, status, _ in plugin_tables.overview(kind):
+        for name, status, _ in plugin_tables.list_plugins(kind):
             assert re.search(rf"^  {name} +{status}  ", listed, re.MULTILINE), name
     assert main(["plugins", "emitter"]) == 0
     listed = capsys.readouterr().out
@@ -393,7 +393,7 @@ def test_the_command_describes_what_is_not_supported(capsys):
 def test_the_command_prints_json(capsys):
     assert main(["plugins", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert len(facts) == sum(len(plugin_tables.overview(kind)) for kind in plugin_tables.KINDS)
+    assert len(facts) == sum(len(plugin_tables.list_plugins(kind)) for kind in plugin_tables.KINDS)
     assert main(["plugins", "sphere", "--json"]) == 0
     (sphere,) = json.loads(capsys.readouterr().out)
     radius = next(parameter for parameter in sphere["parameters"] if parameter["name"] == "radius")

@@ -20,11 +20,11 @@ ORTHOGRAPHIC = '<sensor type="orthographic">{}</sensor>'
 INSIDE = [
     # names
     ('<bsdf type="difuse"/>', "unknown bsdf 'difuse'; did you mean 'diffuse'"),
-    ('<bsdf type="measured"/>', "'measured' is not supported .*: needs measured data .*nearest: '"),
+    ('<bsdf type="measured"/>', "'measured' is not supported .*: needs measured data.*nearest: '"),
     ('<bsdf type="principledthin"/>', "'principledthin' is not supported .*nearest: 'principled'"),
     ('<shape type="serialized"/>', "shape 'serialized' needs a 'filename'"),
     ('<emitter type="envmap"/>', "emitter 'envmap' needs a 'filename'"),
-    ('<emitter type="sunsky"/>', "emitter 'sunsky' is not supported .*: .* bake it to an envmap"),
+    ('<emitter type="sunsky"/>', "emitter 'sunsky' is not supported .*: .* render it to an envmap"),
     ('<sensor type="distant"/>', "sensor 'distant' is not supported .*supported: orthographic, perspective, thinlens"),
     ('<sensor type="thinlens"/>', "sensor 'thinlens' needs a 'aperture_radius'"),
     (THIN_LENS.format("-1", "1"), r"'aperture_radius' has to be in \[0, inf\), got -1.0"),
@@ -35,7 +35,7 @@ INSIDE = [
     (ORTHOGRAPHIC.format('<float name="near_clip" value="1e5"/>'), "near_clip has to be smaller"),
     (
         '<integrator type="prbvolpath"/>',
-        "integrator 'prbvolpath' is not supported .*: renders derivatives.*nearest: 'volpath'",
+        "integrator 'prbvolpath' is not supported .*: isonoise does not compute derivatives.*nearest: 'volpath'",
     ),
     ('<sensor type="perspective"><film type="specfilm"/></sensor>', "film 'specfilm' is not supported"),
     ('<medium type="heterogeneous"/>', "medium 'heterogeneous' is not supported"),

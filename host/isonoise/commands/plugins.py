@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
         raise UserError(f"'{name}' is neither a kind nor a plugin; did you mean '{closest_name(name, _names())}'?")
     found = [(kind, name) for kind in kinds_of(name) if kind in plugin_tables.KINDS] if not kinds else None
     if options.json:
-        listed = found or [(kind, row[0]) for kind in kinds for row in plugin_tables.overview(kind)]
+        listed = found or [(kind, row[0]) for kind in kinds for row in plugin_tables.list_plugins(kind)]
         print(json.dumps([_facts(kind, plugin) for kind, plugin in listed], indent=1))
     elif found:
         print("\n\n".join("\n".join(_description(kind, plugin)) for kind, plugin in found))
@@ -30,17 +30,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _names() -> list[str]:
-    names = {row[0] for kind in plugin_tables.KINDS for row in plugin_tables.overview(kind)}
+    names = {row[0] for kind in plugin_tables.KINDS for row in plugin_tables.list_plugins(kind)}
     return sorted(names | set(plugin_tables.KINDS))
 
 
 def _facts(kind: str, name: str) -> dict:
     plugin = plugins_of(kind).get(name)
-    return plugin_tables.facts(plugin) if plugin else plugin_tables.absent_facts(kind, name)
+    return plugin_tables.plugin_info(plugin) if plugin else plugin_tables.unsupported_plugin_info(kind, name)
 
 
 def _listing(kind: str) -> list[str]:
-    return [kind, *_table(plugin_tables.overview(kind))]
+    return [kind, *_table(plugin_tables.list_plugins(kind))]
 
 
 def _description(kind: str, name: str) -> list[str]:

@@ -169,13 +169,13 @@ def _add_child(
 ):
     """Add a nested object under its key. `count`: how many of its kind the parent already has."""
     if plugin.kind == "scene":
-        if count >= child.most:
+        if count >= child.max_count:
             location.raise_error(f"a scene can have only one {child.kind}")
         key = name or child.kind
         while key in result:
             key = f"{child.kind}_{len(result)}"
-    elif count >= child.most:
-        limit = f"one {child.kind}" if child.most == 1 else f"{child.most} {child.kind}s"
+    elif count >= child.max_count:
+        limit = f"one {child.kind}" if child.max_count == 1 else f"{child.max_count} {child.kind}s"
         location.raise_error(f"{plugin.name} can contain only {limit}")
     elif child.names:
         if name not in child.names:
@@ -217,9 +217,9 @@ def _complete(plugin: Plugin, result: dict, child_counts: Counter[str], location
         if parameter.default is not None:
             result[parameter.name] = check_value(parameter, parameter.default, location)
     for child in plugin.children:
-        if child_counts[child.kind] < child.least:
+        if child_counts[child.kind] < child.min_count:
             noun = child.types[0] if len(child.types) == 1 else child.kind
-            required = f"a nested {noun}" if child.least == 1 else f"{child.least} nested {noun}s"
+            required = f"a nested {noun}" if child.min_count == 1 else f"{child.min_count} nested {noun}s"
             location.raise_error(f"{plugin.kind} '{plugin.name}' needs {required}")
     check_constraints(plugin.kind, result, location)
     if plugin.name in ("moment", "aov"):  # replaced by the integrator inside

@@ -1,4 +1,4 @@
-"""The supported subset of Mitsuba 3's scene vocabulary, as tables; names, units and defaults are its own (3.9)."""
+"""The supported subset of Mitsuba 3's scene vocabulary. Names, units and defaults are those of Mitsuba 3.9."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -17,17 +17,17 @@ from isonoise.scene.vocabulary.unsupported import UNSUPPORTED_PLUGINS
 _SCENE = Plugin(
     "scene",
     "scene",
-    ignored("boolean", "embree_use_robust_intersections", why="rays are intersected watertightly"),
+    ignored("boolean", "embree_use_robust_intersections", why="ray intersection is always watertight"),
     (
         Child("integrator"),
-        Child("sensor", most=1 << 16),
-        Child("shape", most=1 << 32),
-        Child("emitter", most=1 << 32, types=tuple(plugin.name for plugin in EMITTERS if plugin.name != "area")),
-        Child("bsdf", most=1 << 32),
-        Child("texture", most=1 << 32),
-        Child("medium", most=1 << 32),
-        Child("phase", most=1 << 32),
-        Child("volume", most=1 << 32),
+        Child("sensor", max_count=1 << 16),
+        Child("shape", max_count=1 << 32),
+        Child("emitter", max_count=1 << 32, types=tuple(plugin.name for plugin in EMITTERS if plugin.name != "area")),
+        Child("bsdf", max_count=1 << 32),
+        Child("texture", max_count=1 << 32),
+        Child("medium", max_count=1 << 32),
+        Child("phase", max_count=1 << 32),
+        Child("volume", max_count=1 << 32),
     ),
 )
 
@@ -53,5 +53,5 @@ def plugins_of(kind: str) -> Mapping[str, Plugin]:
 
 def kinds_of(name: str) -> tuple[str, ...]:
     """All kinds in which Mitsuba 3 has a plugin with this name."""
-    here = tuple(p.kind for p in PLUGINS if p.name == name)
-    return here + tuple(kind for kind, names in UNSUPPORTED_PLUGINS.items() if name in names)
+    supported = tuple(p.kind for p in PLUGINS if p.name == name)
+    return supported + tuple(kind for kind, names in UNSUPPORTED_PLUGINS.items() if name in names)

@@ -1,11 +1,11 @@
-"""Pieces that several plugins share."""
+"""Parameters that several plugins share."""
 
 from isonoise.scene.vocabulary.plugin import IGNORED, Parameter
 
 
 def ignored(type_: str, *names: str, why: str) -> tuple[Parameter, ...]:
-    """Parameters that are read over: they cannot change the image, and `why` not."""
+    """Parameters that are accepted and ignored, because they do not change the image; `why` says the reason."""
     return tuple(Parameter(name, type_, status=IGNORED, meaning=why) for name in names)
 
 
-PLACED = (Parameter("to_world", "transform", meaning="from object to world space", unset="identity"),)
+TO_WORLD = (Parameter("to_world", "transform", meaning="from object to world space", unset="identity"),)

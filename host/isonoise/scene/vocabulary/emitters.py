@@ -1,6 +1,6 @@
 """Emitters of the vocabulary."""
 
-from isonoise.scene.vocabulary.common import PLACED, ignored
+from isonoise.scene.vocabulary.common import TO_WORLD, ignored
 from isonoise.scene.vocabulary.plugin import UNSUPPORTED, Child, Parameter, Plugin
 
 P = Parameter
@@ -24,7 +24,7 @@ EMITTERS = (
         (
             P("intensity", "radiance", 1.0, meaning="radiant intensity, W / sr"),
             P("position", "vector", meaning="where it stands, in place of to_world", unset="0, 0, 0"),
-            *PLACED,
+            *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,
@@ -44,7 +44,7 @@ EMITTERS = (
                 unset="3/4 of cutoff_angle",
             ),
             P("texture", "texture", status=UNSUPPORTED, meaning="a picture in the cone is not built"),
-            *PLACED,
+            *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,
@@ -56,7 +56,7 @@ EMITTERS = (
         (
             P("irradiance", "radiance", 1.0, meaning="power a unit of area at right angles to the light, W / m²"),
             P("direction", "vector", meaning="where the light goes, in place of to_world", unset="0, 0, 1"),
-            *PLACED,
+            *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,
@@ -69,7 +69,7 @@ EMITTERS = (
             P("filename", "file", required=True, meaning="an image in latitude-longitude format, y up"),
             P("scale", "float", 1.0, "[0, inf)", meaning="factor on its radiance"),
             *ignored("boolean", "mis_compensation", why="moves samples alone"),
-            *PLACED,
+            *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,

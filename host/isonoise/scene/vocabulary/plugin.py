@@ -1,7 +1,7 @@
-"""What a plugin is to isonoise: its kind, its parameters with types and defaults, the objects it may hold.
+"""The types of the vocabulary: Plugin, its Parameters with types and defaults, and its Children.
 
-The declarations are in `vocabulary`; checks, defaults and suggestions of the scene reader, `isonoise plugins` and the
-tables of host/docs/plugins.md all come from them.
+The scene reader's checks, defaults and suggestions, `isonoise plugins` and the tables of host/docs/plugins.md are all
+derived from these declarations.
 """
 
 import math
@@ -16,15 +16,15 @@ class Parameter:
 
     name: str
     type: str  # 'float', 'integer', 'boolean', 'string', 'vector', 'transform', 'file', 'index' or a colour type
-    default: object = None  # None: absent unless given
-    interval: str = ""  # numbers: admitted values, e.g. '(0, inf)'
-    choices: tuple[str, ...] = ()  # strings: admitted values
-    status: str = SUPPORTED  # IGNORED: read over, cannot change the image; UNSUPPORTED: Mitsuba has it, isonoise not
+    default: object = None  # None: the parameter is absent unless given
+    interval: str = ""  # numbers: allowed values, e.g. '(0, inf)'
+    choices: tuple[str, ...] = ()  # strings: allowed values
+    status: str = SUPPORTED  # IGNORED: does not change the image; UNSUPPORTED: only Mitsuba has it
     required: bool = False
-    texture: bool = False  # a texture may take the place of the value
-    volume: bool = False  # a constvolume may
-    meaning: str = ""  # one line, with the unit where there is one; IGNORED, UNSUPPORTED: why
-    unset: str = ""  # what holds where it is not given, if `default` does not say it
+    texture: bool = False  # a texture is allowed instead of a value
+    volume: bool = False  # a constvolume is allowed instead of a value
+    meaning: str = ""  # one line, with the unit; IGNORED, UNSUPPORTED: the reason
+    unset: str = ""  # the default in words, if `default` is None
 
     def admits(self, value: float) -> bool:
         """Whether a number lies in the interval."""
@@ -37,31 +37,31 @@ class Parameter:
 
 
 COLOURS = ("reflectance", "radiance", "unbounded")
-"""Colour types: a reflectance within [0, 1], an emission (D65 is white), and a quantity without bound (eta, k)."""
+"""Colour types: reflectance in [0, 1], emission (D65 is white), and unbounded quantities (eta, k)."""
 
 
 @dataclass(frozen=True)
 class Child:
-    """Nested objects of one kind that a plugin may hold."""
+    """The nested objects of one kind that a plugin can contain."""
 
     kind: str
-    most: int = 1
-    least: int = 0
-    types: tuple[str, ...] = ()  # admitted plugins; () is all of the kind
-    names: tuple[str, ...] = ()  # what each is called, if that says what it is for; it is kept under its name
+    max_count: int = 1
+    min_count: int = 0
+    types: tuple[str, ...] = ()  # allowed plugins; (): all of the kind
+    names: tuple[str, ...] = ()  # allowed names, if the name tells the purpose
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """One plugin that is read."""
+    """One supported plugin."""
 
     kind: str
     name: str
     parameters: tuple[Parameter, ...] = ()
     children: tuple[Child, ...] = ()
-    any_parameter: bool = False  # parameters that are not declared are read over (samplers)
-    status: str = SUPPORTED  # IGNORED: read over, what it adds cannot change the image
-    meaning: str = ""  # one line; IGNORED: why
+    any_parameter: bool = False  # undeclared parameters are ignored (samplers)
+    status: str = SUPPORTED  # IGNORED: it does not change the image
+    meaning: str = ""  # one line; IGNORED: the reason
 
     def parameter(self, name: str) -> Parameter | None:
         return next((p for p in self.parameters if p.name == name), None)

@@ -1,22 +1,26 @@
 """Shapes of the vocabulary."""
 
-from isonoise.scene.vocabulary.common import PLACED, ignored
+from isonoise.scene.vocabulary.common import TO_WORLD, ignored
 from isonoise.scene.vocabulary.plugin import Child, Parameter, Plugin
 
 P = Parameter
 _SHAPE = (
-    *PLACED,
-    P("flip_normals", "boolean", False, meaning="the front is the other side"),
-    *ignored("float", "silhouette_sampling_weight", why="for derivatives alone"),
+    *TO_WORLD,
+    P("flip_normals", "boolean", False, meaning="swap front and back"),
+    *ignored("float", "silhouette_sampling_weight", why="only for derivatives"),
 )
-_CHILDREN = (Child("bsdf"), Child("emitter", types=("area",)), Child("medium", most=2, names=("interior", "exterior")))
-_FACE_NORMALS = P("face_normals", "boolean", False, meaning="flat: normals of vertices are neither read nor made")
-_MESH = (P("filename", "file", required=True, meaning="the file"), *_SHAPE, _FACE_NORMALS)
-_V = "the file's v runs downwards"
+_CHILDREN = (
+    Child("bsdf"),
+    Child("emitter", types=("area",)),
+    Child("medium", max_count=2, names=("interior", "exterior")),
+)
+_FACE_NORMALS = P("face_normals", "boolean", False, meaning="flat shading: ignore vertex normals and compute none")
+_MESH = (P("filename", "file", required=True, meaning="file name"), *_SHAPE, _FACE_NORMALS)
+_FLIP_TEX_COORDS = "replace v by 1 - v"
 
-_PLAIN = (
-    Plugin("shape", "rectangle", _SHAPE, _CHILDREN, meaning="the square from -1, -1 to 1, 1 in the plane z = 0"),
-    Plugin("shape", "cube", _SHAPE, _CHILDREN, meaning="the cube from -1, -1, -1 to 1, 1, 1"),
+_SIMPLE_SHAPES = (
+    Plugin("shape", "rectangle", _SHAPE, _CHILDREN, meaning="the square [-1, 1] x [-1, 1] in the plane z = 0"),
+    Plugin("shape", "cube", _SHAPE, _CHILDREN, meaning="the cube [-1, 1] x [-1, 1] x [-1, 1]"),
     Plugin(
         "shape",
         "sphere",
@@ -26,7 +30,7 @@ _PLAIN = (
             *_SHAPE,
         ),
         _CHILDREN,
-        meaning="a sphere; of an uneven scale the first axis counts",
+        meaning="a sphere; with a non-uniform scale, the first axis is used",
     ),
     Plugin("shape", "disk", _SHAPE, _CHILDREN, meaning="the unit disk in the plane z = 0"),
     Plugin(
@@ -39,61 +43,61 @@ _PLAIN = (
             *_SHAPE,
         ),
         _CHILDREN,
-        meaning="a tube, open at both ends",
+        meaning="a cylinder without caps",
     ),
     Plugin(
         "shape",
         "obj",
-        (*_MESH, P("flip_tex_coords", "boolean", True, meaning=_V)),
+        (*_MESH, P("flip_tex_coords", "boolean", True, meaning=_FLIP_TEX_COORDS)),
         _CHILDREN,
-        meaning="a Wavefront OBJ file; its materials are not read",
+        meaning="a Wavefront OBJ file; its materials are ignored",
     ),
     Plugin(
         "shape",
         "ply",
-        (*_MESH, P("flip_tex_coords", "boolean", False, meaning=_V)),
+        (*_MESH, P("flip_tex_coords", "boolean", False, meaning=_FLIP_TEX_COORDS)),
         _CHILDREN,
-        meaning="a PLY file, ASCII or binary, with attributes of vertices and faces",
+        meaning="a PLY file, ASCII or binary, with vertex and face attributes",
     ),
     Plugin(
         "shape",
         "serialized",
         (
             *_MESH,
-            P("shape_index", "integer", 0, "[0, 2147483647]", meaning="which mesh of the file, counted from 0"),
+            P("shape_index", "integer", 0, "[0, 2147483647]", meaning="index of the mesh in the file, from 0"),
         ),
         _CHILDREN,
         meaning="Mitsuba's own mesh format, versions 3 and 4",
     ),
-    Plugin(  # isonoise's own: what meshes without a scene become
+    Plugin(  # isonoise's own, for bare mesh files
         "shape",
         "mesh",
         (
             P("vertices", "positions", required=True, meaning="(n, 3)"),
-            P("faces", "indices", required=True, meaning="(n, 3), of vertices"),
-            P("normals", "positions", meaning="(n, 3), of vertices", unset="made from the faces"),
+            P("faces", "indices", required=True, meaning="(n, 3) vertex indices"),
+            P("normals", "positions", meaning="(n, 3), per vertex", unset="computed from the faces"),
             *_SHAPE,
             _FACE_NORMALS,
         ),
         _CHILDREN,
-        meaning="triangles in arrays: dicts only, isonoise's own",
+        meaning="triangles in arrays; isonoise's own, in dicts only",
     ),
 )
 
 SHAPES = (
-    *_PLAIN,
+    *_SIMPLE_SHAPES,
     Plugin(
         "shape",
         "shapegroup",
-        ignored("transform", "to_world", why="Mitsuba 3 reads it and does nothing with it"),
-        (Child("shape", most=1 << 32, least=1, types=tuple(plugin.name for plugin in _PLAIN)),),
-        meaning="shapes that are not seen themselves, but where an instance stands",
+        ignored("transform", "to_world", why="Mitsuba 3 ignores it too"),
+        (Child("shape", max_count=1 << 32, min_count=1, types=tuple(plugin.name for plugin in _SIMPLE_SHAPES)),),
+        meaning="shapes that are visible only through instances",
     ),
     Plugin(
         "shape",
         "instance",
-        PLACED,
-        (Child("shape", least=1, types=("shapegroup",)),),
-        meaning="a shapegroup in one more place",
+        TO_WORLD,
+        (Child("shape", min_count=1, types=("shapegroup",)),),
+        meaning="a copy of a shapegroup",
     ),
 )

@@ -1,81 +1,81 @@
-"""Plugins that Mitsuba 3 (3.9) has and isonoise does not, by kind, each with the reason or the way out.
+"""Plugins that Mitsuba 3 (3.9) has and isonoise does not, by kind, each with the reason or an alternative.
 
-They are named in errors, so that nobody looks for a typing mistake. Who adds a plugin takes its row away.
+Errors name them, so that users do not look for a typing mistake. To add a plugin, remove its row here.
 """
 
-_POLARISED = "polarised light is not traced"
-_DERIVATIVES = "renders derivatives; isonoise has none"
-_SPECTRAL = "isonoise renders RGB: write <rgb> or a plain <spectrum>"
-_SKY = "needs the fitted tables of the sky model, which come with Mitsuba: bake it to an envmap there"
+_POLARISED = "polarisation is not supported"
+_DERIVATIVES = "isonoise does not compute derivatives"
+_SPECTRAL = "isonoise renders RGB: use <rgb> or a simple <spectrum>"
+_SKY_MODEL = "needs the sky model's data, which comes with Mitsuba: render it to an envmap there"
 
 UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
     "sensor": {
-        "batch": "one image a render: render its sensors one by one",
-        "distant": "measures radiance from infinity; orthographic is close",
-        "irradiancemeter": "no image; a diffuse surface seen by orthographic is close",
-        "radiancemeter": "no image; a perspective camera of one pixel and small fov is close",
+        "batch": "one image per render: render its sensors one by one",
+        "distant": "measures radiance from infinity: orthographic is similar",
+        "irradiancemeter": "no image: a diffuse surface seen by orthographic is similar",
+        "radiancemeter": "no image: perspective with one pixel and a small fov is similar",
     },
     "film": {"specfilm": "images are RGB: use hdrfilm"},
     "rfilter": {
-        "catmullrom": "has negative lobes, which a sample that belongs to one pixel cannot have: use gaussian or tent",
-        "lanczos": "has negative lobes, which a sample that belongs to one pixel cannot have: use gaussian or tent",
-        "mitchell": "has negative lobes, which a sample that belongs to one pixel cannot have: use gaussian or tent",
+        "catmullrom": "has negative lobes, which filter importance sampling does not support: use gaussian or tent",
+        "lanczos": "has negative lobes, which filter importance sampling does not support: use gaussian or tent",
+        "mitchell": "has negative lobes, which filter importance sampling does not support: use gaussian or tent",
     },
     "integrator": {
-        "depth": "shows distances, no light",
+        "depth": "shows distances, not light",
         "direct_projective": _DERIVATIVES,
         "prb": _DERIVATIVES,
         "prb_basic": _DERIVATIVES,
         "prb_projective": _DERIVATIVES,
         "prbvolpath": _DERIVATIVES,
-        "ptracer": "traces from the lights: use path, the image is the same",
+        "ptracer": "traces from the emitters: use path, the image is the same",
         "stokes": _POLARISED,
     },
     "bsdf": {
         "circular": _POLARISED,
         "hair": "curves are not supported",
-        "measured": "needs measured data in a format of its own: fit a principled or roughconductor",
+        "measured": "needs measured data: fit a principled or roughconductor",
         "measured_polarized": _POLARISED,
         "polarizer": _POLARISED,
         "pplastic": "plastic with polarisation: use roughplastic",
-        "principledthin": "the thin variant of principled: use principled, or thindielectric for panes",
+        "principledthin": "thin variant of principled: use principled, or thindielectric for window panes",
         "retarder": _POLARISED,
     },
     "shape": {
-        "blender": "exists only inside Mitsuba's Blender add-on: export ply",
+        "blender": "exists only in Mitsuba's Blender add-on: export ply",
         "bsplinecurve": "curves are not supported: export them as meshes",
         "ellipsoids": "for Gaussian splats, which are not supported",
         "ellipsoidsmesh": "for Gaussian splats, which are not supported",
         "linearcurve": "curves are not supported: export them as meshes",
-        "merge": "joins meshes inside Mitsuba: write the shapes themselves, the image is the same",
+        "merge": "merges meshes inside Mitsuba: use the shapes themselves, the image is the same",
         "sdfgrid": "signed distance fields are not supported: export a mesh",
     },
     "emitter": {
-        "directionalarea": "shines along its normal alone: use spot or directional",
-        "projector": "a lamp that throws an image is not built: spot is the nearest",
-        "sunsky": _SKY,
-        "timed_sunsky": _SKY,
+        "directionalarea": "emits along its normal only: use spot or directional",
+        "projector": "projected images are not supported: spot is similar",
+        "sunsky": _SKY_MODEL,
+        "timed_sunsky": _SKY_MODEL,
     },
     "texture": {
         "blackbody": _SPECTRAL,
         "d65": _SPECTRAL,
         "irregular": _SPECTRAL,
-        "rawconstant": "write the number or <rgb> itself",
+        "rawconstant": "write the number or <rgb> directly",
         "regular": _SPECTRAL,
-        "srgb": "write <rgb> itself",
-        "uniform": "write the number itself",
+        "srgb": "write <rgb> directly",
+        "uniform": "write the number directly",
         "volume": "volumes as textures are not supported",
     },
     "medium": {
-        "heterogeneous": "only media that are the same everywhere",
+        "heterogeneous": "only uniform media are supported",
     },
     "phase": {
-        "blendphase": "one phase function a medium",
-        "rayleigh": "hg with g = 0 is close",
+        "blendphase": "one phase function per medium",
+        "rayleigh": "hg with g = 0 is similar",
         "sggx": "for volumes of fibres and flakes",
         "tabphase": "fit hg to it",
     },
     "volume": {
-        "gridvolume": "only media that are the same everywhere",
+        "gridvolume": "only uniform media are supported",
     },
 }
