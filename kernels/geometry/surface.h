@@ -101,10 +101,10 @@ INLINE void triangle_uv(const SceneView* scene, uint triangle, float u, float v,
     s->triangle = triangle;
     s->uv = s->barycentric = vec2(u, v);
     if (!(flags & SHAPE_UVS)) {
-        const bool is_rewound = flags & TRIANGLE_REWOUND;
-        if (is_rewound) s->uv = vec2(u, 1.0f - u - v);
-        s->dp_du = is_rewound ? sub3(edge1, edge2) : edge1;
-        s->dp_dv = is_rewound ? neg3(edge2) : edge2;
+        const bool is_reversed = flags & TRIANGLE_REVERSED_WINDING;
+        if (is_reversed) s->uv = vec2(u, 1.0f - u - v);
+        s->dp_du = is_reversed ? sub3(edge1, edge2) : edge1;
+        s->dp_dv = is_reversed ? neg3(edge2) : edge2;
         return;
     }
     coordinate_system(s->geometric_normal, &s->dp_du, &s->dp_dv);

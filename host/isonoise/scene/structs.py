@@ -16,7 +16,7 @@ NONE = 0xFFFFFFFF
 ANALYTIC_SPHERE, ANALYTIC_DISK, ANALYTIC_CYLINDER = (1 << bit for bit in range(3))
 CAMERA_PINHOLE, CAMERA_THIN_LENS, CAMERA_ORTHOGRAPHIC = range(3)
 SHAPE_FLIP_NORMALS, SHAPE_VERTEX_NORMALS, SHAPE_UVS, SHAPE_PASS_THROUGH = 1, 2, 4, 8
-TRIANGLE_REWOUND = 16  # beside its shape's flags
+TRIANGLE_REVERSED_WINDING = 16  # beside its shape's flags
 (
     BSDF_TWOSIDED,
     BSDF_BECKMANN,  # microfacet distribution; else GGX
@@ -69,7 +69,7 @@ TRIANGLE = np.dtype(
         ("edge1", "f4", 3),  # from the first corner to the second
         ("light", "u4"),  # NONE if it does not shine
         ("edge2", "f4", 3),  # to the third
-        ("flags", "u4"),  # of the shape, TRIANGLE_REWOUND
+        ("flags", "u4"),  # of the shape, TRIANGLE_REVERSED_WINDING
         ("normal", "f4", 3),  # unit geometric normal; zero if the triangle has no area
         ("media", "u4"),  # of the shape
     ]

@@ -58,14 +58,14 @@ def spot_solid_angle(spots: np.ndarray) -> np.ndarray:
 
 
 def _omnidirectional(lower: np.ndarray, upper: np.ndarray, radius: np.ndarray, intensity: np.ndarray) -> LightBounds:
-    """Bounds of lights within boxes (3, n) that shine to all sides."""
+    """Bounds of lights within boxes (3, n) that emit in all directions."""
     count = lower.shape[1]
     axis = np.tile([[0.0], [0.0], [1.0]], count)
     return LightBounds(lower, upper, axis, np.full(count, np.pi), np.full(count, np.pi / 2), intensity, radius)
 
 
 def point_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
-    """Bounds of lights that shine from a point to all sides."""
+    """Bounds of lights that emit from a point in all directions."""
     position = lights["position"].T.astype(np.float64)
     return _omnidirectional(position, position.copy(), np.zeros(len(lights)), power / (4 * np.pi))
 

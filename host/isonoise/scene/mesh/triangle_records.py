@@ -25,7 +25,7 @@ def triangle_records(scene: CompiledScene) -> np.ndarray:
     shape = scene.shapes[scene.triangle_shape]
     records["bsdf"], records["flags"] = shape["bsdf"], shape["flags"]
     if len(scene.reversed_winding):
-        records["flags"] |= structs.TRIANGLE_REWOUND * scene.reversed_winding.astype(np.uint32)
+        records["flags"] |= structs.TRIANGLE_REVERSED_WINDING * scene.reversed_winding.astype(np.uint32)
     index_in_shape = np.arange(len(records), dtype=np.uint32) - shape["first_primitive"]
     is_emissive = shape["first_light"] != structs.NONE
     records["light"] = np.where(is_emissive, shape["first_light"] + index_in_shape, structs.NONE)
