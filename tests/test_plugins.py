@@ -193,7 +193,7 @@ def ids(case) -> str:
 @pytest.mark.parametrize("plugin", READ, ids=ids)
 def test_every_plugin_compiles(plugin, files):
     assert plugin.meaning
-    description = info.facts(compile_scene(load(scene(plugin, base(plugin, files), files))))
+    description = info.describe_scene(compile_scene(load(scene(plugin, base(plugin, files), files))))
     assert all(description.values())
     assert plugin.status in (SUPPORTED, IGNORED)
 

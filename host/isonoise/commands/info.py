@@ -13,11 +13,12 @@ from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.material import textures
 from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
+from isonoise.tables import label_lines
 
 SHAPES = {structs.ANALYTIC_SPHERE: "spheres", structs.ANALYTIC_DISK: "disks", structs.ANALYTIC_CYLINDER: "cylinders"}
 MATERIALS = {bsdf_bits(name): kind.plugin or kind.description for name, kind in BSDF_KINDS.items()}
 TEXTURES = {
-    textures.TEXTURE_COLOUR: "plain",
+    textures.TEXTURE_COLOUR: "colour",
     textures.TEXTURE_BITMAP: "bitmap",
     textures.TEXTURE_CHECKERBOARD: "checkerboard",
     textures.TEXTURE_MESH_ATTRIBUTE: "mesh_attribute",
@@ -26,7 +27,7 @@ LIGHTS = {light_bits(name): f"{name}s" if kind.is_area else kind.plugin for name
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return the exit code."""
+    """Run the command; return the exit code. Raises UserError if the file cannot be read."""
     if Path(options.source).suffix.lower() == ".exr":
         _print_image(options.source)
     else:
@@ -38,10 +39,7 @@ def _print_image(path: str) -> None:
     from isonoise.film.exr import read_header
 
     channels, (width, height), header = read_header(path)
-    print(f"size      {width}x{height}")
-    print(f"channels  {', '.join(channels)}")
-    for name, value in sorted(header.items()):
-        print(f"{name:24}  {value}")
+    print(label_lines([("size", f"{width}x{height}"), ("channels", ", ".join(channels)), *sorted(header.items())]))
 
 
 def _print_scene(source: str, parameters: dict[str, str]) -> None:
@@ -52,23 +50,25 @@ def _print_scene(source: str, parameters: dict[str, str]) -> None:
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 
     scene = compile_scene(load(source, parameters))
-    for name, value in facts(scene).items():
-        print(f"{name:12} {value}")
+    print(label_lines(describe_scene(scene).items()))
     used = features(scene, make_strategy(DEFAULT_STRATEGY).needs)
-    width = max(map(len, used))
+    name_width = max(map(len, used))
 
-    def line(name: str) -> str:
-        return f"  {name:{width}}  {FEATURES[name].description}: {cost(name, used)}"
+    def print_features(is_on: bool) -> None:
+        rows = [
+            (name, f"{FEATURES[name].description}: {cost(name, used)}") for name, value in used.items() if value == is_on
+        ]
+        print(label_lines(rows, indent="  ", min_width=name_width))
 
     state = sum(path_bytes(used).values())
     print(f"\ncompiled in (strategy {DEFAULT_STRATEGY}); a path in flight has {state} bytes of state:")
-    print(*(line(name) for name, on in used.items() if on), sep="\n")
+    print_features(True)
     print("\nleft out, because neither scene nor strategy uses it, with the saving:")
-    print(*(line(name) for name, on in used.items() if not on), sep="\n")
+    print_features(False)
 
 
-def facts(scene: CompiledScene) -> dict[str, str]:
-    """The lines of a scene's summary: label -> text."""
+def describe_scene(scene: CompiledScene) -> dict[str, str]:
+    """Contents of a scene as text, by label."""
     depth = "unlimited" if scene.max_depth < 0 else str(scene.max_depth)
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in scene.bounds)
     return {

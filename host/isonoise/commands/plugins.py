@@ -1,31 +1,31 @@
-"""`isonoise plugins`: what of Mitsuba 3's vocabulary is read, what is not and why, and what parameters a plugin has."""
+"""`isonoise plugins`: lists Mitsuba 3's plugins with their support, or the parameters of one plugin."""
 
 import argparse
 import json
 import shutil
-import textwrap
 
 from isonoise.commands import EXIT_DONE
 from isonoise.errors import UserError
 from isonoise.scene.parse import plugin_tables
 from isonoise.scene.parse.elements import closest_name
 from isonoise.scene.vocabulary import UNSUPPORTED_PLUGINS, kinds_of, plugins_of
+from isonoise.tables import Table, columns, text_table
 
 
 def run(options: argparse.Namespace) -> int:
-    """List all kinds, one kind, or describe the plugins of a name. Raises UserError where there is no such name."""
+    """Run the command; returns the exit code. Raises UserError for an unknown kind or plugin."""
     name = options.name
     kinds = plugin_tables.KINDS if name is None else (name,) if name in plugin_tables.KINDS else ()
     if name is not None and not kinds and name not in _names():
         raise UserError(f"'{name}' is neither a kind nor a plugin; did you mean '{closest_name(name, _names())}'?")
-    found = [(kind, name) for kind in kinds_of(name) if kind in plugin_tables.KINDS] if not kinds else None
+    described = [(kind, name) for kind in kinds_of(name) if kind in plugin_tables.KINDS] if not kinds else None
     if options.json:
-        listed = found or [(kind, row[0]) for kind in kinds for row in plugin_tables.list_plugins(kind)]
+        listed = described or [(kind, row[0]) for kind in kinds for row in plugin_tables.list_plugins(kind)]
         print(json.dumps([_facts(kind, plugin) for kind, plugin in listed], indent=1))
-    elif found:
-        print("\n\n".join("\n".join(_description(kind, plugin)) for kind, plugin in found))
+    elif described:
+        print("\n\n".join("\n".join(_description(kind, plugin)) for kind, plugin in described))
     else:
-        print("\n\n".join("\n".join(_listing(kind)) for kind in kinds))
+        print("\n\n".join(f"{kind}\n{_plugin_table(kind)}" for kind in kinds))
     return EXIT_DONE
 
 
@@ -39,12 +39,12 @@ def _facts(kind: str, name: str) -> dict:
     return plugin_tables.plugin_info(plugin) if plugin else plugin_tables.unsupported_plugin_info(kind, name)
 
 
-def _listing(kind: str) -> list[str]:
-    return [kind, *_table(plugin_tables.list_plugins(kind))]
+def _plugin_table(kind: str) -> str:
+    return _text_table(("plugin", "status", "meaning"), plugin_tables.list_plugins(kind))
 
 
 def _description(kind: str, name: str) -> list[str]:
-    """A plugin in full."""
+    """Lines about one plugin: meaning, parameters, children."""
     if name in UNSUPPORTED_PLUGINS.get(kind, {}):
         return [f"{kind} '{name}': not supported (Mitsuba 3 has it): {UNSUPPORTED_PLUGINS[kind][name]}"]
     facts = _facts(kind, name)
@@ -52,32 +52,24 @@ def _description(kind: str, name: str) -> list[str]:
     rows = []
     for parameter in facts["parameters"]:
         type_ = parameter["type"] + (" or texture" if parameter["texture"] and parameter["type"] != "texture" else "")
-        over = (
-            "" if parameter["status"] == plugin_tables.STATUS[plugin_tables.SUPPORTED] else f"{parameter['status']}: "
-        )
-        rows.append((parameter["name"], type_, parameter["values"], parameter["default"], over + parameter["meaning"]))
+        is_supported = parameter["status"] == plugin_tables.STATUS[plugin_tables.SUPPORTED]
+        meaning = parameter["meaning"] if is_supported else f"{parameter['status']}: {parameter['meaning']}"
+        rows.append((parameter["name"], type_, parameter["values"], parameter["default"], meaning))
     if rows:
-        lines += _table([("parameter", "type", "values", "default", "meaning"), *rows])
+        lines.append(_text_table(("parameter", "type", "values", "default", "meaning"), rows))
     for child in facts["children"]:
         types = f" ({', '.join(child['types'])})" if child["types"] else ""
-        lines.append(f"  holds {_number(child['least'], child['most'])} {child['kind']}{types}")
+        lines.append(f"  children: {_format_range(child['least'], child['most'])} {child['kind']}{types}")
     return lines
 
 
-def _number(least: int, most: int) -> str:
+def _format_range(least: int, most: int) -> str:
     if most >= 1 << 16:
         return f"{least} or more"
     return str(most) if least == most else f"{least} to {most}"
 
 
-def _table(rows: list[tuple[str, ...]]) -> list[str]:
-    """Rows as columns of text; the last one is folded at the width of the terminal."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
-    left = sum(widths) + 2 * len(widths) + 2
-    room = max(shutil.get_terminal_size((120, 24)).columns - left, 30)
-    lines = []
-    for row in rows:
-        head = "  " + "".join(f"{cell:{width}}  " for cell, width in zip(row, widths, strict=False))
-        for number, part in enumerate(textwrap.wrap(row[-1], room) or [""]):
-            lines.append(((head if number == 0 else " " * left) + part).rstrip())
-    return lines
+def _text_table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A table whose last column is wrapped at the width of the terminal."""
+    table = Table(columns(*heads, left=range(len(heads))), rows)
+    return text_table(table, indent="  ", wrap=shutil.get_terminal_size((120, 24)).columns)

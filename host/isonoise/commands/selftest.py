@@ -10,10 +10,10 @@ from isonoise.device.opencl import Device
 from isonoise.film.files import check_writable, write_atomically
 from isonoise.selftest.cases import Case, Context
 from isonoise.selftest.runner import GROUPS, GroupResult, run_groups
+from isonoise.tables import LEFT, RIGHT, Column, Table, text_table
 
 EXIT_FAILED = 1
 SCHEMA = {"schema": "isonoise-selftest", "schema_version": 2}
-_ROW = "{:<76} {:>14} {:>14} {:>10}  {}"
 
 
 def run(options: argparse.Namespace) -> int:
@@ -83,10 +83,17 @@ def _finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _columns(group: str) -> list[Column]:
+    """Columns of a fixed width, because the cases are printed one by one."""
+    numbers = [Column("measured", RIGHT, 14), Column("expected", RIGHT, 14), Column("tolerance", RIGHT, 10)]
+    return [Column(group, LEFT, 76), *numbers, Column("verdict", LEFT)]
+
+
 def _print_head(group: str) -> None:
-    print(f"\n{_ROW.format(group, 'measured', 'expected', 'tolerance', 'verdict')}", flush=True)
+    print(f"\n{text_table(Table(_columns(group), []), indent='')}", flush=True)
 
 
 def _print_case(case: Case) -> None:
     numbers = (f"{case.measured:.9g}", f"{case.expected:.9g}", f"{case.tolerance:.2g}")
-    print(_ROW.format(case.name, *numbers, "pass" if case.passed else "FAIL"), flush=True)
+    row = (case.name, *numbers, "pass" if case.passed else "FAIL")
+    print(text_table(Table(_columns(""), [row]), heads=False, indent=""), flush=True)
