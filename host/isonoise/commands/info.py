@@ -56,7 +56,9 @@ def _print_scene(source: str, parameters: dict[str, str]) -> None:
 
     def print_features(is_on: bool) -> None:
         rows = [
-            (name, f"{FEATURES[name].description}: {cost(name, used)}") for name, value in used.items() if value == is_on
+            (name, f"{FEATURES[name].description}: {cost(name, used)}")
+            for name, value in used.items()
+            if value == is_on
         ]
         print(label_lines(rows, indent="  ", min_width=name_width))
 
