@@ -1,7 +1,7 @@
-"""Small renders under Oclgrind, which interprets kernels and reports races and memory wrongly read or written.
+"""Small renders under Oclgrind, which interprets kernels and reports races and invalid memory accesses.
 
-`python tests/checked_render.py CASE` runs itself under it; tests/README.md says what the options are for, and
-`test_oclgrind.py` asks for all of `CASES`.
+`python tests/checked_render.py CASE [FAULT]` starts itself under it; test_oclgrind.py runs all `CASES`. tests/README.md
+explains the options.
 """
 
 import os
@@ -29,11 +29,11 @@ WIDTH, HEIGHT = 9, 7
 
 @dataclass(frozen=True)
 class Case:
-    """What is rendered. A number is a file of `scene_generator`, text a built-in scene."""
+    """One render. A scene number is a file of `scene_generator`, text a built-in scene."""
 
     scene: int | str | dict
     strategy: str = "uniform"
-    many: bool = False  # many paths a work-item, as on PoCL; else one, as on a GPU
+    many: bool = False  # many paths per work-item, as on PoCL; else one, as on a GPU
     pool: int = 150
     spp: int = 2
 
@@ -48,8 +48,8 @@ def filtered_lamp() -> dict:
     return scene
 
 
-# Together they have every feature, in the kernels with one path a work-item and, where there are such, in those with
-# many. The large pool is for work-items that follow several rays, and for more than one block of paths.
+# Together they cover every feature, in the kernels with one path per work-item and, where they exist, with many.
+# The large pool is for work-items that trace several rays, and for more than one block of paths.
 CASES = {
     **{f"file {seed}": Case(seed) for seed in (1, 31, 50, 51, 90, 98)},
     **{f"file {seed}, many": Case(seed, many=True) for seed in (1, 20, 51, 75)},
@@ -63,7 +63,7 @@ CASES = {
     "lamp, many": Case(filtered_lamp(), "relative-median", many=True, pool=600, spp=10),
 }
 
-# What the checks have to find: what a file's text is spoiled by, and what Oclgrind then says.
+# Deliberate faults: kernel file, text, its replacement, and a part of Oclgrind's report.
 FAULTS = {
     "uninitialised": ("stages/intersect.cl", "hit_u = 0.0f, hit_v = 0.0f;", "hit_u, hit_v;", "Uninitialized value"),
     "not written": (
@@ -82,7 +82,8 @@ FAULTS = {
 }
 
 _POISON = "__kernel void poison(__global uint16* buffer) { uint16 nothing; buffer[get_global_id(0)] = nothing; }"
-_NOT_YET_WRITTEN = (
+# Labels of the buffers that a kernel has to write before another one reads them.
+WRITTEN_BY_KERNELS = (
     "the flags of the paths",
     "the hits",
     "the paths",
@@ -93,11 +94,11 @@ _NOT_YET_WRITTEN = (
 
 
 class CheckedDevice(Device):
-    """A device of which Oclgrind knows what is initialised.
+    """A device on which Oclgrind knows which memory is initialised.
 
-    What the host writes to a part of a buffer makes Oclgrind 21.10 forget the rest: its table is then as long as that
-    part. So buffers are written as a whole; and those that no kernel may read before another one has written them are
-    filled, by a kernel, with what is not initialised.
+    When the host writes a part of a buffer, Oclgrind 21.10 forgets the rest: its table is then as long as that part. So
+    buffers are written as a whole. Buffers that a kernel has to write before another one reads them are filled with
+    uninitialised values by a kernel.
     """
 
     many = False
@@ -112,26 +113,26 @@ class CheckedDevice(Device):
 
     @property
     def shares_memory(self) -> bool:
-        return False  # Oclgrind takes what stands in the host's memory for not initialised
+        return False  # Oclgrind treats the host's memory as uninitialised
 
-    def buffer(self, size: int | np.ndarray, what: str):
-        if isinstance(size, np.ndarray):
-            return super().buffer(size, what)
-        rows = -(-size // 64)
-        buffer = super().buffer(np.zeros(16 * rows, np.uint32), what)
-        if what in _NOT_YET_WRITTEN:
+    def buffer(self, content: int | np.ndarray, label: str):
+        if isinstance(content, np.ndarray):
+            return super().buffer(content, label)
+        rows = -(-content // 64)
+        buffer = super().buffer(np.zeros(16 * rows, np.uint32), label)
+        if label in WRITTEN_BY_KERNELS:
             self.build(_POISON, ())["poison"](self.queue, (rows,), (1,), buffer)
         return buffer
 
     def write(self, buffer, array: np.ndarray, offset: int = 0) -> None:
-        whole = self.read(buffer, np.uint8, buffer.size)
+        content = self.read(buffer, np.uint8, buffer.size)
         part = np.ascontiguousarray(array).view(np.uint8).ravel()
-        whole[offset : offset + len(part)] = part
-        super().write(buffer, whole)
+        content[offset : offset + len(part)] = part
+        super().write(buffer, content)
 
 
 def render(case: Case) -> Renderer:
-    """Two waves, with a pool smaller than a wave, so that paths of different depths share launches."""
+    """Render two waves with a pool smaller than a wave, so that paths of different depths share launches."""
     CheckedDevice.many = case.many
     isonoise.renderer.Device = CheckedDevice
     with tempfile.TemporaryDirectory() as folder:
@@ -142,47 +143,47 @@ def render(case: Case) -> Renderer:
     return renderer
 
 
-def spoil(fault: str) -> None:
-    """From now on kernels are built with this one of `FAULTS`."""
-    spoiled, before, after, _ = FAULTS[fault]
+def inject_fault(fault: str) -> None:
+    """Build all further kernels with one of `FAULTS`."""
+    file, before, after, _ = FAULTS[fault]
     original = program.kernel_source
 
     def read(name: str) -> str:
         text = original(name)
-        assert name != spoiled or before in text
-        return text.replace(before, after) if name == spoiled else text
+        assert name != file or before in text
+        return text.replace(before, after) if name == file else text
 
     program.kernel_source = read
 
 
-def findings(log: str) -> list[str]:
-    """What Oclgrind has found, without what it is told to find and what is not the kernels' or the host's.
+def fault_reports(log: str) -> list[str]:
+    """Oclgrind's reports, without the expected ones.
 
-    pyopencl asks devices for properties that OpenCL 1.2 does not have.
+    Expected are the uninitialised values of `poison`, and device properties that pyopencl queries but OpenCL 1.2 lacks.
     """
     reports = [report.strip() for report in re.split(r"\n\s*\n", log) if report.strip()]
     expected = re.compile(r"Kernel: poison\b|Function: clGetDeviceInfo\b")
     return [report for report in reports if not expected.search(report)]
 
 
-def under_oclgrind(*arguments: str) -> list[str]:
-    """The command that runs this file under Oclgrind."""
+def oclgrind_command(*arguments: str) -> list[str]:
+    """The command line that runs this file under Oclgrind."""
     return [*COMMAND, "--build-options", BUILD_OPTIONS, sys.executable, __file__, *arguments]
 
 
 def main(arguments: list[str]) -> None:
-    """Renders the case, after spoiling the kernels if a fault is named as well."""
+    """Render the case, with a fault if one is named."""
     if COMMAND[0] not in os.environ.get("LD_PRELOAD", ""):
         if not shutil.which(COMMAND[0]):
-            sys.exit("there is no oclgrind: apt install oclgrind")
-        command = under_oclgrind(*arguments)
+            sys.exit("oclgrind is not installed: apt install oclgrind")
+        command = oclgrind_command(*arguments)
         os.execvpe(command[0], command, os.environ | {FOLDER_VARIABLE: "off"})
     case, *faults = arguments
     for fault in faults:
-        spoil(fault)
-    done = render(CASES[case])
-    assert "oclgrind" in done.device_name.lower()
-    print(f"rendered {case}: mean {done.image().mean():.6g}")
+        inject_fault(fault)
+    renderer = render(CASES[case])
+    assert "oclgrind" in renderer.device_name.lower()
+    print(f"rendered {case}: mean {renderer.image().mean():.6g}")
 
 
 if __name__ == "__main__":

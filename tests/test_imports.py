@@ -1,4 +1,4 @@
-"""What a command does without it does not import: processes of their own are asked at their end what they hold."""
+"""Commands import only what they need: subprocesses print their modules when they end."""
 
 import json
 import os
@@ -24,11 +24,11 @@ SHARED = {
         "uniform_allocation",
     )
 }
-"""What all strategies have in common, and the floor of the stated error (`measures`)."""
-MOST_SECONDS = 1.0
-"""Of both cores together, to the first program that is to be compiled: 0.55 where this was written."""
+"""Modules that all strategies use, and `measures` for the floor of the stated error."""
+MAX_START_CPU_S = 1.0
+"""CPU time up to the first program to be compiled: 0.55 s on the machine where this was written."""
 
-AT_THE_END = """
+PRINT_MODULES = """
 import json, sys
 from isonoise.cli import main
 try:
@@ -37,7 +37,7 @@ except SystemExit as exit_:
     code = exit_.code
 print(json.dumps([code, sorted(sys.modules)]))
 """
-TO_THE_COMPILER = """
+TIME_TO_COMPILER = """
 import sys, time
 from isonoise.device.opencl import Device
 
@@ -52,7 +52,7 @@ main(sys.argv[1:])
 
 
 def python(code: str, *arguments) -> str:
-    """What a process prints last."""
+    """The last line that a Python process prints."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT)
     assert done.returncode == 0, done.stderr
@@ -60,7 +60,7 @@ def python(code: str, *arguments) -> str:
 
 
 def modules_after(*command) -> set[str]:
-    code, modules = json.loads(python(AT_THE_END, *command))
+    code, modules = json.loads(python(PRINT_MODULES, *command))
     assert code == 0, command
     return set(modules)
 
@@ -73,8 +73,8 @@ def strategies(modules: set[str]) -> set[str]:
     return {name for name in modules if name.startswith("isonoise.strategies.")} - SHARED
 
 
-def test_a_uniform_render_has_no_code_of_other_renders(tmp_path):
-    """No allocation, no other strategy, no mesh reader, no plots, no measuring and no testing."""
+def test_a_uniform_render_imports_nothing_of_other_renders(tmp_path):
+    """No allocation rules, other strategies, mesh readers, plots, benchmarks and self-tests."""
     modules = render("cornell", "--strategy", "uniform", folder=tmp_path)
     assert strategies(modules) == {"isonoise.strategies.uniform"}
     assert modules.isdisjoint(HEAVY)
@@ -85,35 +85,35 @@ def test_a_uniform_render_has_no_code_of_other_renders(tmp_path):
         "numpy",
         "pyopencl",
         "OpenEXR",
-    } <= modules  # or the names have changed
+    } <= modules  # otherwise names have changed
 
 
-def test_an_adaptive_render_has_its_own_strategy_alone(tmp_path):
+def test_an_adaptive_render_imports_only_its_own_strategy(tmp_path):
     modules = render("cornell", "--strategy", "relative-mean", folder=tmp_path)
     assert strategies(modules) == {"isonoise.strategies.adaptive", "isonoise.strategies.allocation"}
 
 
 @pytest.mark.parametrize(("kind", "imports"), [("ply", False), ("glb", True)])
-def test_trimesh_reads_what_we_do_not(tmp_path, kind, imports):
+def test_trimesh_is_imported_for_its_formats_only(tmp_path, kind, imports):
     path = tmp_path / f"mesh.{kind}"
     path.write_bytes(small_files.ply() if kind == "ply" else small_files.foreign(kind))
     assert ("trimesh" in modules_after("info", path)) == imports
 
 
 @pytest.mark.parametrize("command", [("info", "cornell"), ("devices",), ("plugins",), ("--version",)])
-def test_commands_that_draw_nothing_import_no_plots(command):
+def test_commands_without_plots_import_no_heavy_packages(command):
     assert modules_after(*command).isdisjoint(HEAVY)
 
 
-def test_comparisons_import_plots_when_they_draw():
+def test_comparisons_import_plots_only_for_the_report():
     code = "import json, sys, isonoise.commands.compare, isonoise.comparison.runner; print(json.dumps([*sys.modules]))"
     assert set(json.loads(python(code))).isdisjoint({"matplotlib", "jinja2", "mitsuba"})
 
 
 def test_a_render_starts_within_a_second(tmp_path):
-    """Seconds of the processor, of the fastest of three: others may keep the machine busy."""
-    seconds = min(
-        float(python(TO_THE_COMPILER, "render", "cornell", "--spp", "1", "-o", tmp_path / "image.exr"))
+    """CPU time of the fastest of three: other programs may keep the machine busy."""
+    cpu_s = min(
+        float(python(TIME_TO_COMPILER, "render", "cornell", "--spp", "1", "-o", tmp_path / "image.exr"))
         for _ in range(3)
     )
-    assert seconds < MOST_SECONDS
+    assert cpu_s < MAX_START_CPU_S

@@ -1,4 +1,4 @@
-"""Kernels under a checker of memory, races and uninitialised values (checked_render.py): none is found, faults are."""
+"""Renders under Oclgrind (checked_render.py): none has a fault, and deliberate faults are found."""
 
 import os
 import shutil
@@ -6,11 +6,15 @@ import subprocess
 
 import checked_render
 import pytest
-from checked_render import CASES, FAULTS
+from checked_render import CASES, FAULTS, WRITTEN_BY_KERNELS
+from small_scene import lamp_over_floor
 
+from isonoise.device.opencl import Device
+from isonoise.device.program import kernel_source
 from isonoise.device.program_cache import FOLDER_VARIABLE
 from isonoise.integrator.brute_force import use_brute_force
 from isonoise.integrator.features import FEATURES, features, statistics_features
+from isonoise.renderer import Renderer
 from isonoise.scene import compile_scene, load
 from isonoise.statistics import BASIC_NEEDS
 from isonoise.strategies import make_strategy
@@ -19,22 +23,22 @@ from isonoise.strategies import make_strategy
 @pytest.fixture(scope="module")
 def oclgrind() -> None:
     if not shutil.which("oclgrind"):
-        pytest.skip("there is no oclgrind: apt install oclgrind")
+        pytest.skip("oclgrind is not installed: apt install oclgrind")
 
 
 def run(*arguments: str) -> list[str]:
-    """What Oclgrind finds in a render."""
+    """Oclgrind's reports about a render."""
     environment = os.environ | {FOLDER_VARIABLE: "off"}
-    done = subprocess.run(checked_render.under_oclgrind(*arguments), env=environment, capture_output=True, text=True)
+    done = subprocess.run(checked_render.oclgrind_command(*arguments), env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-4000:]
     assert f"rendered {arguments[0]}" in done.stdout
-    return checked_render.findings(done.stderr)
+    return checked_render.fault_reports(done.stderr)
 
 
 @pytest.mark.parametrize("many", [False, True])
-def test_the_cases_have_every_feature(many, tmp_path):
+def test_the_cases_cover_every_feature(many, tmp_path):
     without = {"COUNT_TESTS"}
-    if many:  # there are no such kernels
+    if many:  # no kernels with many paths per work-item have these
         without |= {"VOLPATH", "MEDIA", "NULL", *statistics_features(BASIC_NEEDS)}
     seen, kinds = set(), set()
     for number, case in enumerate(case for case in CASES.values() if case.many == many):
@@ -48,14 +52,34 @@ def test_the_cases_have_every_feature(many, tmp_path):
     assert kinds == {False, True}
 
 
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_change_a_kernel(fault):
+    file, before, _, _ = FAULTS[fault]
+    assert before in kernel_source(file)
+
+
+def test_buffers_written_by_kernels_are_allocated(monkeypatch):
+    labels = set()
+    buffer = Device.buffer
+
+    def note_label(self, content, label):
+        labels.add(label)
+        return buffer(self, content, label)
+
+    monkeypatch.setattr(Device, "buffer", note_label)
+    monkeypatch.setattr(Device, "build", lambda self, text, options: {})
+    Renderer(lamp_over_floor())
+    assert set(WRITTEN_BY_KERNELS) <= labels
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
-def test_nothing_is_found(oclgrind, case):
+def test_renders_have_no_faults(oclgrind, case):
     assert not run(case)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_are_found(oclgrind, fault):
+def test_deliberate_faults_are_found(oclgrind, fault):
     found = run("lamp", fault)
     assert any(FAULTS[fault][-1] in report for report in found)
