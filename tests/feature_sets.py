@@ -7,6 +7,10 @@ import numpy as np
 import small_files
 
 from isonoise.integrator.features import FEATURES
+from isonoise.scene.light.light_kinds import KINDS as LIGHT_KINDS
+from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
+from isonoise.scene.material.bsdf_kinds import feature_of
+from isonoise.scene.vocabulary import plugins_of
 from isonoise.statistics import Needs
 
 NEEDS = {  # no scene has the one without the others
@@ -29,14 +33,18 @@ NEEDS = {  # no scene has the one without the others
     "LIGHT_LIST": {"NEXT_EVENT", "MANY_LIGHTS"},
     "BATCH_MEANS": {"CHUNK_MEDIANS"},
 }
-SURFACE_LIGHTS = ("TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS")
-LIGHTS = ("POINT_LIGHTS", "SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "ENVIRONMENT_MAP", *SURFACE_LIGHTS)
-SMOOTH = ("DIFFUSE", "ROUGH_CONDUCTOR", "ROUGH_DIELECTRIC", "PLASTIC", "ROUGH_PLASTIC", "PRINCIPLED", "MEDIA")
-ROUGH = ("ROUGH_CONDUCTOR", "ROUGH_DIELECTRIC", "ROUGH_PLASTIC")
+AREA_LIGHTS = tuple(kind.feature for kind in LIGHT_KINDS.values() if kind.is_area)
+LIGHTS = (*(kind.feature for kind in LIGHT_KINDS.values() if not kind.is_area), *AREA_LIGHTS)
+NON_DELTA = tuple(feature_of(kind) for kind in BSDF_KINDS.values() if kind.scatters and not kind.is_delta)
+ROUGH = tuple(
+    feature_of(kind)
+    for kind in BSDF_KINDS.values()
+    if kind.plugin and plugins_of("bsdf")[kind.plugin].parameter("distribution")
+)
 ANY_OF = {  # a scene with the one has at least one of each of these; the first stands for them where nothing else does
     "ANALYTICS": [("SPHERES", "DISKS", "CYLINDERS")],
-    "AREA_LIGHTS": [SURFACE_LIGHTS],
-    "NEXT_EVENT": [LIGHTS, SMOOTH],
+    "AREA_LIGHTS": [AREA_LIGHTS],
+    "NEXT_EVENT": [LIGHTS, NON_DELTA],
     "TEXTURES": [("BITMAPS", "CHECKERBOARDS", "MESH_ATTRIBUTES")],
     "BECKMANN": [ROUGH],
     "SAMPLE_ALL_NORMALS": [ROUGH],
@@ -174,17 +182,12 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
     (folder / "sky.hdr").write_bytes(small_files.hdr())
     image = {"type": "bitmap", "filename": str(folder / "image.png")}
     simple = {
-        "DIFFUSE": {"type": "diffuse", "reflectance": 0.6},
-        "CONDUCTOR": {"type": "conductor"},
-        "DIELECTRIC": {"type": "dielectric"},
-        "THIN_DIELECTRIC": {"type": "thindielectric"},
-        "ROUGH_CONDUCTOR": {"type": "roughconductor", **rough},
-        "ROUGH_DIELECTRIC": {"type": "roughdielectric", **rough},
-        "PLASTIC": {"type": "plastic"},
-        "ROUGH_PLASTIC": {"type": "roughplastic", **rough},
-        "PRINCIPLED": {"type": "principled", "roughness": 0.4},
-        "NULL": {"type": "null"},
+        feature_of(kind): {"type": kind.plugin} for kind in BSDF_KINDS.values() if kind.plugin and not kind.is_wrapper
     }
+    for name in ROUGH:
+        simple[name] |= rough
+    simple["DIFFUSE"]["reflectance"] = 0.6
+    simple["PRINCIPLED"]["roughness"] = 0.4
     materials = [material for name, material in simple.items() if on[name]]
     shapes = [
         shape
@@ -213,7 +216,7 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
             asked[name] &= on["DIFFUSE"]
         materials += [material for name, material in more.items() if asked[name]]
 
-    smooth = any(on[name] for name in SMOOTH)
+    smooth = any(on[name] for name in NON_DELTA)
     lit = any(on[name] for name in LIGHTS)
     integrator = {
         "type": "volpath" if on["VOLPATH"] else "path",
@@ -252,18 +255,20 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
         scene["cloud"] = {**ball, "to_world": placed((0.0, 0.0, 4.5), 1.2)}
 
     radiance = {"type": "rgb", "value": [2.0, 1.5, 1.0]}
-    lamps = zip(SURFACE_LIGHTS, ("rectangle", "sphere", "disk", "cylinder"), strict=True)
+    lamps = zip(AREA_LIGHTS, ("rectangle", "sphere", "disk", "cylinder"), strict=True)
     for k, (name, shape) in enumerate(lamps):
         if on[name] and materials:
             shines = image if on["TEXTURED_LIGHTS"] and on["BITMAPS"] and shape == "rectangle" else radiance
             lamp = {"type": shape, "bsdf": materials[0], "emitter": {"type": "area", "radiance": shines}}
             scene[name] = {**lamp, "to_world": placed((k - 1.5, 2.0, 4.0), 0.3)}
-    if on["POINT_LIGHTS"]:
-        scene["point"] = {"type": "point", "position": [0.0, 1.0, 2.0], "intensity": radiance}
-    if on["SPOT_LIGHTS"]:
-        scene["spot"] = {"type": "spot", "intensity": radiance, "cutoff_angle": 40.0}
-    if on["DIRECTIONAL_LIGHTS"]:
-        scene["sun"] = {"type": "directional", "direction": [0.1, -0.4, 1.0], "irradiance": radiance}
+    placing = {
+        "point": {"position": [0.0, 1.0, 2.0]},
+        "spot": {"cutoff_angle": 40.0},
+        "directional": {"direction": [0.1, -0.4, 1.0]},
+    }
+    for name, kind in LIGHT_KINDS.items():
+        if on[kind.feature] and not (kind.is_area or kind.is_environment):
+            scene[name] = {"type": kind.plugin, kind.emission: radiance, **placing.get(name, {})}
     if on["ENVIRONMENT_MAP"]:
         scene["sky"] = {"type": "envmap", "filename": str(folder / "sky.hdr")}
     elif on["CONSTANT_LIGHT"]:
