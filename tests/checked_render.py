@@ -65,7 +65,7 @@ CASES = {
 
 # Deliberate faults: kernel file, text, its replacement, and a part of Oclgrind's report.
 FAULTS = {
-    "uninitialised": ("stages/intersect.cl", "hit_u = 0.0f, hit_v = 0.0f;", "hit_u, hit_v;", "Uninitialized value"),
+    "uninitialised": ("stages/intersect.cl", "closest.u = closest.v = 0.0f;", "", "Uninitialized value"),
     "not written": (
         "stages/generate.cl",
         "PLANE(PATH_DEPTH, path, plane_stride)[slot] = 0u;",

@@ -1,6 +1,7 @@
-// Stages between two bounces: the paths that go on move to the front of the pool, in their order; new ones are generated behind
-// them. So the pool stays dense, and paths of one age, which behave alike, stay side by side.
-// Stable and without atomics: count per block, scan the blocks, move. One work-item a block.
+// Stages between two bounces: compaction moves the live paths to the front of the pool and keeps their order. New paths
+// are generated behind them, so the pool stays dense, and paths of the same depth, which behave alike, stay together.
+// Stable and without atomics: count per block, scan the blocks, move. One work-item per block.
+// Reads alive and the path state; writes total_alive and the other copy of the path state.
 #include "path/path_state.h"
 
 __kernel void count_alive(
@@ -16,7 +17,7 @@ __kernel void count_alive(
     block_alive[block] = sum;
 }
 
-// Turns the counts into the number alive before each block; total_alive gets the sum.
+// Replaces the counts by their exclusive prefix sum; total_alive receives the total.
 __kernel void scan_blocks(
 #include "generated/scan_blocks_parameters.h"
 )
@@ -24,25 +25,27 @@ __kernel void scan_blocks(
     if (get_global_id(0) != 0) return;
     uint sum = 0;
     for (uint block = 0; block < blocks_in_use; ++block) {
-        const uint here = block_alive[block];
+        const uint block_count = block_alive[block];
         block_alive[block] = sum;
-        sum += here;
+        sum += block_count;
     }
     *total_alive = sum;
 }
 
-// A plane of the paths whose places are listed moves to where they are in a row.
-INLINE void move_plane(__global const uint* plane, __global uint* to, const uint* from, uint count)
+// Gathers one plane of the paths in `source_slots` into consecutive slots of `target`.
+INLINE void move_plane(__global const uint* source, __global uint* target, const uint* source_slots, uint count)
 {
 #if LANES > 1
 #pragma clang loop vectorize(assume_safety)
 #endif
-    for (size_t k = 0; k < count; ++k) to[k] = plane[from[k]];
+    for (size_t k = 0; k < count; ++k) target[k] = source[source_slots[k]];
 }
 
-INLINE void move_planes(uint number, __global const uint* planes, __global uint* to, uint plane_stride, const uint* from, uint count)
+INLINE void move_planes(uint planes, __global const uint* source, __global uint* target, uint plane_stride,
+                        const uint* source_slots, uint count)
 {
-    for (uint k = 0; k < number; ++k) move_plane(PLANE(k, planes, plane_stride), PLANE(k, to, plane_stride), from, count);
+    for (uint k = 0; k < planes; ++k)
+        move_plane(PLANE(k, source, plane_stride), PLANE(k, target, plane_stride), source_slots, count);
 }
 
 __kernel void move_paths(
@@ -52,10 +55,10 @@ __kernel void move_paths(
     const uint block = get_global_id(0);
     const uint begin = block * PATHS_PER_BLOCK;
     if (begin >= path_count) return;
-    const uint end = MIN(begin + PATHS_PER_BLOCK, path_count), to = block_alive[block];
-    uint from[PATHS_PER_BLOCK], count = 0;
+    const uint end = MIN(begin + PATHS_PER_BLOCK, path_count), first_target = block_alive[block];
+    uint source_slots[PATHS_PER_BLOCK], count = 0;
     for (uint i = begin; i < end; ++i) {
-        from[count] = i;
+        source_slots[count] = i;
         count += alive[i];
     }
 #include "generated/move_path_state.h"

@@ -1,8 +1,56 @@
-// Stage: the closest surface along the ray of every path.
+// Stage: finds the closest hit of the ray of every path by BVH traversal.
 // Reads ray_origin, ray_direction, path (the primitive that the ray starts on); writes hit = (t, u, v, primitive bits).
-// With instances: reads in which one the ray starts, writes in which one it ends; NONE is the world.
-// To measure: writes how many nodes and blocks of triangles each ray was tested against.
+// With instances: `instance` holds the instance that the ray starts in and receives that of the hit; NONE is the world.
+// With COUNT_TESTS: writes how many nodes and triangle blocks each ray was tested against.
 #include "geometry/traverse.h"
+
+typedef struct {
+    float t, u, v;
+    uint primitive;  // NONE without a hit; then t is the length of the ray
+#if FEATURE_INSTANCES
+    uint instance;
+#endif
+} ClosestHit;
+
+#if FEATURE_TRIANGLES
+INLINE void update_from_block(ClosestHit* closest, const Traversal* traversal, __global const float8* block)
+{
+    float8 t8, u8, v8;
+    uint hits = intersect_triangle_block(block, &traversal->ray, traversal->skip, closest->t, &t8, &u8, &v8);
+    if (!hits) return;
+    Float8Lanes t, u, v;
+    t.vector = t8;
+    u.vector = u8;
+    v.vector = v8;
+    for (; hits; hits &= hits - 1u) {
+        const uint lane = lowest_set_bit(hits);
+        if (t.lane[lane] < closest->t) {
+            closest->t = t.lane[lane];
+            closest->u = u.lane[lane];
+            closest->v = v.lane[lane];
+            closest->primitive = ((__global const uint*)(block + 9))[lane];
+#if FEATURE_INSTANCES
+            closest->instance = traversal->instance;
+#endif
+        }
+    }
+}
+#endif
+
+#if FEATURE_ANALYTICS
+INLINE void update_from_analytic(ClosestHit* closest, const Traversal* traversal, __global const Analytic* analytics,
+                                 uint index)
+{
+    const float t = intersect_analytic_leaf(traversal, analytics, index, closest->t);
+    if (t < closest->t) {
+        closest->t = t;
+        closest->primitive = ANALYTIC_BIT | index;
+#if FEATURE_INSTANCES
+        closest->instance = traversal->instance;
+#endif
+    }
+}
+#endif
 
 __kernel void intersect(
 #include "generated/intersect_parameters.h"
@@ -12,66 +60,37 @@ __kernel void intersect(
     for (uint i = first; i < end; ++i) {
         const Vec4 origin = load_planes4(ray_origin, i, plane_stride);
         Traversal traversal;
+        ClosestHit closest;
+        closest.t = origin.w;
+        closest.u = closest.v = 0.0f;
+        closest.primitive = NONE;
 #if FEATURE_INSTANCES
         traversal.instances = instances;
         traversal.first_instance = first_instance;
         traversal.start_instance = instance[i];
-        uint hit_instance = NONE;
+        closest.instance = NONE;
 #endif
         ulong stack[STACK_SIZE];
         begin_traversal(&traversal, stack, xyz(origin), load_planes3(ray_direction, i, plane_stride),
-                   (uint2)(PLANE(PATH_START_PRIMITIVE, path, plane_stride)[i], NONE));
+                        (uint2)(PLANE(PATH_START_PRIMITIVE, path, plane_stride)[i], NONE));
 
-        float t_max = origin.w, hit_u = 0.0f, hit_v = 0.0f;
-        uint primitive = NONE;
 #if FEATURE_COUNT_TESTS
         uint blocks_tested = 0u;
 #endif
-        for (uint leaf; (leaf = next_leaf(&traversal, stack, nodes, blocks, t_max, true)) != NO_LEAF;) {
-#if FEATURE_TRIANGLES
-            if (leaf < first_analytic) {
+        for (uint leaf; (leaf = next_leaf(&traversal, stack, nodes, blocks, closest.t, true)) != NO_LEAF;) {
 #if FEATURE_COUNT_TESTS
-                ++blocks_tested;
+            blocks_tested += leaf < first_analytic ? 1u : 0u;
 #endif
-                __global const float8* block = blocks + leaf;
-                float8 t8, u8, v8;
-                uint hits = intersect_triangle_block(block, &traversal.ray, traversal.skip, t_max, &t8, &u8, &v8);
-                if (!hits) continue;
-                Float8Lanes t, u, v;
-                t.vector = t8;
-                u.vector = u8;
-                v.vector = v8;
-                for (; hits; hits &= hits - 1u) {
-                    const uint lane = lowest_set_bit(hits);
-                    if (t.lane[lane] < t_max) {
-                        t_max = t.lane[lane];
-                        hit_u = u.lane[lane];
-                        hit_v = v.lane[lane];
-                        primitive = ((__global const uint*)(block + 9))[lane];
-#if FEATURE_INSTANCES
-                        hit_instance = traversal.instance;
-#endif
-                    }
-                }
-            }
+#if FEATURE_TRIANGLES
+            if (leaf < first_analytic) update_from_block(&closest, &traversal, blocks + leaf);
 #endif
 #if FEATURE_ANALYTICS
-            if (leaf >= first_analytic) {
-                const uint index = leaf - first_analytic;
-                const float t = intersect_analytic_leaf(&traversal, analytics, index, t_max);
-                if (t < t_max) {
-                    t_max = t;
-                    primitive = ANALYTIC_BIT | index;
-#if FEATURE_INSTANCES
-                    hit_instance = traversal.instance;
-#endif
-                }
-            }
+            if (leaf >= first_analytic) update_from_analytic(&closest, &traversal, analytics, leaf - first_analytic);
 #endif
         }
-        store_planes4(vec4(t_max, hit_u, hit_v, as_float(primitive)), hit, i, plane_stride);
+        store_planes4(vec4(closest.t, closest.u, closest.v, as_float(closest.primitive)), hit, i, plane_stride);
 #if FEATURE_INSTANCES
-        instance[i] = hit_instance;
+        instance[i] = closest.instance;
 #endif
 #if FEATURE_COUNT_TESTS
         tests[i] = (uint2)(traversal.nodes_tested, blocks_tested);

@@ -1,11 +1,11 @@
-// Stage: intersect, of scenes of few primitives. What it reads and writes is told in stages/intersect.cl.
+// Stage: replaces intersect.cl in scenes of few primitives. It reads and writes the same buffers.
 #include "geometry/brute_force.h"
 
 __kernel void intersect(
 #include "generated/intersect_brute_force_parameters.h"
 )
 {
-    const Primitives all = {corners, corner_indices, corner_count, triangle_count, analytics, analytic_count};
+    const Primitives primitives = {corners, corner_indices, corner_count, triangle_count, analytics, analytic_count};
     for (size_t first = get_global_id(0) * LANES, end = first + LANES; first < end; first += PACKET_SIZE) {
         if (first >= path_count) return;
         RayPacket packet;
@@ -21,7 +21,7 @@ __kernel void intersect(
             }
             set_ray(&packet, ray, xyz(origin), direction, start_primitive, NONE, origin.w);
         }
-        intersect_all(&packet, &all);
+        intersect_all(&packet, &primitives);
         FOR_RAYS(ray) {
             const size_t i = first + ray;
             const Vec4 nearest = vec4(packet.t_max[ray], packet.u[ray], packet.v[ray], as_float(packet.primitive[ray]));

@@ -1,5 +1,5 @@
-// Stage: the sample list of one slice of a wave: which pixel each of its samples belongs to.
-// One work-item a pixel of the slice; pixel_offset is where the pixel's samples begin in the slice.
+// Stage: makes the sample list of a slice of a wave. One work-item per pixel of the slice.
+// Reads pixel_offset, where the pixel's samples begin in the slice; writes sample_pixel, the pixel of every sample.
 
 __kernel void list_samples(
 #include "generated/list_samples_parameters.h"

@@ -1,29 +1,86 @@
-// Stage: the samples of a slice enter the per-pixel statistics. One work-item a pixel, which reads its samples in order.
-// Blocks of SAMPLES_PER_BLOCK samples, by sample index, are summed about the mean of all before them and merged; the unfinished one waits
-// in the state, so that the result depends on the samples alone and not on how they were cut into waves. So do chunks.
+// Stage: adds the samples of a slice to the per-pixel statistics. One work-item per pixel, which reads its samples in
+// order. Blocks of SAMPLES_PER_BLOCK samples, by sample index, are summed relative to the mean of all samples before
+// them, then merged. The unfinished block waits in the state, so the result depends on the samples alone and not on how
+// they were cut into waves. The same holds for chunks, of which medians are taken.
 #include "util/statistics.h"
 #include "util/math.h"
 
-#define LUMINANCE_LIMIT 0x1p62f  // from here on a square would leave float32; such a sample counts as not finite
+#define LUMINANCE_LIMIT 0x1p62f  // from here on a square would overflow; such samples are rejected like non-finite ones
+
+INLINE bool is_rejected(Vec3 rgb, float x)
+{
+    const bool is_negative = rgb.x < 0.0f || rgb.y < 0.0f || rgb.z < 0.0f;
+    return is_negative || !(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && x < LUMINANCE_LIMIT);
+}
+
+INLINE void store_sums(const Compensated* sums, uint sum_count, __global float* planes, uint stride)
+{
+    for (uint c = 0; c < sum_count; ++c) store_sum(sums[c], planes + 2 * c * stride, stride);
+}
+
+INLINE void store_moments(const Moments* m, __global float* sums, __global float* block_sums, uint stride)
+{
+    store_sums(m->sum, 4, sums, stride);
+    store_sum(m->m2, sums + 8 * stride, stride);
+    block_sums[0] = m->block_rgb.x;
+    block_sums[stride] = m->block_rgb.y;
+    block_sums[2 * stride] = m->block_rgb.z;
+    block_sums[3 * stride] = m->shift;
+    block_sums[4 * stride] = m->block_sum;
+    block_sums[5 * stride] = m->block_squares;
+}
+
+// Adds the n-th sample, with luminance x.
+INLINE void add_to_moments(Moments* m, uint n, Vec3 rgb, float x)
+{
+    const uint index = n % SAMPLES_PER_BLOCK;
+    if (index == 0) {
+        m->block_rgb = splat3(0.0f);
+        m->shift = n ? divide_compensated(m->sum[3], n).high : x;
+        m->block_sum = m->block_squares = 0.0f;
+    }
+    const float difference = x - m->shift;
+    m->block_rgb = add3(m->block_rgb, rgb);
+    m->block_sum += difference;
+    m->block_squares += difference * difference;
+    if (index == SAMPLES_PER_BLOCK - 1) merge_block(m, n - index, SAMPLES_PER_BLOCK);
+}
 
 #if FEATURE_CHUNK_MEDIANS
-// An entry takes its place in its chunk; the median of a full chunk enters the sum.
-INLINE void add_to_chunk(uint number, float entry, float* pending, Compensated* median_sum)
+// Stores an entry in its chunk. The median of a full chunk is added to the sum.
+INLINE void add_to_chunk(uint entry_index, float entry, float* pending, Compensated* median_sum)
 {
-    pending[number % CHUNK_SIZE] = entry;
-    if (number % CHUNK_SIZE != CHUNK_SIZE - 1) return;
+    pending[entry_index % CHUNK_SIZE] = entry;
+    if (entry_index % CHUNK_SIZE != CHUNK_SIZE - 1) return;
     float sorted[CHUNK_SIZE];
     for (uint k = 0; k < CHUNK_SIZE; ++k) sorted[k] = pending[k];
     *median_sum = add_compensated(*median_sum, chunk_median(sorted, CHUNK_SIZE));
 }
 #endif
 
+#if FEATURE_BATCH_MEANS
+// Adds the n-th sample, with luminance x, to its batch. The mean of a full batch is an entry of a chunk.
+INLINE void add_to_batch(uint n, float x, Compensated* batch_sum, float* pending, Compensated* median_sum)
+{
+    if (n % BATCH_SIZE == 0) batch_sum->high = batch_sum->low = 0.0f;
+    *batch_sum = add_compensated(*batch_sum, x);
+    if (n % BATCH_SIZE == BATCH_SIZE - 1)
+        add_to_chunk(n / BATCH_SIZE, divide_compensated(*batch_sum, BATCH_SIZE).high, pending, median_sum);
+}
+#endif
+
 #if FEATURE_POWER_MEAN
-// x^q, for q = 1 x ln x; 0 where x is none or so small that some devices take it for 0.
+// x^q, or x ln x for q = 1; 0 where x is 0 or subnormal, which some devices flush to 0.
 INLINE float power_of_sample(float x, float q)
 {
     if (!(x >= 0x1p-126f)) return 0.0f;
     return q == 1.0f ? x * log(x) : powr(x, q);
+}
+
+INLINE void add_power(float x, float q, Compensated* power_sum)
+{
+    *power_sum = add_compensated(*power_sum, power_of_sample(x, q));
+    if (!is_finite(power_sum->high)) power_sum->high = FLT_MAX;  // then low is 0
 }
 #endif
 
@@ -39,13 +96,7 @@ __kernel void reduce(
     const uint end = MIN(next, slice_samples);  // a slice may have been cut short
     if (begin >= end) return;
 
-    __global float* full = sums + pixel;
-    Compensated sum[4];  // red, green, blue, x
-    for (uint c = 0; c < 4; ++c) sum[c] = load_sum(full + 2 * c * total_pixels, total_pixels);
-    Compensated m2 = load_sum(full + 8 * total_pixels, total_pixels);
-    __global float* open = block_sums + pixel;
-    Vec3 open_rgb = vec3(open[0], open[total_pixels], open[2 * total_pixels]);
-    float shift = open[3 * total_pixels], open_sum = open[4 * total_pixels], open_squares = open[5 * total_pixels];
+    Moments moments = load_moments(sums + pixel, block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
     __global float* median_state = medians + pixel;
     Compensated median_sum = load_sum(median_state, total_pixels);
@@ -60,66 +111,33 @@ __kernel void reduce(
 #endif
 #if FEATURE_HALF_BUFFER
     Compensated half_sum[3];
-    for (uint c = 0; c < 3; ++c) half_sum[c] = load_sum(halves + pixel + 2 * c * total_pixels, total_pixels);
+    load_sums(half_sum, 3, halves + pixel, total_pixels);
 #endif
-    uint n = count[pixel], dropped = 0;
+    uint n = count[pixel], new_rejected = 0;
 
-    for (uint at = begin; at < end; ++at) {
-        const Vec3 rgb = LOAD3(at, samples);
+    for (uint sample = begin; sample < end; ++sample) {
+        const Vec3 rgb = LOAD3(sample, samples);
         const float x = luminance(rgb);
-        const bool negative = rgb.x < 0.0f || rgb.y < 0.0f || rgb.z < 0.0f;
-        if (negative || !(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && x < LUMINANCE_LIMIT)) {
-            ++dropped;
+        if (is_rejected(rgb, x)) {
+            ++new_rejected;
             continue;
         }
-        const uint place = n % SAMPLES_PER_BLOCK;
-        if (place == 0) {
-            open_rgb = splat3(0.0f);
-            shift = n ? divide_compensated(sum[3], n).high : x;
-            open_sum = open_squares = 0.0f;
-        }
-        const float d = x - shift;
-        open_rgb = add3(open_rgb, rgb);
-        open_sum += d;
-        open_squares += d * d;
-        if (place == SAMPLES_PER_BLOCK - 1) {
-            const uint before = n - place;
-            const float rest = before ? divide_compensated(sum[3], before).low : 0.0f;
-            m2 = merge_m2(m2, before, SAMPLES_PER_BLOCK, shift, rest, open_sum, open_squares);
-            sum[0] = add_compensated(sum[0], open_rgb.x);
-            sum[1] = add_compensated(sum[1], open_rgb.y);
-            sum[2] = add_compensated(sum[2], open_rgb.z);
-            sum[3] = add_compensated(add_compensated(sum[3], shift * SAMPLES_PER_BLOCK), open_sum);  // SAMPLES_PER_BLOCK is a power of two: the product is exact
-        }
+        add_to_moments(&moments, n, rgb, x);
 #if FEATURE_BATCH_MEANS
-        if (n % BATCH_SIZE == 0) batch_sum.high = batch_sum.low = 0.0f;
-        batch_sum = add_compensated(batch_sum, x);
-        if (n % BATCH_SIZE == BATCH_SIZE - 1) add_to_chunk(n / BATCH_SIZE, divide_compensated(batch_sum, BATCH_SIZE).high, pending, &median_sum);
+        add_to_batch(n, x, &batch_sum, pending, &median_sum);
 #elif FEATURE_CHUNK_MEDIANS
         add_to_chunk(n, x, pending, &median_sum);
 #endif
 #if FEATURE_POWER_MEAN
-        power_sum = add_compensated(power_sum, power_of_sample(x, power));
-        if (!is_finite(power_sum.high)) power_sum.high = FLT_MAX;  // low is 0 then; the sum stays as large as it can be
+        add_power(x, power, &power_sum);
 #endif
 #if FEATURE_HALF_BUFFER
-        if (n & 1u) {
-            half_sum[0] = add_compensated(half_sum[0], rgb.x);
-            half_sum[1] = add_compensated(half_sum[1], rgb.y);
-            half_sum[2] = add_compensated(half_sum[2], rgb.z);
-        }
+        if (n & 1u) add_rgb(half_sum, rgb);
 #endif
         ++n;
     }
 
-    for (uint c = 0; c < 4; ++c) store_sum(sum[c], full + 2 * c * total_pixels, total_pixels);
-    store_sum(m2, full + 8 * total_pixels, total_pixels);
-    open[0] = open_rgb.x;
-    open[total_pixels] = open_rgb.y;
-    open[2 * total_pixels] = open_rgb.z;
-    open[3 * total_pixels] = shift;
-    open[4 * total_pixels] = open_sum;
-    open[5 * total_pixels] = open_squares;
+    store_moments(&moments, sums + pixel, block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
     store_sum(median_sum, median_state, total_pixels);
     for (uint k = 0; k + 1 < CHUNK_SIZE; ++k) median_state[(2 + k) * total_pixels] = pending[k];
@@ -131,8 +149,8 @@ __kernel void reduce(
     store_sum(power_sum, powers + pixel, total_pixels);
 #endif
 #if FEATURE_HALF_BUFFER
-    for (uint c = 0; c < 3; ++c) store_sum(half_sum[c], halves + pixel + 2 * c * total_pixels, total_pixels);
+    store_sums(half_sum, 3, halves + pixel, total_pixels);
 #endif
     count[pixel] = n;
-    rejected[pixel] += dropped;
+    rejected[pixel] += new_rejected;
 }

@@ -1,19 +1,22 @@
-// Stage: the shadow rays that shade has left; what arrives unblocked is added to the path's sample.
-// Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
-// shadow_radiance, hit (the primitive it starts on); adds to samples.
+// Stage: traces the shadow rays that `shade` wrote. Unoccluded light is added to the path's sample.
+// Reads shadow_origin (w: bits of the primitive that the ray ends on), shadow_direction (w: length in units of the
+// direction, 0 for no ray), shadow_radiance, hit (the primitive that it starts on); adds to samples.
 #include "geometry/traverse.h"
 
-INLINE bool blocked(Traversal* traversal, ulong* stack, __global const float8* nodes, __global const float8* blocks, uint first_analytic,
-                    __global const Analytic* analytics, float t_max)
+INLINE bool is_occluded(Traversal* traversal, ulong* stack, __global const float8* nodes, __global const float8* blocks,
+                        uint first_analytic, __global const Analytic* analytics, float t_max)
 {
     for (uint leaf; (leaf = next_leaf(traversal, stack, nodes, blocks, t_max, false)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
         float8 t, u, v;
-        if (leaf < first_analytic && intersect_triangle_block(blocks + leaf, &traversal->ray, traversal->skip, t_max, &t, &u, &v))
+        if (leaf < first_analytic &&
+            intersect_triangle_block(blocks + leaf, &traversal->ray, traversal->skip, t_max, &t, &u, &v))
             return true;
 #endif
 #if FEATURE_ANALYTICS
-        if (leaf >= first_analytic && intersect_analytic_leaf(traversal, analytics, leaf - first_analytic, t_max) < t_max) return true;
+        if (leaf >= first_analytic &&
+            intersect_analytic_leaf(traversal, analytics, leaf - first_analytic, t_max) < t_max)
+            return true;
 #endif
     }
     return false;
@@ -36,8 +39,9 @@ __kernel void shadow(
         traversal.start_instance = instance[i];
 #endif
         ulong stack[STACK_SIZE];
-        begin_traversal(&traversal, stack, xyz(origin), xyz(direction), (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(origin.w)));
-        if (blocked(&traversal, stack, nodes, blocks, first_analytic, analytics, t_max)) continue;
+        begin_traversal(&traversal, stack, xyz(origin), xyz(direction),
+                        (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(origin.w)));
+        if (is_occluded(&traversal, stack, nodes, blocks, first_analytic, analytics, t_max)) continue;
         const uint sample = PLANE(PATH_SAMPLE, path, plane_stride)[i];
         ADD3(load_planes3(shadow_radiance, i, plane_stride), sample, samples);
     }

@@ -1,51 +1,72 @@
-// Stage: in place of `shadow`, where light goes through surfaces and media on its way. What arrives is added to the path's sample.
-// Reads shadow_origin (w: bits of the primitive it ends on), shadow_direction (w: length in units of the direction, 0 for none),
-// shadow_radiance (w: the medium it starts in), hit (the primitive it starts on); adds to samples.
+// Stage: replaces `shadow` where light passes through surfaces and media. Attenuated light is added to the path's
+// sample. Reads shadow_origin (w: bits of the primitive that the ray ends on), shadow_direction (w: length in units of
+// the direction, 0 for no ray), shadow_radiance (w: the medium that it starts in), hit (the primitive that it starts
+// on); adds to samples.
 //
-// What surfaces let through is a product: it is taken over all of them in whatever order they are met, and one that lets nothing
-// through ends the search. The medium behind a boundary holds to the next one, so these are put in order first. Summing
-// distance * (sigma before - sigma behind) would need no order, but would cancel where a thin layer of a dense medium is far away,
-// and go wrong where a scene does not name the media of both sides, which paths, that walk from one to the next, need not know.
+// The transmittance of surfaces is a product, taken in any order; an opaque surface ends the traversal. The medium
+// behind an interface extends to the next one, so interfaces are sorted first. Summing distance * (sigma before - sigma
+// behind) would need no order, but it cancels where a thin layer of a dense medium is far away, and it is wrong where a
+// scene names the media of one side only. Paths, which go from one interface to the next, do not need those.
 #include "media/medium.h"
 #include "bsdf/pass_through.h"
 #include "geometry/traverse.h"
 
 typedef struct {
-    Vec3 attenuation;  // of the light that gets through the surfaces met so far
+    Vec3 attenuation;  // transmittance of the surfaces and media so far
 #if FEATURE_MEDIA
-    float distance_done;  // boundaries up to there are done with,
-    uint medium;   // and this one is behind them
-    bool again;    // the search is another one, for more boundaries: the surfaces' share is known
+    float distance_done;  // interfaces up to there have been applied
+    uint medium;          // the medium behind them
+    bool media_only;      // a repeated traversal, for further interfaces: surfaces have been applied
     MediumInterfaces interfaces;
 #endif
 } ShadowState;
 
 #if FEATURE_MEDIA
-// Goes on to `distance`, in units of `length`, within one medium; and from boundary to boundary.
+// Applies the medium up to `distance`, in units of the direction, whose length is `length`.
 INLINE void attenuate_medium(ShadowState* shadow, __global const Medium* media, float distance, float length)
 {
-    if (shadow->medium != MEDIUM_NONE) shadow->attenuation = mul3(shadow->attenuation, medium_transmittance(media + shadow->medium, (distance - shadow->distance_done) * length));
+    if (shadow->medium != MEDIUM_NONE) {
+        const float segment = (distance - shadow->distance_done) * length;
+        shadow->attenuation = mul3(shadow->attenuation, medium_transmittance(media + shadow->medium, segment));
+    }
     shadow->distance_done = distance;
 }
 
-INLINE void attenuate_interfaces(ShadowState* shadow, __global const Medium* media, float length)
+// Applies the interfaces of a finished traversal. Returns whether there may be more of them, which needs another
+// traversal; else also applies the medium up to the end of the ray.
+INLINE bool attenuate_interfaces(ShadowState* shadow, __global const Medium* media, Vec3 origin, float length,
+                                 float t_max, float4 scene_sphere)
 {
+    const bool may_be_more = shadow->interfaces.count == MAX_MEDIUM_INTERFACES;
     for (uint k = 0u; k < shadow->interfaces.count; ++k) {
         attenuate_medium(shadow, media, shadow->interfaces.distance[k], length);
         shadow->medium = shadow->interfaces.medium[k];
     }
+    if (may_be_more) {
+        shadow->media_only = true;
+        shadow->interfaces.count = 0u;
+        return true;
+    }
+    float end = t_max;
+    if (t_max == INFINITY) {  // in an unbounded medium, lights at infinity are at the distance that Mitsuba 3 uses
+        const Vec3 to_origin = sub3(origin, vec3(scene_sphere.x, scene_sphere.y, scene_sphere.z));
+        end = MAX(2.0f * MAX(scene_sphere.w, SQRT(dot3(to_origin, to_origin))), shadow->distance_done);
+    }
+    attenuate_medium(shadow, media, end, length);
+    return false;
 }
 #endif
 
-// Takes what was met into the passage. Returns whether light still goes on.
-INLINE bool attenuate(const SceneView* scene, __global const Bsdf* bsdfs, const Surface* s, Vec3 direction, float t, ShadowState* shadow)
+// Applies a surface hit at distance t. Returns whether any light is left.
+INLINE bool attenuate_surface(ShadowState* shadow, const SceneView* scene, const Surface* s, Vec3 direction, float t)
 {
 #if FEATURE_MEDIA
-    if (s->media != NONE && t > shadow->distance_done) insert_medium_interface(&shadow->interfaces, t, medium_towards(s, direction, MEDIUM_NONE));
-    if (shadow->again) return true;
+    if (s->media != NONE && t > shadow->distance_done)
+        insert_medium_interface(&shadow->interfaces, t, medium_towards(s, direction, MEDIUM_NONE));
+    if (shadow->media_only) return true;
 #endif
     BsdfContext ctx;
-    ctx.bsdfs = bsdfs;
+    ctx.bsdfs = scene->bsdfs;
     ctx.bsdf = s->bsdf;
     ctx.normal = s->normal;
     ctx.wi = neg3(normalize3(direction));
@@ -58,13 +79,65 @@ INLINE bool attenuate(const SceneView* scene, __global const Bsdf* bsdfs, const 
     return max_component3(shadow->attenuation) > 0.0f;
 }
 
+#if FEATURE_TRIANGLES
+// Applies the hits in a block of triangles. Returns whether any light is left.
+INLINE bool attenuate_block(ShadowState* shadow, const SceneView* scene, const Traversal* traversal,
+                            __global const float8* block, Vec3 origin, Vec3 direction, float t_max)
+{
+    Float8Lanes t, u, v;
+    uint hits =
+        intersect_triangle_block(block, &traversal->ray, traversal->skip, t_max, &t.vector, &u.vector, &v.vector);
+    for (; hits; hits &= hits - 1u) {
+        const uint lane = lowest_set_bit(hits), primitive = ((__global const uint*)(block + 9))[lane];
+        const uint flags = as_uint(scene->triangles[TRIANGLE_FLOATS * primitive + 11u]);
+        if (!(flags & SHAPE_PASS_THROUGH)) return false;
+#if FEATURE_INSTANCES
+        const Surface s = instanced_surface_of_hit(scene, traversal->instance, primitive, origin, direction,
+                                                   t.lane[lane], u.lane[lane], v.lane[lane]);
+#else
+        const Surface s = triangle_surface(scene, primitive, u.lane[lane], v.lane[lane]);
+#endif
+        if (!attenuate_surface(shadow, scene, &s, direction, t.lane[lane])) return false;
+    }
+    return true;
+}
+#endif
+
+#if FEATURE_ANALYTICS
+// Applies up to two hits of an analytic shape: where the ray enters a sphere or cylinder and where it leaves. Returns
+// whether any light is left.
+INLINE bool attenuate_analytic(ShadowState* shadow, const SceneView* scene, const Traversal* traversal, uint index,
+                               Vec3 origin, Vec3 direction, float t_max)
+{
+    const Vec3 object_direction = from_float4(traversal->ray.direction);
+    Vec3 object_origin = from_float4(traversal->ray.origin);
+    float t = 0.0f;
+    for (uint k = 0u; k < 2u; ++k) {
+        const float step = analytic_distance(scene->analytics, index, object_origin, object_direction,
+                                             traversal->skip.x, traversal->skip.y, t_max - t);
+        t += step;
+        if (!(t < t_max)) break;
+        if (!(scene->shapes[scene->analytics[index].shape].flags & SHAPE_PASS_THROUGH)) return false;
+        Surface s = analytic_surface(scene, index, object_origin, object_direction, step);
+        object_origin = spawn_origin(&s, object_direction);
+#if FEATURE_INSTANCES
+        s = instanced_surface_of_hit(scene, traversal->instance, ANALYTIC_BIT | index, origin, direction, t, 0.0f,
+                                     0.0f);
+#endif
+        if (!attenuate_surface(shadow, scene, &s, direction, t)) return false;
+    }
+    return true;
+}
+#endif
+
 __kernel void shadow_transmittance(
 #include "generated/shadow_transmittance_parameters.h"
 )
 {
     const uint i = get_global_id(0);
     if (i >= path_count) return;
-    const Vec3 direction = load_planes3(shadow_direction, i, plane_stride), origin = load_planes3(shadow_origin, i, plane_stride);
+    const Vec3 direction = load_planes3(shadow_direction, i, plane_stride);
+    const Vec3 origin = load_planes3(shadow_origin, i, plane_stride);
     const float t_max = PLANE(3, shadow_direction, plane_stride)[i];
     if (t_max == 0.0f) return;
     SceneView scene;
@@ -73,7 +146,7 @@ __kernel void shadow_transmittance(
     shadow.attenuation = splat3(1.0f);
 #if FEATURE_MEDIA
     shadow.distance_done = 0.0f;
-    shadow.again = false;
+    shadow.media_only = false;
     shadow.interfaces.count = 0u;
     shadow.medium = as_uint(PLANE(3, shadow_radiance, plane_stride)[i]);
     const float length = SQRT(dot3(direction, direction));
@@ -86,67 +159,29 @@ __kernel void shadow_transmittance(
     traversal.start_instance = instance[i];
 #endif
     ulong stack[STACK_SIZE];
-    const uint2 skip = (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(PLANE(3, shadow_origin, plane_stride)[i]));
+    const uint2 skip =
+        (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(PLANE(3, shadow_origin, plane_stride)[i]));
     begin_traversal(&traversal, stack, origin, direction, skip);
     for (;;) {
         const uint leaf = next_leaf(&traversal, stack, nodes, blocks, t_max, false);
         if (leaf == NO_LEAF) {
 #if FEATURE_MEDIA
-            const bool more = shadow.interfaces.count == MAX_MEDIUM_INTERFACES;
-            attenuate_interfaces(&shadow, media, length);
-            if (more) {
-                shadow.again = true;
-                shadow.interfaces.count = 0u;
+            if (attenuate_interfaces(&shadow, media, origin, length, t_max, scene_sphere)) {
                 begin_traversal(&traversal, stack, origin, direction, skip);
                 continue;
             }
-            float end_of_flight = t_max;
-            if (t_max == INFINITY) {  // within a medium without end, lights of infinite distance are where Mitsuba 3 has them
-                const Vec3 arm = sub3(origin, vec3(scene_sphere.x, scene_sphere.y, scene_sphere.z));
-                end_of_flight = MAX(2.0f * MAX(scene_sphere.w, SQRT(dot3(arm, arm))), shadow.distance_done);
-            }
-            attenuate_medium(&shadow, media, end_of_flight, length);
 #endif
             break;
         }
 #if FEATURE_TRIANGLES
-        if (leaf < first_analytic) {
-            __global const float8* block = blocks + leaf;
-            Float8Lanes t, u, v;
-            for (uint hits = intersect_triangle_block(block, &traversal.ray, traversal.skip, t_max, &t.vector, &u.vector, &v.vector); hits; hits &= hits - 1u) {
-                const uint lane = lowest_set_bit(hits), primitive = ((__global const uint*)(block + 9))[lane];
-                const uint flags = as_uint(triangles[TRIANGLE_FLOATS * primitive + 11u]);
-                if (!(flags & SHAPE_PASS_THROUGH)) return;
-#if FEATURE_INSTANCES
-                const Surface s = instanced_surface_of_hit(&scene, traversal.instance, primitive, origin, direction,
-                                                       t.lane[lane], u.lane[lane], v.lane[lane]);
-#else
-                const Surface s = triangle_surface(&scene, primitive, u.lane[lane], v.lane[lane]);
-#endif
-                if (!attenuate(&scene, bsdfs, &s, direction, t.lane[lane], &shadow)) return;
-            }
-        }
+        if (leaf < first_analytic &&
+            !attenuate_block(&shadow, &scene, &traversal, blocks + leaf, origin, direction, t_max))
+            return;
 #endif
 #if FEATURE_ANALYTICS
-        if (leaf >= first_analytic) {
-            const uint index = leaf - first_analytic;
-            const Vec3 towards = from_float4(traversal.ray.direction);
-            Vec3 from = from_float4(traversal.ray.origin);
-            float t = 0.0f;
-            for (uint crossing = 0u; crossing < 2u; ++crossing) {  // into a sphere or a cylinder, and out of it
-                const float on = analytic_distance(analytics, index, from, towards, traversal.skip.x, traversal.skip.y, t_max - t);
-                t += on;
-                if (!(t < t_max)) break;
-                if (!(shapes[analytics[index].shape].flags & SHAPE_PASS_THROUGH)) return;
-                Surface s = analytic_surface(&scene, index, from, towards, on);
-                from = spawn_origin(&s, towards);
-#if FEATURE_INSTANCES
-                s = instanced_surface_of_hit(&scene, traversal.instance, ANALYTIC_BIT | index, origin, direction, t,
-                                         0.0f, 0.0f);
-#endif
-                if (!attenuate(&scene, bsdfs, &s, direction, t, &shadow)) return;
-            }
-        }
+        if (leaf >= first_analytic &&
+            !attenuate_analytic(&shadow, &scene, &traversal, leaf - first_analytic, origin, direction, t_max))
+            return;
 #endif
     }
     const uint sample = PLANE(PATH_SAMPLE, path, plane_stride)[i];

@@ -34,6 +34,50 @@ INLINE Compensated merge_m2(Compensated m2, uint n, uint k, float shift, float s
     return is_finite(m2.high) ? m2 : maximum;
 }
 
+INLINE void load_sums(Compensated* sums, uint sum_count, __global const float* planes, uint stride)
+{
+    for (uint c = 0; c < sum_count; ++c) sums[c] = load_sum(planes + 2 * c * stride, stride);
+}
+
+INLINE void add_rgb(Compensated* sums, Vec3 rgb)
+{
+    sums[0] = add_compensated(sums[0], rgb.x);
+    sums[1] = add_compensated(sums[1], rgb.y);
+    sums[2] = add_compensated(sums[2], rgb.z);
+}
+
+// Sums over the full blocks of a pixel, and over its unfinished block.
+typedef struct {
+    Compensated sum[4];              // red, green, blue, x
+    Compensated m2;                  // of x
+    Vec3 block_rgb;                  // sum of RGB
+    float shift;                     // see merge_m2
+    float block_sum, block_squares;  // sums of x - shift and of its square
+} Moments;
+
+INLINE Moments load_moments(__global const float* sums, __global const float* block_sums, uint stride)
+{
+    Moments m;
+    load_sums(m.sum, 4, sums, stride);
+    m.m2 = load_sum(sums + 8 * stride, stride);
+    m.block_rgb = vec3(block_sums[0], block_sums[stride], block_sums[2 * stride]);
+    m.shift = block_sums[3 * stride];
+    m.block_sum = block_sums[4 * stride];
+    m.block_squares = block_sums[5 * stride];
+    return m;
+}
+
+// Merges the block, of k samples after n others, into the sums. k * shift is exact as product + fma.
+INLINE void merge_block(Moments* m, uint n, uint k)
+{
+    const float shift_error = n ? divide_compensated(m->sum[3], n).low : 0.0f;
+    m->m2 = merge_m2(m->m2, n, k, m->shift, shift_error, m->block_sum, m->block_squares);
+    add_rgb(m->sum, m->block_rgb);
+    const float product = m->shift * (float)k;
+    const Compensated shifted = add_compensated(add_compensated(m->sum[3], product), FMA(m->shift, (float)k, -product));
+    m->sum[3] = add_compensated(shifted, m->block_sum);
+}
+
 #if FEATURE_CHUNK_MEDIANS
 // Median of `count` values, which are sorted in place; for an even count the mean of the middle two.
 INLINE float chunk_median(float* values, int count)

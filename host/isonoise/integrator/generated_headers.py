@@ -117,8 +117,8 @@ def _init_path_state() -> str:
 
 
 def _move_path_state() -> str:
-    cast = "(__global const uint*){0}, (__global uint*)next_{0} + to"
+    cast = "(__global const uint*){0}, (__global uint*)next_{0} + first_target"
     return _lines(
-        (f"move_planes({field.planes}u, {cast.format(name)}, plane_stride, from, count);", _condition(name))
+        (f"move_planes({field.planes}u, {cast.format(name)}, plane_stride, source_slots, count);", _condition(name))
         for name, field in PATH_STATE.items()
     )
