@@ -9,6 +9,7 @@ import references
 import trimesh
 from planes import as_planes, read_rows
 from scalar_mitsuba import as_mitsuba, assert_same_picture, import_mitsuba
+from shared_programs import SHAPES
 
 from isonoise.device import program
 from isonoise.device.opencl import Device
@@ -73,7 +74,8 @@ class Traced:
         scene = description if isinstance(description, CompiledScene) else compile_scene(load(description))
         self.scene = scene
         self.device = device = Device()
-        self.features = features(scene)
+        # all shapes, so that the scenes share their programs
+        self.features = features(scene) | dict.fromkeys((*SHAPES, "VERTEX_NORMALS"), True)
         bvh = build_scene_bvh(scene)
 
         self.stages = Stages(device, {"intersect": KERNELS["intersect"]}, self.features, structs.CONSTANTS, STRUCTS)
