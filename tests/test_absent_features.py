@@ -66,13 +66,15 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     constants = CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
+    # the text is the same for all sets
+    text, options = stage_source(file, STRUCTS, constants, all_but(), generated_headers())
+    names = [option[len("-DFEATURE_") :].split("=")[0] for option in options if option.startswith("-DFEATURE_")]
+    own = set(re.findall(r"^\s*#\s*define\s+(\w+)", text, re.MULTILINE))
+    undefine = [f"#undef {name}" for name in sorted(own | {f"FEATURE_{name}" for name in names})]
     parts = []
     for features_ in sets:
-        text, options = stage_source(file, STRUCTS, constants, features_, generated_headers())
-        macros = dict(option.removeprefix("-D").split("=") for option in options if option.startswith("-D"))
-        own = set(re.findall(r"^\s*#\s*define\s+(\w+)", text, re.MULTILINE))
-        parts += [f"#define {name} {value}" for name, value in macros.items()]
-        parts += [text, *(f"#undef {name}" for name in sorted(own | set(macros))), "the_set_ends"]
+        parts += [f"#define FEATURE_{name} {int(features_[name])}" for name in names]
+        parts += [text, *undefine, "the_set_ends"]
     done = subprocess.run([cpp, "-xc", "-Wundef", "-"], input="\n".join(parts), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert not re.search("FEATURE_|LANES|redefined", done.stderr), done.stderr

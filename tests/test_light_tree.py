@@ -349,19 +349,14 @@ def test_points_on_and_in_lights_and_behind_all(device):
 
 
 def room(count: int) -> dict:
-    """Lights of every kind around a floor, a ball of rough glass and one of plastic."""
+    """Lights of every kind around a floor, a ball of rough glass and a diffuse one."""
     scene = lamp_over_floor(max_depth=4, width=12, height=9)
     scene.pop("lamp")
     wide = np.diag([6.0, 6.0, 1.0, 1.0])
     wide[2, 3] = -1.0
     scene["floor"]["to_world"] = wide
     scene["glass"] = {"type": "sphere", "radius": 0.6, "bsdf": {"type": "roughdielectric", "alpha": 0.3}}
-    scene["ball"] = {
-        "type": "sphere",
-        "center": [1.3, 0.4, -0.4],
-        "radius": 0.5,
-        "bsdf": {"type": "roughplastic", "alpha": 0.2},
-    }
+    scene["ball"] = {"type": "sphere", "center": [1.3, 0.4, -0.4], "radius": 0.5}
     return scene | mixed_lights(count, seed=9)
 
 

@@ -40,27 +40,36 @@ def test_the_pool_size_changes_no_bit(thirty_spp, pool_size):
     assert_same_bits(render(lamp_over_floor(), spp=30, **options).statistics, thirty_spp)
 
 
-def many_plugins() -> dict:
-    """Many surfaces, textures, materials and lights, so that adjacent paths hit different ones."""
+def many_kinds() -> dict:
+    """Surfaces, a texture, materials and lights of several kinds, so that neighbouring paths differ in kind."""
     board = {"type": "checkerboard", "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
-    clear = {"type": "principled", "base_color": board, "spec_trans": 0.5}
-    glossy = {"type": "roughconductor", "alpha": board, "distribution": "ggx"}
-    tiles = {"type": "blendbsdf", "weight": board, "first": {"type": "roughplastic"}, "second": glossy}
-    hung = np.eye(4)
-    hung[:3, 3] = 0.3, 0.5, 0.2
+    tiles = {"type": "blendbsdf", "weight": board, "first": {"type": "dielectric"}, "second": {"type": "diffuse"}}
+    transform = np.eye(4)
+    transform[:3, 3] = 0.3, 0.5, 0.2
     return lamp_over_floor(width=32, height=24, max_depth=8) | {
-        "floor": {"type": "rectangle", "bsdf": {"type": "twosided", "inner": tiles}},
-        "ball": {"type": "sphere", "radius": 0.3, "bsdf": clear},
+        "floor": {"type": "rectangle", "bsdf": tiles},
         "glass": {"type": "sphere", "center": [-0.5, 0.0, 0.3], "radius": 0.2, "bsdf": {"type": "dielectric"}},
-        "net": {"type": "disk", "to_world": hung, "bsdf": {"type": "mask", "opacity": board, "inner": glossy}},
+        "net": {"type": "disk", "to_world": transform, "bsdf": {"type": "mask", "opacity": board, "inner": tiles}},
         "group": {"type": "shapegroup", "box": {"type": "cube", "to_world": np.diag([0.1, 0.1, 0.1, 1.0])}},
-        "box": {"type": "instance", "to_world": hung, "group": {"type": "ref", "id": "group"}},
-        "spot": {"type": "spot", "to_world": hung, "intensity": 3.0},
+        "box": {"type": "instance", "to_world": transform, "group": {"type": "ref", "id": "group"}},
+        "spot": {"type": "spot", "to_world": transform, "intensity": 3.0},
         "sky": {"type": "constant", "radiance": 0.2},
     }
 
 
-@pytest.mark.parametrize("scene", [lamp_over_floor, many_plugins])
+def many_materials() -> dict:
+    """The same with rough materials, whose kernels take long to compile."""
+    board = {"type": "checkerboard", "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
+    glossy = {"type": "roughconductor", "alpha": board, "distribution": "ggx"}
+    tiles = {"type": "blendbsdf", "weight": board, "first": {"type": "roughplastic"}, "second": glossy}
+    clear = {"type": "principled", "base_color": board, "spec_trans": 0.5}
+    scene = many_kinds()
+    scene["floor"]["bsdf"] = {"type": "twosided", "inner": tiles}
+    scene["net"]["bsdf"]["inner"] = glossy
+    return scene | {"ball": {"type": "sphere", "radius": 0.3, "bsdf": clear}}
+
+
+@pytest.mark.parametrize("scene", [lamp_over_floor, many_kinds, pytest.param(many_materials, marks=pytest.mark.long)])
 def test_the_number_of_lanes_changes_no_bit(monkeypatch, scene):
     renders = []
     for lanes in (1, 64):
