@@ -1,4 +1,4 @@
-"""What the tests share: where scenes from elsewhere lie."""
+"""Shared fixtures: the program cache, and the folder of public scenes."""
 
 import os
 from pathlib import Path
@@ -12,16 +12,16 @@ CHECKOUT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(scope="session", autouse=True)
 def program_cache_of_session(tmp_path_factory):
-    """Compiled programs are kept for the session: nothing of the user's is read or written."""
+    """A program cache for the session: the user's own is neither read nor written."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("programs")))
         yield
-    os.environ[program_cache.FOLDER_VARIABLE] = "off"  # at its end the process has nothing to keep
+    os.environ[program_cache.FOLDER_VARIABLE] = "off"  # nothing is stored at exit
 
 
 @pytest.fixture(scope="session")
 def public_scenes() -> Path:
-    """Folder of scenes that others made: ISONOISE_TEST_SCENES, or ../shared/scenes/public beside the checkout."""
+    """Folder of public scenes: ISONOISE_TEST_SCENES, or ../shared/scenes/public beside the checkout."""
     folder = Path(os.environ.get("ISONOISE_TEST_SCENES") or CHECKOUT.parent / "shared" / "scenes" / "public")
     if not folder.is_dir():
         pytest.skip(f"no folder {folder}: set ISONOISE_TEST_SCENES to the folder with the public test scenes")
@@ -30,7 +30,7 @@ def public_scenes() -> Path:
 
 @pytest.fixture
 def scene_of(tmp_path):
-    """Loads a scene from the inside of its <scene> element; a sensor is added where there is none."""
+    """Loads a scene from the content of its <scene> element; adds a sensor if it has none."""
     from isonoise.scene import load
 
     def make(inside: str, **parameters) -> dict:

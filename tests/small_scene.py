@@ -1,4 +1,4 @@
-"""What the tests of renders share: one tiny scene, so that few programs are compiled, and checks of statistics."""
+"""Shared by tests of renders: one tiny scene, so that few programs are compiled, and checks of statistics."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ BUILT_IN = ["uniform", "pooled", "relative-median", "relative-mean"]
 
 
 def lamp_over_floor(radiance: float = 5.0, width: int = WIDTH, height: int = HEIGHT, max_depth: int = 4) -> dict:
-    """A small lamp shines on a larger floor that the camera sees: soft light, noise, a black background."""
+    """A small lamp above a floor: soft light, noise, a black background."""
     ahead = np.array([0.0, -2.4, -3.0]) / np.hypot(2.4, 3.0)
     camera = np.eye(4)
     camera[:3] = np.stack([(-1, 0, 0), np.cross(ahead, (-1, 0, 0)), ahead, (0, 2.4, 3)], axis=1)

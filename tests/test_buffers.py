@@ -1,4 +1,4 @@
-"""Buffers: their content, and how long their memory lasts."""
+"""Buffers: initial content, and lifetime of their memory."""
 
 import numpy as np
 import pyopencl
@@ -6,7 +6,7 @@ import pytest
 
 from isonoise.device.opencl import Device
 
-# Reads its input last: the steps before keep it at work for some 0.1 s.
+# Reads its input at the end, after some 0.1 s.
 SLOW_COPY = """
 __kernel void slow_copy(__global const uint* in, __global uint* out, uint steps)
 {
@@ -24,20 +24,20 @@ def device():
 
 
 @pytest.mark.parametrize("nbytes", [1, 3, 4, 4097, 2**22 + 5])
-def test_a_buffer_begins_as_zeros(device, nbytes):
+def test_a_new_buffer_is_zero(device, nbytes):
     assert not device.read(device.buffer(nbytes, "zeros"), np.uint8, nbytes).any()
 
 
 @pytest.mark.parametrize("count", [0, 1, 5, 2**20 + 3])
-def test_a_buffer_holds_a_copy_of_the_array(device, count):
+def test_a_buffer_copies_the_array(device, count):
     array = np.arange(count, dtype=np.uint8)
     buffer = device.buffer(array, "numbers")
     array += 1
     assert np.array_equal(device.read(buffer, np.uint8, count) + np.uint8(1), array)
 
 
-def test_memory_lasts_until_the_launches_on_it_are_done(device):
-    """A buffer that nobody holds any more, while numpy hands out memory of its size to others at once."""
+def test_memory_is_kept_until_its_launches_are_done(device):
+    """The buffer is released during a launch, and numpy reuses freed memory of its size at once."""
     kernel = device.build(SLOW_COPY, ())["slow_copy"]
     out = device.buffer(4 * COUNT, "results")
     for seven in (7, 77, 777):
@@ -48,7 +48,7 @@ def test_memory_lasts_until_the_launches_on_it_are_done(device):
         assert np.all(device.read(out, np.uint32, COUNT) == seven)
 
 
-def test_a_device_waits_for_its_launches_before_it_goes():
+def test_a_deleted_device_waits_for_its_launches():
     device = Device()
     kernel = device.build(SLOW_COPY, ())["slow_copy"]
     out, queue = device.buffer(4 * COUNT, "results"), device.queue

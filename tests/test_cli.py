@@ -1,4 +1,4 @@
-"""The command line as its users meet it: exit codes, messages, files, and what it leaves behind when it fails."""
+"""The command line: exit codes, messages, files, and no leftovers after a failure."""
 
 import csv
 import json
@@ -19,20 +19,20 @@ SMALL = ("render", "cornell", "--size", "16x12")
 
 
 @pytest.fixture(autouse=True)
-def _in_a_folder_of_its_own(tmp_path, monkeypatch):
+def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
 def isonoise(*arguments):
-    """Exit code of a command, run in this process."""
+    """Run a command in this process; return its exit code."""
     try:
         return main(list(arguments))
-    except SystemExit as exit_:  # how argparse ends
+    except SystemExit as exit_:  # raised by argparse
         return exit_.code
 
 
 def start(*arguments, **options):
-    """The command in a process of its own."""
+    """Start the command in a subprocess."""
     command = [sys.executable, "-m", "isonoise", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
 
@@ -42,7 +42,7 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-def test_a_render_with_everything(capsys):
+def test_a_render_with_image_preview_and_log(capsys):
     options = ("--spp", "16", "--seed", "7", "--strategy", "relative-median", "--log", "a.csv")
     assert isonoise(*SMALL, *options, "-o", "a.exr", "-o", "a.png") == 0
     out, err = capsys.readouterr()
@@ -77,7 +77,7 @@ def test_a_render_with_everything(capsys):
     assert sorted(os.listdir()) == ["a.csv", "a.exr", "a.png"]
 
 
-def test_json_is_one_object_and_agrees_with_the_file(capsys):
+def test_json_is_one_object_and_equals_the_header(capsys):
     assert isonoise(*SMALL, "--spp", "8", "-o", "a.exr", "--json") == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -91,7 +91,7 @@ def test_json_is_one_object_and_agrees_with_the_file(capsys):
     assert outcome["time_s"] == float(header["isonoise.time_s"])
 
 
-def test_without_a_limit_the_scene_says_how_many_samples(capsys):
+def test_without_a_limit_the_scenes_sample_count_is_used(capsys):
     assert isonoise("render", "cornell", "--size", "4x4", "-o", "a.exr", "--json") == 0
     assert json.loads(capsys.readouterr().out)["spp"] == 256  # cornell's sample_count
 
@@ -105,11 +105,11 @@ def test_true_errors_with_a_reference(capsys):
     log = rows("a.csv")
     assert list(log[0]) == list(columns(true_errors=True))
     assert float(log[0]["true_p99"]) > 0
-    assert float(log[-1]["true_p99"]) == 0  # the same samples again
+    assert float(log[-1]["true_p99"]) == 0  # the same samples as the reference
 
 
 @pytest.mark.parametrize(("limit", "code", "reason"), [("1e-9", 1, "spp"), ("1e9", 0, "error")])
-def test_exit_code_says_whether_the_error_was_met(limit, code, reason, capsys):
+def test_the_exit_code_says_whether_the_error_was_reached(limit, code, reason, capsys):
     assert isonoise(*SMALL, "--error", limit, "--spp", "32", "-o", "a.exr", "--json") == code
     assert json.loads(capsys.readouterr().out)["stopped_by"] == reason
     assert os.listdir() == ["a.exr"]
@@ -119,7 +119,7 @@ def test_exit_code_says_whether_the_error_was_met(limit, code, reason, capsys):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_render_with_a_valid_image(number):
     options = ("--time", "100", "-o", "a.exr", "--log", "a.csv", "--json")
-    # a test run that was started in the background may have handed down that Ctrl-C is to be ignored
+    # a test run in the background may ignore Ctrl-C, and subprocesses inherit that
     process = start("render", "cornell", *options, preexec_fn=lambda: signal.signal(number, signal.SIG_DFL))
     deadline = time.monotonic() + 60
     while not os.path.exists("a.csv"):
@@ -171,7 +171,7 @@ def test_a_signal_ends_the_render_with_a_valid_image(number):
         ("--log", "a.exr", "the same file as"),
     ],
 )
-def test_bad_values_are_messages(option, value, message, capsys):
+def test_bad_option_values_are_reported(option, value, message, capsys):
     assert (
         isonoise(*SMALL, "--spp", "1", "-o", "a.exr", f"{option}={value}" if option[1] == "-" else option + value) == 2
     )
@@ -191,7 +191,7 @@ def test_bad_values_are_messages(option, value, message, capsys):
         (b"<!DOCTYPE s [<!ENTITY a 'b'><!ENTITY c '&a;&a;'>]><scene version='3.0.0'>&c;</scene>", "scene.xml"),
     ],
 )
-def test_bad_scenes_are_messages(content, message, capsys, tmp_path):
+def test_bad_scenes_are_reported(content, message, capsys, tmp_path):
     if content is not None:
         (tmp_path / "scene.xml").write_bytes(content)
     for command in (("render", "scene.xml", "-o", "a.exr"), ("info", "scene.xml")):
@@ -203,14 +203,14 @@ def test_bad_scenes_are_messages(content, message, capsys, tmp_path):
     assert not os.path.exists("a.exr")
 
 
-def test_a_reference_of_another_size_is_a_message(capsys):
+def test_a_reference_of_another_size_is_reported(capsys):
     write_exr("ref.exr", {"": np.ones((5, 6, 3), np.float32)}, {})
     assert isonoise(*SMALL, "-o", "a.exr", "--reference", "ref.exr") == 2
     assert "is 6x5 and the image 16x12" in capsys.readouterr().err
     assert os.listdir() == ["ref.exr"]
 
 
-def test_no_input_is_overwritten(capsys, tmp_path):
+def test_inputs_are_never_overwritten(capsys, tmp_path):
     write_exr("ref.exr", {"": np.ones((12, 16, 3), np.float32)}, {})
     before = (tmp_path / "ref.exr").read_bytes()
     assert isonoise(*SMALL, "-o", "ref.exr", "--reference", "ref.exr") == 2
@@ -222,13 +222,13 @@ def test_no_input_is_overwritten(capsys, tmp_path):
     assert (tmp_path / "scene.xml").read_text() == "<scene version='3.0.0'/>"
 
 
-def test_an_older_image_stays_when_a_render_fails(tmp_path):
+def test_a_failed_render_keeps_an_existing_image(tmp_path):
     (tmp_path / "a.exr").write_bytes(b"old")
     assert isonoise("render", "no such scene", "-o", "a.exr") == 2
     assert (tmp_path / "a.exr").read_bytes() == b"old"
 
 
-def test_a_log_that_fails_does_not_cost_the_image(capsys, monkeypatch):
+def test_a_failed_log_does_not_lose_the_image(capsys, monkeypatch):
     from isonoise.errors import UserError
     from isonoise.film.log import LogWriter
 
@@ -241,7 +241,7 @@ def test_a_log_that_fails_does_not_cost_the_image(capsys, monkeypatch):
     assert read_reference("a.exr")[0].shape == (12, 16, 3)
 
 
-def test_help_explains_strategies_and_every_column(capsys):
+def test_help_lists_strategies_and_every_column(capsys):
     assert isonoise("render", "--help") == 0
     out = capsys.readouterr().out
     for word in (
@@ -253,11 +253,11 @@ def test_help_explains_strategies_and_every_column(capsys):
         *columns(true_errors=True),
     ):
         assert word in out
-    for option in ("--checkpoint", "--resume", "--layers"):  # not built yet
+    for option in ("--checkpoint", "--resume", "--layers"):  # not implemented
         assert option not in out
 
 
-def test_help_and_version_load_nothing_heavy():
+def test_help_and_version_import_nothing_heavy():
     code = (
         "import sys; from isonoise.cli import main\n"
         "try: main([sys.argv[1]])\n"
@@ -269,12 +269,12 @@ def test_help_and_version_load_nothing_heavy():
         assert out.splitlines()[-1] == "[]"
 
 
-def test_no_command_is_a_message(capsys):
+def test_a_missing_command_is_reported(capsys):
     assert isonoise() == 2
     assert "COMMAND" in capsys.readouterr().err
 
 
-def test_devices_name_the_default(capsys):
+def test_devices_shows_the_default(capsys):
     assert isonoise("devices") == 0
     first, *rest = capsys.readouterr().out.splitlines()
     assert first.startswith("0: ")
@@ -282,13 +282,13 @@ def test_devices_name_the_default(capsys):
     assert not any(line.endswith("(default)") for line in rest)
 
 
-def test_without_a_driver_it_says_what_to_install(tmp_path):
+def test_without_a_driver_the_message_says_what_to_install(tmp_path):
     environment = os.environ | {"OCL_ICD_VENDORS": str(tmp_path / "none")}
     for command in (("devices",), ("render", "cornell", "-o", "a.exr")):
         process = start(*command, env=environment)
         out, err = process.communicate(timeout=60)
         if process.returncode == 0:
-            pytest.skip("this OpenCL loader does not go by OCL_ICD_VENDORS")
+            pytest.skip("this OpenCL loader ignores OCL_ICD_VENDORS")
         assert (process.returncode, out) == (2, "")
         assert err.startswith("isonoise: no OpenCL device found; ")
         assert "install" in err
@@ -314,15 +314,15 @@ def test_info_on_an_image(capsys):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX pipes")
-def test_a_reader_that_leaves_early_is_no_error():
+def test_a_closed_pipe_is_no_error():
     process = start("info", "cornell")
     process.stdout.close()
     assert process.stderr.read() == ""
     assert process.wait(timeout=60) == 0
 
 
-def test_a_home_that_cannot_be_written(tmp_path):
-    """Drivers keep compiled kernels under HOME; PoCL offers no device where it cannot."""
+def test_a_read_only_home(tmp_path):
+    """Drivers cache compiled kernels under HOME; PoCL offers no device if it cannot."""
     no_folder = tmp_path / "file"
     no_folder.touch()
     gone = ("POCL_CACHE_DIR", "XDG_CACHE_HOME")

@@ -1,4 +1,4 @@
-"""OpenEXR files and the way files are written: exact, whole or not at all, and readable by other programs."""
+"""OpenEXR files: exact values, atomic writes, references; and the checks before writing."""
 
 import os
 import stat
@@ -15,7 +15,7 @@ from isonoise.film.files import check_writable, write_atomically
 from isonoise.film.output import check_output, write_image
 
 LIMITED = "import resource, signal; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))"
-"""Lets no file grow beyond 4 KiB: what a full disk looks like to a program."""
+"""Limits files to 4 KiB, which looks like a full disk."""
 
 
 def image(height=5, width=7, seed=0):
@@ -30,7 +30,7 @@ def run_python(code, cwd):
     return subprocess.run([sys.executable, "-c", textwrap.dedent(code)], cwd=cwd, capture_output=True, text=True)
 
 
-def test_every_value_comes_back_exactly(tmp_path):
+def test_values_are_exact(tmp_path):
     rgb = image()
     samples = np.arange(35, dtype=np.uint32).reshape(5, 7) + (2**32 - 100)
     error = np.where(rgb[..., 0] > 1, np.inf, rgb[..., 1].astype(np.float64))
@@ -53,7 +53,7 @@ def test_odd_sizes_and_strided_arrays(tmp_path, height, width):
     assert read_header(tmp_path / "a.exr")[:2] == (["B", "G", "R"], (width, height))
 
 
-def test_header_keeps_numbers_in_full(tmp_path):
+def test_numbers_in_the_header_are_exact(tmp_path):
     header = {"isonoise.samples": 2**53 + 1, "isonoise.time_s": 1 / 3, "isonoise.scene": "Küche.xml"}
     write_exr(tmp_path / "a.exr", {"": image()}, header)
     _, _, found = read_header(tmp_path / "a.exr")
@@ -102,7 +102,7 @@ def test_public_reference(public_scenes):
     assert 0 < np.median(stderr) < 0.02 * np.median(rgb)
 
 
-def test_what_cannot_be_a_reference(tmp_path):
+def test_unusable_references(tmp_path):
     with pytest.raises(UserError, match=r"nothing\.exr.*No such file"):
         read_reference(tmp_path / "nothing.exr")
     with pytest.raises(UserError, match="Is a directory"):
@@ -120,7 +120,7 @@ def test_what_cannot_be_a_reference(tmp_path):
         read_reference(tmp_path / "nan.exr")
 
 
-def test_a_file_cut_off_anywhere_is_an_error(tmp_path):
+def test_a_truncated_file_is_an_error(tmp_path):
     write_exr(tmp_path / "a.exr", {"": image(40, 40)}, {})
     whole = (tmp_path / "a.exr").read_bytes()
     for length in np.linspace(0, len(whole) - 1, 40, dtype=int):
@@ -130,7 +130,7 @@ def test_a_file_cut_off_anywhere_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), ValueError("bug")])
-def test_a_failed_write_leaves_everything_as_it_was(tmp_path, failure):
+def test_a_failed_write_changes_no_file(tmp_path, failure):
     target = tmp_path / "a.exr"
     target.write_bytes(b"old")
 
@@ -146,7 +146,7 @@ def test_a_failed_write_leaves_everything_as_it_was(tmp_path, failure):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="file size limits are POSIX")
 @pytest.mark.parametrize("name", ["a.exr", "a.png"])
-def test_a_full_disk_is_a_message_and_leaves_no_file(tmp_path, name):
+def test_a_full_disk_is_reported_and_leaves_no_file(tmp_path, name):
     code = f"""
         {LIMITED}
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -183,7 +183,7 @@ def test_a_link_stays_a_link(tmp_path):
     assert entries(tmp_path / "far") == ["b.exr"]
 
 
-def test_unwritable_places_are_found_out_beforehand(tmp_path):
+def test_unwritable_paths_are_found_beforehand(tmp_path):
     (tmp_path / "file").touch()
     (tmp_path / "loop.exr").symlink_to(tmp_path / "loop.exr")
     for path, message in {
@@ -200,8 +200,8 @@ def test_unwritable_places_are_found_out_beforehand(tmp_path):
     assert entries(tmp_path) == ["file", "loop.exr"]
 
 
-def test_a_read_only_folder_is_found_out_beforehand(tmp_path, monkeypatch):
-    # permission bits do not stop root, so the refusal is made where the system would make it
+def test_a_read_only_folder_is_found_beforehand(tmp_path, monkeypatch):
+    # permission bits do not stop root, so the system call is patched to fail
     def refuse(self, *args, **kwargs):
         raise PermissionError(13, "Permission denied")
 
@@ -210,7 +210,7 @@ def test_a_read_only_folder_is_found_out_beforehand(tmp_path, monkeypatch):
         check_writable(tmp_path / "a.exr")
 
 
-def test_checking_leaves_no_trace(tmp_path):
+def test_checking_leaves_no_file(tmp_path):
     (tmp_path / "old.exr").write_bytes(b"old")
     assert check_writable(tmp_path / "new.exr") == (tmp_path / "new.exr").resolve()
     check_writable(tmp_path / "old.exr")

@@ -1,4 +1,4 @@
-"""The error log: whole rows only, readable while it grows, columns that are all explained."""
+"""The error log: complete rows at any time, and a description of every column."""
 
 import csv
 import dataclasses
@@ -38,7 +38,7 @@ def read(path):
         return list(csv.DictReader(file))
 
 
-def test_every_column_is_explained_once_and_filled():
+def test_every_column_is_described_and_filled():
     assert "true" not in columns(False)
     assert {"elapsed_s", "samples"} <= set(columns(False))
     assert all(columns(True).values())
@@ -47,7 +47,7 @@ def test_every_column_is_explained_once_and_filled():
     assert set(columns(True)) - set(columns(False)) == {f"true_{f.name}" for f in dataclasses.fields(TrueError)}
 
 
-def test_the_log_is_whole_after_every_row(tmp_path):
+def test_the_log_is_complete_after_every_row(tmp_path):
     path = tmp_path / "log.csv"
     log = LogWriter(path, true_errors=True)
     assert not path.exists()
@@ -65,7 +65,7 @@ def test_the_log_is_whole_after_every_row(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["log.csv"]
 
 
-def test_an_older_log_stays_until_there_is_a_row(tmp_path):
+def test_an_existing_log_stays_until_the_first_row(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("old\n")
     log = LogWriter(path, true_errors=False)
@@ -74,13 +74,13 @@ def test_an_older_log_stays_until_there_is_a_row(tmp_path):
     assert [each["wave"] for each in read(path)] == ["1"]
 
 
-def test_a_place_that_cannot_be_written_is_found_out_beforehand(tmp_path):
+def test_an_unwritable_path_is_found_beforehand(tmp_path):
     with pytest.raises(UserError, match="no folder"):
         LogWriter(tmp_path / "no" / "log.csv", true_errors=False)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="file size limits are POSIX")
-def test_a_full_disk_leaves_whole_rows(tmp_path):
+def test_a_full_disk_leaves_complete_rows(tmp_path):
     code = """
         import resource, signal, sys
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

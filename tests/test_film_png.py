@@ -1,4 +1,4 @@
-"""Tone-mapped pictures: what the curve does at its ends, and that scale and order of an image do not matter."""
+"""Tone mapping: exposure, curve, monotony, black and invalid pixels."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def grey(luminance):
     return np.repeat(np.asarray(luminance, np.float32)[..., None], 3, axis=-1)
 
 
-def test_an_even_image_becomes_middle_grey():
+def test_a_constant_image_becomes_middle_grey():
     for level in (1e-20, 0.3, 1.0, 4e10):
         assert np.unique(tone_map(grey(np.full((3, 5), level)))).tolist() == [srgb(MIDDLE_GREY)]
 
@@ -27,7 +27,7 @@ def test_exposure_follows_the_scale(scale):
     np.testing.assert_array_equal(tone_map(rgb * np.float32(scale)), tone_map(rgb))
 
 
-def test_the_curve_is_straight_below_the_shoulder_and_bends_smoothly_above():
+def test_the_curve_is_linear_below_the_shoulder_and_smooth_above():
     # the two outer pixels of each triple balance each other: the log-average is 1 and `display` is v * MIDDLE_GREY
     display = np.array([0.05, SHOULDER, SHOULDER + 1e-3, 0.9, 5.0])
     level = display / MIDDLE_GREY
@@ -39,14 +39,14 @@ def test_the_curve_is_straight_below_the_shoulder_and_bends_smoothly_above():
     assert mapped[-1] == 255
 
 
-def test_order_is_kept_over_twenty_decades():
+def test_the_curve_is_monotonic_over_twenty_decades():
     mapped = tone_map(grey(np.logspace(-10, 10, 1000)[None]))
     assert (np.diff(mapped[0, :, 0].astype(int)) >= 0).all()
     assert mapped.min() == 0
     assert mapped.max() == 255
 
 
-def test_black_background_and_fireflies_do_not_decide_the_exposure():
+def test_black_background_and_fireflies_hardly_change_the_exposure():
     lit = np.random.default_rng(2).uniform(0.5, 2, (10, 10))
     framed = np.zeros((40, 40))
     framed[:10, :10] = lit
@@ -57,7 +57,7 @@ def test_black_background_and_fireflies_do_not_decide_the_exposure():
     assert np.abs(tone_map(bright)[1:].astype(int) - tone_map(struck)[1:]).max() <= 1
 
 
-def test_black_and_broken_pixels():
+def test_black_and_invalid_pixels():
     assert not tone_map(np.zeros((2, 3, 3), np.float32)).any()
     image = grey(np.ones((2, 2)))
     image[0, 0] = [np.nan, np.inf, -1]
@@ -67,7 +67,7 @@ def test_black_and_broken_pixels():
     assert tone_map(grey([[1e-30, 3e38]])).tolist()[0][1] == [255] * 3
 
 
-def test_the_file_holds_the_tone_mapped_image(tmp_path):
+def test_the_file_contains_the_tone_mapped_image(tmp_path):
     from PIL import Image
 
     rgb = np.random.default_rng(3).lognormal(0, 1, (7, 13, 3)).astype(np.float32)

@@ -9,7 +9,7 @@ import pytest
 WIDTH, HEIGHT = 3000, 2000
 LIMIT = 2 * 2**30
 
-# The process tells its own peak: that of RUSAGE_CHILDREN would be the largest child of the whole test run.
+# The process prints its own peak: RUSAGE_CHILDREN would give the largest child of the whole test run.
 PROGRAM = """
 import json, resource, sys
 from isonoise.cli import main
@@ -21,7 +21,7 @@ print(json.dumps({"code": code, "peak": resource.getrusage(resource.RUSAGE_SELF)
 
 @pytest.mark.long
 def test_a_large_image_fits_in_two_gibibytes(tmp_path):
-    """6 million pixels, the chunk medians kept, a uniform and an adaptive wave and the image file.
+    """6 million pixels with chunk medians: a uniform wave, an adaptive wave and the image file.
 
     On a CPU the device's memory is the process's own: 100 bytes a pixel, 0.6 GB here, for statistics and allocation.
     """

@@ -1,4 +1,4 @@
-"""The progress bar and the numbers that it and the report show to people."""
+"""The progress bar, and durations, counts and percentages as text."""
 
 import io
 import math
@@ -46,13 +46,13 @@ def test_percentages():
     ]
 
 
-def test_nothing_is_shown_where_nobody_looks(capsys):
+def test_nothing_is_shown_without_a_terminal(capsys):
     with RenderProgressBar() as bar:
         bar.update(1.0, 1000, 0.5, 2.0)
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_terminal_sees_time_samples_error_and_time_left(monkeypatch):
+def test_the_bar_shows_time_samples_error_and_time_left(monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
     terminal = Terminal()

@@ -1,4 +1,4 @@
-"""A renderer's statistics, as strategies ask for them, and the seconds of the device."""
+"""A renderer's statistics as strategies need them, and the device's time."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from isonoise.strategies import make_strategy
 
 
 @pytest.mark.parametrize("needs", [Needs(median=True, chunk=3, batch=2, half=True), Needs(power=1.0)])
-def test_neither_pool_nor_waves_change_a_bit_of_what_a_strategy_needs(needs):
+def test_pool_size_and_waves_change_no_bit_of_optional_statistics(needs):
     def statistics(pool_size: int | None, wave_spp: int) -> Statistics:
         strategy = make_strategy(f"uniform:wave_spp={wave_spp}")
         strategy.needs = needs
@@ -24,26 +24,26 @@ def test_neither_pool_nor_waves_change_a_bit_of_what_a_strategy_needs(needs):
         assert_same_bits(statistics(pool_size, wave_spp), whole)
 
 
-def test_the_statistics_are_read_once_a_wave():
+def test_statistics_are_read_once_per_wave():
     renderer = Renderer(lamp_over_floor(), strategy="uniform:wave_spp=2")
     renderer.step()
     first = renderer.statistics()
     assert renderer.statistics() is first
     assert renderer.image() is first.rgb
     with pytest.raises(ValueError, match="read-only"):
-        first.mean[0, 0] = 1  # others will be given the same
+        first.mean[0, 0] = 1  # shared with later callers
     renderer.step()
     assert (renderer.statistics().count == 4).all()
     assert (first.count == 2).all()
 
 
-def test_seconds_of_the_device():
+def test_device_seconds():
     renderer = Renderer(lamp_over_floor(), strategy="uniform:wave_spp=64", profile=True)
-    assert renderer.device_seconds == 0  # set-up is no rendering
+    assert renderer.device_seconds == 0  # set-up does not count
     before = 0.0
     for _ in range(3):
         record = renderer.step()
-        # the device works on a part of the wave's time, on one kernel at a time; a clock of another kind may be off
+        # the device is busy for a part of the wave's time, with one kernel at a time; its clock may differ slightly
         assert 0 < renderer.device_seconds - before < 1.01 * record.seconds
         before = renderer.device_seconds
     renderer.statistics()
@@ -51,7 +51,7 @@ def test_seconds_of_the_device():
     assert Renderer(lamp_over_floor(), strategy="uniform").device_seconds is None
 
 
-def test_profile_of_the_kernels():
+def test_kernel_profile():
     device = Device(profile=True)
     kernel = device.build("__kernel void nothing(uint n) {}", ())["nothing"]
     for _ in range(3):

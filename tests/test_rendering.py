@@ -28,7 +28,7 @@ from isonoise.renderer import Renderer
         ({"error": 0.1, "quantile": 0.0}, "quantile has to"),
     ],
 )
-def test_limits_that_make_no_sense(limits, message):
+def test_invalid_limits(limits, message):
     with pytest.raises(UserError, match=message):
         Stops(**limits)
 
@@ -39,10 +39,10 @@ def test_a_stated_error_ends_the_render(strategy):
     assert outcome.reason == "error"
     assert outcome.rows[-1].stated_p99 < 0.05
     assert all(row.stated_p99 >= 0.05 for row in outcome.rows[:-1])
-    assert outcome.rows[-1].stated_p99 > 0.04  # the waves home in on it: at most half as many samples again as it takes
+    assert outcome.rows[-1].stated_p99 > 0.04  # waves approach the limit: at most half more samples than needed
 
 
-def test_the_error_is_that_of_the_quantile_asked_for():
+def test_the_error_is_that_of_the_given_quantile():
     outcome = render(lamp_over_floor(), error=0.05, quantile=0.5, spp=100_000, strategy="uniform")
     assert outcome.reason == "error"
     assert outcome.rows[-1].stated_p50 < 0.05 < outcome.rows[-1].stated_p99
@@ -54,7 +54,7 @@ def test_the_error_is_that_of_the_quantile_asked_for():
         ({"spp": 4, "error": 1e-9, "time": 600}, "spp"),
         ({"spp": 1e9, "error": 1e-9, "time": 0.05}, "time"),
         ({"spp": 1e9, "error": 100.0, "time": 600}, "error"),
-        ({"spp": 16, "error": 100.0}, "error"),  # both at once: the wish that was met is what is said
+        ({"spp": 16, "error": 100.0}, "error"),  # both at once: the error is the reported reason
     ],
 )
 def test_the_first_limit_reached_ends_the_render(limits, reason):
@@ -62,23 +62,25 @@ def test_the_first_limit_reached_ends_the_render(limits, reason):
 
 
 def test_a_deadline_is_kept():
-    """2 s, kept to 0.15 s. Waves are sized by the speed measured so far, which other programs on the machine change:
-    the best of three attempts counts. The strategy's own waves bring four times the samples so far: one render in
-    twenty would end as well with those by chance."""
-    late = []
+    """2 s with a tolerance of 0.15 s.
+
+    Waves are sized by the speed so far, which other programs on the machine change: the best of three attempts counts.
+    The strategy's own waves have four times the samples so far: without limits one render in 20 would pass by chance.
+    """
+    delays = []
     for seed in range(3):
         outcome = render(lamp_over_floor(), time=2.0, strategy="uniform:growth=4", seed=seed)
         assert outcome.reason == "time"
         assert outcome.elapsed_s > 1.99
         assert outcome.rows[-1].elapsed_s <= outcome.elapsed_s
-        late.append(outcome.elapsed_s - 2.0)
-        if late[-1] < 0.15:
+        delays.append(outcome.elapsed_s - 2.0)
+        if delays[-1] < 0.15:
             return
-    pytest.fail(f"seconds late, each time: {late}")
+    pytest.fail(f"seconds late: {delays}")
 
 
 @pytest.mark.parametrize("strategy", ["uniform", "relative-median"])
-def test_the_rows_of_the_log_rise(strategy):
+def test_rows_of_the_log(strategy):
     seen = []
     images = []
 
@@ -103,8 +105,8 @@ def test_the_rows_of_the_log_rise(strategy):
     assert seen[-1].samples == 200 * PIXELS
 
 
-def test_the_clock_stands_still_for_true_errors(monkeypatch):
-    """A reference that takes long to compare with must not eat the time of the render."""
+def test_true_errors_do_not_count_as_rendering_time(monkeypatch):
+    """Even if the comparison with the reference is slow."""
     true_error = loop.true_error
     monkeypatch.setattr(loop, "true_error", lambda *images: time.sleep(0.05) or true_error(*images))
     reference = np.ones((HEIGHT, WIDTH, 3), np.float32), None
@@ -119,7 +121,7 @@ def test_the_clock_stands_still_for_true_errors(monkeypatch):
     assert outcome.floor == pytest.approx(0.01, rel=1e-6)  # the reference's
 
 
-def test_the_clock_stands_still_while_a_wave_is_reported():
+def test_on_wave_does_not_count_as_rendering_time():
     begun = time.perf_counter()
     outcome = render_loop(Renderer(lamp_over_floor()), Stops(spp=64), on_wave=lambda row, _: time.sleep(0.05))
     assert len(outcome.rows) > 2
@@ -127,17 +129,17 @@ def test_the_clock_stands_still_while_a_wave_is_reported():
     assert outcome.rows[-1].elapsed_s <= outcome.elapsed_s < outcome.rows[-1].elapsed_s + 0.1
 
 
-@pytest.mark.parametrize("questions", [0, 1, 500])
-def test_an_interrupted_render_has_valid_statistics(questions):
-    """`should_stop` says yes after a number of questions: before the first wave, in it, and later."""
-    left = iter([False] * questions)
+@pytest.mark.parametrize("calls", [0, 1, 500])
+def test_an_interrupted_render_has_valid_statistics(calls):
+    """`should_stop` returns True after a number of calls: before the first wave, in it, and later."""
+    left = iter([False] * calls)
     renderer = Renderer(lamp_over_floor(), pool_size=12)
     outcome = render_loop(renderer, Stops(spp=1e6), should_stop=lambda: next(left, True))
     assert outcome.reason == "interrupted"
-    assert (outcome.statistics.samples == 0) == (questions < 2)
+    assert (outcome.statistics.samples == 0) == (calls < 2)
     assert outcome.statistics.samples < 1e6 * PIXELS
-    assert (len(outcome.rows) == 0) == (questions == 0)
-    if questions:
+    assert (len(outcome.rows) == 0) == (calls == 0)
+    if calls:
         assert outcome.rows[-1].samples == outcome.statistics.samples
     assert_sound(outcome.statistics)
 

@@ -1,4 +1,4 @@
-"""The stated error against what it should show: closed forms, invariants, and simulations whose truth is known.
+"""The stated error: closed forms, invariants, and simulations with a known true error.
 
 Simulations have fixed seeds. Their tolerances are those promised for the estimator (5 % where samples are normal), not
 sampling noise: a quantile of 256x256 pixels has a standard error of 0.5 % at p50 and 0.8 % at p99 (density of |Z|).
@@ -62,7 +62,7 @@ def test_a_constant_image_has_no_error(value):
     assert stated_error(make_statistics(16, np.full((9, 9), value), 0.0), QUANTILES).tolist() == [0.0] * 3
 
 
-def test_without_two_samples_no_error_is_small_enough():
+def test_pixels_of_fewer_than_two_samples_have_an_infinite_error():
     ones = np.ones((10, 10))
     for count in (0, 1):
         assert np.isposinf(stated_error(make_statistics(count, ones, 0.0), (0.01, 0.5, 0.99))).all()
@@ -74,7 +74,7 @@ def test_without_two_samples_no_error_is_small_enough():
     assert np.isposinf(stated[2:]).all()
 
 
-def test_noise_around_black_has_no_scale():
+def test_noise_around_black_has_an_infinite_error():
     assert np.isposinf(stated_error(make_statistics(16, np.zeros((8, 8)), 1.0), QUANTILES)).all()
     assert stated_error(make_statistics(16, np.zeros((8, 8)), 1.0), QUANTILES, floor=1.0) == pytest.approx(
         0.25 * HALF_NORMAL, rel=1e-3
@@ -95,8 +95,8 @@ def test_scaling_the_light_changes_nothing():
     assert stated_error(statistics_of_samples(x * 0.3), QUANTILES) == pytest.approx(stated, rel=1e-6)
 
 
-def test_strips_do_not_show():
-    """3 x 256 rows of 1024 pixels are worked on in several strips; the same image in one is a quarter of the width."""
+def test_strips_do_not_change_the_result():
+    """3 x 256 rows of 1024 pixels are processed in several strips, an image of a quarter of the width in one."""
     x = np.random.default_rng(2).exponential(size=(4, 256, 256))
     s = statistics_of_samples(x)
     tiled = make_statistics(4, np.tile(s.mean, (3, 4)), np.tile(s.variance, (3, 4)))
@@ -143,9 +143,9 @@ def test_skewed_samples(n, shape):
 
 
 @pytest.mark.parametrize("n", [16, 64])
-def test_fireflies_seen_here_count_for_pixels_that_saw_none(n):
-    """One sample in 50 holds all the light: a pixel of 16 samples has seen it in 28 % of the cases, and looks black or
-    noiseless else. Unshrunk, the median error is 0 (n = 16) or half of the true one (n = 64)."""
+def test_fireflies_raise_the_error_of_pixels_without_one(n):
+    """One sample in 50 has all the light. 28 % of the pixels of 16 samples have one, the others look noiseless.
+    Unshrunk, the median error is 0 (n = 16) or half of the true one (n = 64)."""
     x = np.where(np.random.default_rng(40 + n).random((n, 256, 256)) < 0.02, 50.0, 0.0)
     stated = stated_error(statistics_of_samples(x), QUANTILES)
     assert stated == pytest.approx(np.sqrt(49 / n) * HALF_NORMAL, rel=0.2)
@@ -161,7 +161,7 @@ def test_a_noiseless_background_beside_noise():
     assert stated[1:] == pytest.approx(true_quantiles(s, r)[1:], rel=0.05)
 
 
-def test_counts_that_vary():
+def test_varying_counts():
     rng = np.random.default_rng(60)
     sigma = 0.1 * np.exp(0.5 * smooth_field(rng, 256, 8))
     x = 1 + sigma * rng.normal(size=(64, 256, 256))
@@ -207,8 +207,8 @@ def test_half_width_covers_95_percent(n):
     assert abs(covered - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 90_000)  # false alarms: 7e-6
 
 
-def test_counts_mixed_at_random_or_by_halves_state_the_same():
-    """Where one count borders on another makes no difference to what sigma_i^2 = variance / count is stated from."""
+def test_the_arrangement_of_counts_does_not_matter():
+    """Two counts mixed at random, and one per half of the image, have the same stated error."""
     rng = np.random.default_rng(80)
     count = rng.choice([100, 400], size=(128, 128))
     stated = stated_error(make_statistics(count, np.ones(count.shape), 1.0), (0.5, 0.99))

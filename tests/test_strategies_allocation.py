@@ -1,4 +1,4 @@
-"""Allocation rules: exact sums, exact water-filling against rational arithmetic, caps, scaling, the order."""
+"""Allocation rules: exact sums, water-filling against rational arithmetic, caps, scaling, hashed order."""
 
 import tracemalloc
 from fractions import Fraction
@@ -70,13 +70,13 @@ def test_counts_sum_to_the_budget(rule, budget, clip, cap):
         assert int(allocation.sum(dtype=np.int64)) == budget, name
 
 
-def test_a_single_pixel_takes_all():
+def test_a_single_pixel_gets_all_samples():
     count = np.array([[16]], dtype=np.uint32)
     for variance in (0.0, 1.0, np.inf, np.nan):
         assert deficit(count, np.array([[variance]]), 12345, 0).item() == 12345
 
 
-def test_levels_are_equal_where_samples_went():
+def test_errors_are_equal_where_samples_went():
     rng = np.random.default_rng(3)
     count = rng.integers(16, 200, size=(40, 50), dtype=np.uint32)
     variance = 10.0 ** rng.uniform(-6, 6, size=count.shape)
@@ -85,18 +85,18 @@ def test_levels_are_equal_where_samples_went():
     got = allocation > 1000  # where a rounding by one sample is at most a thousandth
     assert got.any()
     assert level[got].max() / level[got].min() < 1.002
-    # A pixel at 16 samples whose share rounds to none may stand above the rest by less than one sample.
+    # A pixel of 16 samples whose share rounds to 0 may exceed the others by less than one sample.
     assert level[allocation == 0].max() < level[got].max() * (1 + 1 / 16)
 
 
 def test_exact_water_filling_keeps_the_mean_error_of_uniform_sampling_and_sqrt_lowers_it():
     rng = np.random.default_rng(4)
     variance = rng.lognormal(0, 1, size=(64, 64))
-    count = np.ones(variance.shape, dtype=np.uint32)  # so few that no pixel is above the level already
+    count = np.ones(variance.shape, dtype=np.uint32)  # so few that no pixel is above the water level
     total = 10_000_000
     filled = count + deficit(count, variance, total - count.size, 0, cap=np.inf)
     uniform = np.mean(variance / (total / count.size))
-    assert np.mean(variance / filled) == pytest.approx(uniform, rel=1e-3)  # rounding: a sample in about 2000
+    assert np.mean(variance / filled) == pytest.approx(uniform, rel=1e-3)  # rounding: one sample in about 2000
     root = np.sqrt(variance) * total / np.sqrt(variance).sum()
     assert np.mean(variance / root) < 0.9 * uniform  # exp(-sigma^2 / 4) = 0.78 for this distribution
     assert np.max(variance / filled) < 0.3 * np.max(variance / root)
@@ -109,7 +109,7 @@ def test_proportional_to_the_error_converges_to_a_power_of_the_variance(exponent
     count = np.full(variance.shape, 100, dtype=np.uint32)
     for wave in range(400):
         count += proportional_to_error(count, variance, int(0.1 * count.sum()), wave, exponent=exponent)
-        count = np.maximum(count // 2, 1) if count.sum() > 10**8 else count  # forgets where it began
+        count = np.maximum(count // 2, 1) if count.sum() > 10**8 else count  # so that the start does not matter
     slope = np.polyfit(np.log(variance[0]), np.log(count[0]), 1)[0]
     assert slope == pytest.approx(exponent / (exponent + 1), rel=0.01)
 
@@ -123,20 +123,20 @@ def test_proportional_to_the_error_is_its_formula():
     assert np.abs(got - expected).max() < 1
 
 
-def test_no_pixel_exceeds_the_cap_while_others_have_room():
+def test_no_pixel_exceeds_the_cap_while_others_are_below_it():
     rng = np.random.default_rng(5)
     count = rng.integers(1, 100, size=(30, 30), dtype=np.uint32)
     variance = np.where(rng.random(count.shape) < 0.1, 10.0 ** rng.uniform(0, 9, size=count.shape), 0.0)
-    room = int(3 * count.sum())
-    for budget in (10, 5000, room // 2, room - 1, room):
+    capacity = int(3 * count.sum())
+    for budget in (10, 5000, capacity // 2, capacity - 1, capacity):
         allocation = deficit(count, variance, budget, 0)
         assert (allocation <= 3 * count).all()
-    assert (deficit(count, variance, room, 0) == 3 * count).all()
-    beyond = deficit(count, variance, room + count.size, 0)
+    assert (deficit(count, variance, capacity, 0) == 3 * count).all()
+    beyond = deficit(count, variance, capacity + count.size, 0)
     assert (beyond == 3 * count + 1).all()
 
 
-def test_what_the_cap_cuts_off_is_spread_evenly():
+def test_samples_beyond_the_caps_are_spread_evenly():
     count = np.full((10, 10), 16, dtype=np.uint32)
     variance = np.zeros((10, 10))
     variance[4, 7] = 1.0
@@ -147,7 +147,7 @@ def test_what_the_cap_cuts_off_is_spread_evenly():
     assert np.count_nonzero(others == 6) == 20
 
 
-def test_without_variance_the_spread_is_uniform():
+def test_without_variance_the_allocation_is_uniform():
     count = np.full((9, 11), 16, dtype=np.uint32)
     allocation = deficit(count, np.zeros(count.shape), 99 * 3 + 5, 7)
     assert (allocation == uniform_allocation(count.shape, 99 * 3 + 5, 7)).all()
@@ -163,7 +163,7 @@ def test_a_pixel_without_samples_gets_none_by_its_variance():
     assert deficit(count, variance, 450 + 16, 0)[0, 0] == 1
 
 
-def test_unknown_counts_as_the_worst_and_no_number_as_nothing():
+def test_inf_counts_as_the_largest_variance_and_nan_as_zero():
     count = np.full((4, 4), 8, dtype=np.uint32)
     variance = np.arange(1.0, 17).reshape(4, 4)
     with_unknown, as_worst = variance.copy(), variance.copy()
@@ -178,7 +178,7 @@ def test_unknown_counts_as_the_worst_and_no_number_as_nothing():
 def test_clip_cuts_at_the_quantile_of_pixels_with_variance():
     count = np.full((20, 50), 16, dtype=np.uint32)
     variance = np.zeros(1000)
-    variance[:100] = np.arange(1, 101)  # the other 900 must not pull the quantile to 0
+    variance[:100] = np.arange(1, 101)  # the other 900 must not count
     variance[99] = 1e9
     variance = variance.reshape(20, 50)
     allocation = deficit(count, variance, 2000, 0, clip=0.95, cap=np.inf).ravel()
@@ -201,7 +201,7 @@ def test_scaling_the_variance_changes_nothing():
             assert np.count_nonzero(change) <= 4  # pixels whose remainders tie but for the last bit
 
 
-def test_a_larger_budget_takes_nothing_away():
+def test_a_larger_budget_takes_no_samples_away():
     rng = np.random.default_rng(9)
     count = rng.integers(1, 100, size=(20, 20), dtype=np.uint32)
     variance = rng.lognormal(0, 2, size=count.shape)
@@ -240,7 +240,7 @@ def test_proportional_equals_rational_arithmetic():
             assert counts.dtype == np.uint32
 
 
-def test_proportional_at_the_edges():
+def test_proportional_with_extreme_weights():
     alone = np.zeros((7, 5))
     alone[3, 2] = 1e-310
     assert proportional(alone, 2**32 - 1, 0)[3, 2] == 2**32 - 1
@@ -262,14 +262,14 @@ def test_uniform_allocation_is_even(budget):
     assert np.ptp(allocation.astype(np.int64)) <= 1
 
 
-def test_the_remainder_goes_round():
-    """Over 4000 waves each of 64 pixels is among the 16 favoured ones 1000 times, give or take."""
+def test_the_remainder_changes_with_the_wave():
+    """Over 4000 waves each of 64 pixels is about 1000 times among the 16 that get one sample more."""
     waves, pixels, rest = 4000, 64, 16
     times = sum(uniform_allocation((8, 8), rest, wave).astype(int) for wave in range(waves)).ravel()
     p = rest / pixels
     # Chi-square with 63 degrees of freedom; 114.1 is its 0.9999 quantile (false alarms: 1e-4).
     assert np.sum((times - waves * p) ** 2) / (waves * p * (1 - p)) * (1 - 1 / pixels) < 114.1
-    # Consecutive waves are unrelated: shared favourites are hypergeometric, mean 4, variance 2.29; five sigma (6e-7).
+    # Consecutive waves are independent: shared pixels are hypergeometric, mean 4, variance 2.29; five sigma (6e-7).
     shared = [
         np.sum(uniform_allocation((8, 8), rest, wave) * uniform_allocation((8, 8), rest, wave + 1))
         for wave in range(waves)
@@ -277,8 +277,8 @@ def test_the_remainder_goes_round():
     assert abs(np.mean(shared) - 4) < 5 * np.sqrt(2.29 / waves)
 
 
-def test_six_million_pixels_are_allocated_lean():
-    """Scaled down to a million pixels: beside the input no more than five float64 arrays at a time, and masks."""
+def test_memory_of_large_allocations():
+    """With a million pixels: besides the input at most five float64 arrays at a time, and masks."""
     rng = np.random.default_rng(10)
     count = rng.integers(16, 1000, size=(1000, 1000), dtype=np.uint32)
     variance = 10.0 ** rng.uniform(-6, 6, size=count.shape)

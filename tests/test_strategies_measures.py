@@ -1,4 +1,4 @@
-"""Measures and the floor: closed forms, the edge cases, and what scaling the light leaves unchanged."""
+"""Measures and the floor: closed forms, edge cases, invariance to the scale of the light."""
 
 import itertools
 import math
@@ -95,12 +95,12 @@ def test_a_black_image_has_no_floor_and_no_nan():
     s = make_statistics(16, np.zeros((2, 2)), median=0.0)
     assert (relative_mean(s, image_floor(s.mean)) == 0).all()
     assert (relative_median(s, image_floor(s.mean)) == 0).all()
-    noisy = make_statistics(16, [[0.0, -1.0]], [[1.0, 1.0]])  # negative samples can do it: noise without a scale
+    noisy = make_statistics(16, [[0.0, -1.0]], [[1.0, 1.0]])  # from negative samples: noise without a scale
     assert np.isposinf(relative_mean(noisy, image_floor(noisy.mean))).all()
 
 
-def test_with_the_bare_floor_pixels_of_zero_median_take_the_whole_budget():
-    """One sample in 8 is 24, the rest 0, among pixels of the same relative variance 7: kappa bounds what it claims."""
+def test_kappa_bounds_pixels_of_zero_median():
+    """One sample in 8 is 24, the rest 0, among pixels of relative variance 7. Without kappa it gets all samples."""
     x = np.random.default_rng(2).lognormal(0, np.sqrt(np.log(8)), size=(800, 10, 10))
     x[:, 5, 5] = np.where(np.arange(800) % 8 == 0, 24.0, 0.0)
     s = statistics_of_samples(x, chunk=5)
@@ -146,7 +146,7 @@ def test_the_map_sends_samples_where_the_relative_error_is():
     """Half of the image has twice the relative error of the other: water-filling wants counts of 1 to 4."""
     rng = np.random.default_rng(4)
     sigma = np.where(np.arange(64) < 32, 0.1, 0.2)
-    brightness = np.exp(rng.normal(0, 1, size=(64, 64)))  # takes no part in a relative error
+    brightness = np.exp(rng.normal(0, 1, size=(64, 64)))  # does not affect a relative error
     x = brightness * (1 + sigma * rng.normal(size=(400, 64, 64)))
     counts = 400 + make_strategy("relative-mean:clip=1,cap=inf").allocate(
         statistics_of_samples(x, chunk=5), 1600 * 64 * 64
@@ -182,7 +182,7 @@ def test_confidence_is_half_of_the_interval():
     assert confidence(s, 0.5)[0, 0] == pytest.approx(1.0)  # tan(pi / 4)
 
 
-def test_the_interval_holds_the_mean_as_often_as_it_says():
+def test_confidence_intervals_have_the_stated_coverage():
     """Of 4 normal samples in 100,000 pixels; 4.4 standard deviations of a binomial share (false alarms: 1e-5)."""
     rng = np.random.default_rng(2)
     s = statistics_of_samples(np.repeat(5 + rng.normal(size=(4, 250, 400, 1)), 3, axis=-1))

@@ -1,4 +1,4 @@
-"""Strategies by name: specs, parameters, schedules, and the messages for what is wrong."""
+"""Strategies by name: specs, parameters, schedules, error messages."""
 
 import inspect
 import itertools
@@ -67,7 +67,7 @@ def test_the_built_in_strategies():
 
 
 @pytest.mark.parametrize("name", ["relative-mean", "relative-median", "pooled:ratio=1,growth=0.5"])
-def test_uniform_and_adaptive_waves_take_turns(name):
+def test_uniform_and_adaptive_waves_alternate(name):
     waves = first(make_strategy(name), 40)
     assert (waves[0].kind, waves[0].spp) == ("uniform", 16)
     assert [w.kind for w in waves[1:]] == ["adaptive", "uniform"] * 19 + ["adaptive"]
@@ -112,7 +112,7 @@ def test_uniform_in_three_or_thirty_waves():
         " relative-median:kappa=2.5, growth=1 ",
     ],
 )
-def test_describe_is_a_spec_that_makes_the_same(spec):
+def test_describe_returns_a_spec_of_the_same_strategy(spec):
     strategy = make_strategy(spec)
     again = make_strategy(describe(strategy))
     assert type(again) is type(strategy)
@@ -138,7 +138,7 @@ def test_built_in_strategies_describe_themselves_and_document_their_parameters(n
 
 
 @pytest.mark.usefixtures("user_module")
-def test_a_class_of_ones_own():
+def test_custom_classes():
     strategy = make_strategy("my_strategies:Dark")
     assert isinstance(strategy, Strategy)
     assert describe(strategy) == "my_strategies:Dark:spp=2,fast=false,label=none"
@@ -153,7 +153,7 @@ def test_names_from_entry_points(monkeypatch):
     entries = [
         EntryPoint("dark", "my_strategies:Dark", registry.ENTRY_POINT_GROUP),
         EntryPoint("broken", "broken_strategies:X", registry.ENTRY_POINT_GROUP),
-        EntryPoint("uniform", "my_strategies:Dark", registry.ENTRY_POINT_GROUP),  # a built-in name stays built in
+        EntryPoint("uniform", "my_strategies:Dark", registry.ENTRY_POINT_GROUP),  # a built-in name takes precedence
     ]
     monkeypatch.setattr(registry, "_entry_points", lambda: entries)
     assert available_strategies()[-3:] == ["luxcore", "broken", "dark"]
@@ -198,12 +198,12 @@ def test_names_from_entry_points(monkeypatch):
         ("my_strategies:Dark:fast=maybe", "true or false"),
     ],
 )
-def test_what_is_wrong_is_said(spec, message):
+def test_error_messages(spec, message):
     with pytest.raises(UserError, match=message):
         make_strategy(spec)
 
 
-def test_two_runs_allocate_the_same():
+def test_allocations_are_repeatable():
     from isonoise.statistics import Statistics
 
     rng = np.random.default_rng(1)

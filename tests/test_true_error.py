@@ -50,12 +50,12 @@ def test_the_worst_thousandth_is_left_out():
     image[1:] += 0.1
     e = true_error(image, reference)
     assert e.rel_mse > 700
-    assert e.rel_mse_trimmed == pytest.approx((4900 - 1) / 4995 * 0.01 / 1.01, rel=1e-5)  # and one of the next worst
-    small = true_error(image[:9], reference[:9])  # 900 pixels: a thousandth is none
+    assert e.rel_mse_trimmed == pytest.approx((4900 - 1) / 4995 * 0.01 / 1.01, rel=1e-5)  # and one more
+    small = true_error(image[:9], reference[:9])  # 900 pixels: a thousandth rounds to 0
     assert small.rel_mse_trimmed == pytest.approx(small.rel_mse)
 
 
-def test_errors_in_black_pixels_are_measured_by_the_floor():
+def test_errors_of_black_pixels_are_relative_to_the_floor():
     e = true_error(grey([[1.0, 0.02]]), grey([[1.0, 0.0]]))
     assert e.max == pytest.approx(0.02 / 0.01, rel=1e-6)
     black = true_error(grey([[0.0, 1.0]]), grey([[0.0, 0.0]]))
@@ -68,28 +68,28 @@ def test_coverage_and_energy_ratio_of_a_simulation():
     standard error normal over 200 images."""
     rng = np.random.default_rng(2)
     shape, n, reference_n, sigma = (20, 20), 6, 50, 0.5
-    covered, off = [], []
+    covered, deviations = [], []
     for _ in range(200):
         s = statistics_of_samples(1 + sigma * rng.normal(size=(n, *shape)))
         reference = grey(1 + sigma / np.sqrt(reference_n) * rng.normal(size=shape))
         e = true_error(s.rgb, reference, grey(np.full(shape, sigma / np.sqrt(reference_n))), s)
         covered.append(e.coverage)
-        off.append((e.energy_ratio - 1) / e.energy_ratio_se)
+        deviations.append((e.energy_ratio - 1) / e.energy_ratio_se)
     # 80,000 pixels; adding variances of a t and a normal interval is conservative by up to 1 %.
     assert 0.95 - 4.5 * np.sqrt(0.0475 / 80_000) < np.mean(covered) < 0.962
-    assert abs(np.mean(off)) < 4.5 / np.sqrt(200)  # false alarms: 7e-6
-    assert abs(np.var(off) - 1) < 4.5 * np.sqrt(2 / 200)
+    assert abs(np.mean(deviations)) < 4.5 / np.sqrt(200)  # false alarms: 7e-6
+    assert abs(np.var(deviations) - 1) < 4.5 * np.sqrt(2 / 200)
 
 
-def test_coverage_allows_for_rounding_and_leaves_out_pixels_without_interval():
+def test_coverage_allows_rounding_and_ignores_pixels_without_an_interval():
     reference = grey([[1 / 3, 1.0, 1.0]])
     s = make_statistics([[16, 16, 1]], [[1 / 3, 1.1, 5.0]])
     e = true_error(s.rgb, reference, None, s)
-    assert e.coverage == 0.5  # the first is right but for rounding, the second is wrong, the third claims nothing
+    assert e.coverage == 0.5  # the first differs by rounding, the second is wrong, the third has no interval
     assert e.energy_ratio_se == np.inf
 
 
-def test_unfit_references_are_refused():
+def test_invalid_references_are_refused():
     ones = np.ones((4, 4, 3), np.float32)
     with pytest.raises(ValueError, match="shape"):
         true_error(ones, ones[:3])
