@@ -20,7 +20,7 @@ def covered(intervals, truth) -> float:
 @pytest.mark.parametrize(
     ("p", "dof", "x"), [(0.99, 8, 20.0902), (0.5, 8, 7.3441), (0.99, 1, 6.6349), (0.99, 100, 135.8067)]
 )
-def test_chi_square_quantiles_are_the_tables(p, dof, x):
+def test_chi_square_quantiles_agree_with_tables(p, dof, x):
     assert metrics.chi_square_quantile(p, dof) == pytest.approx(x, abs=1e-4)  # Abramowitz and Stegun, table 26.8
 
 
@@ -50,7 +50,7 @@ def test_rms_over_seeds_is_the_definition():
         assert without[seed] == pytest.approx(np.quantile(others, (0.5, 0.99)), rel=1e-3)
 
 
-def test_errors_near_the_largest_half_do_not_overflow():
+def test_errors_near_the_largest_float16_do_not_overflow():
     errors = np.full((2, 3, 3), 60000, np.float16)
     assert metrics.rms_over_seeds(errors) == pytest.approx(np.full((3, 3), 60000), rel=1e-3)
     assert metrics.rms_quantiles(errors, (0.99,))[1] == pytest.approx(np.full((2, 1), 60000), rel=1e-3)
@@ -72,17 +72,17 @@ def test_mean_over_seeds_is_the_t_interval():
 
 @pytest.mark.parametrize("common", [0.0, 0.3, 3.0])
 def test_intervals_of_means_cover_with_the_references_error(common):
-    """The reference's error moves all seeds alike: it must widen the interval although the seeds do not show it."""
+    """The reference's error shifts all seeds equally: it must widen the interval although the seeds do not show it."""
     rng, trials, seeds = np.random.default_rng(3), 6000, 8
     intervals = [
         metrics.mean_over_seeds(rng.normal(size=seeds) + common * rng.normal(), common).interval()
         for _ in range(trials)
     ]
-    # Welch's approximation is off by up to 0.01 where both parts are alike.
+    # Welch's approximation is off by up to 0.01 if both variances are similar
     assert covered(intervals, 0) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / trials) + 0.01 * (common > 0))
 
 
-def test_paired_ratio_takes_out_what_seeds_share():
+def test_paired_ratio_removes_the_noise_that_a_seed_has_in_common():
     rng = np.random.default_rng(4)
     shared = rng.lognormal(sigma=2, size=8)
     ratio = metrics.paired_ratio(0.4 * shared, shared)
@@ -94,7 +94,7 @@ def test_paired_ratio_takes_out_what_seeds_share():
     assert covered(noisy, 0.4) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / 4000))
 
 
-def test_a_ratio_to_nothing_is_not_a_number():
+def test_a_ratio_to_zero_is_nan():
     assert math.isnan(metrics.paired_ratio([1.0, 2.0], [0.0, 1.0]).low)
 
 
@@ -105,7 +105,7 @@ def test_jackknife_of_a_mean_is_its_standard_error():
     assert estimate.dof == 8
 
 
-def test_jackknife_intervals_of_the_rms_ratio_are_on_the_safe_side():
+def test_jackknife_intervals_of_the_rms_ratio_are_conservative():
     """Ratio of the RMS p99 of two strategies whose errors are normal, one 0.6 times the other, half of it shared."""
     rng, trials, estimates = np.random.default_rng(6), 400, []
     for _ in range(trials):
@@ -118,10 +118,10 @@ def test_jackknife_intervals_of_the_rms_ratio_are_on_the_safe_side():
     assert 1 < np.mean([estimate.se for estimate in estimates]) / truth < 1.8
 
 
-def test_bias_sees_what_all_seeds_share_and_knows_the_references_error():
+def test_bias_includes_the_references_error():
     rng = np.random.default_rng(7)
-    reference_off = 0.1 * rng.normal(size=(40, 50))
-    errors = 0.5 * rng.normal(size=(8, 40, 50)) - reference_off
+    reference_error = 0.1 * rng.normal(size=(40, 50))
+    errors = 0.5 * rng.normal(size=(8, 40, 50)) - reference_error
     assert abs(metrics.bias(errors, np.full((40, 50), 0.1)).z()) < 3
     shifted = metrics.bias(errors + 0.05, np.full((40, 50), 0.1))
     assert shifted.value == pytest.approx(0.05, abs=0.02)
@@ -137,7 +137,7 @@ def test_the_references_error_is_subtracted():
     assert np.mean(corrected**2) == pytest.approx(0.04, rel=0.02)
 
 
-def test_bound_of_allocation_is_reached_by_the_root():
+def test_the_lower_bound_of_relmse_is_reached_by_the_root():
     variance = np.random.default_rng(9).lognormal(sigma=1.5, size=(30, 40))
     bound = metrics.rel_mse_lower_bound(variance)
     count = np.sqrt(variance) / np.sqrt(variance).mean()
@@ -165,8 +165,8 @@ def test_time_to_reach_on_a_power_law():
     assert metrics.time_to_reach(curve.time, curve.error, curve.error[-1]) == pytest.approx((8.0, 8.0))
 
 
-def test_an_error_counts_as_reached_when_it_stays():
-    """The dip at 2 s is an image that has found no firefly yet."""
+def test_an_error_counts_as_reached_if_it_stays_below():
+    """The dip at 2 s is an image without its fireflies."""
     time, error = np.array([1.0, 2.0, 4.0, 8.0]), np.array([4.0, 0.4, 3.0, 0.5])
     assert metrics.time_to_reach(time, error, 1.0)[0] == pytest.approx(4 * 2 ** (math.log(3) / math.log(6)))
     rising = np.array([1.0, 2.0, 2.0, 3.0])
@@ -187,7 +187,7 @@ def test_time_ratio_of_the_baseline_is_one():
     assert (ratio.low, ratio.high, ratio.at_common_error.low, ratio.at_common_error.high) == pytest.approx((1, 1, 1, 1))
 
 
-def test_an_error_that_is_not_reached_gives_a_bound_and_the_ratio_at_its_own():
+def test_an_error_that_is_not_reached_gives_a_bound_and_the_ratio_at_the_final_error():
     ratio = metrics.time_ratio(power_law(1.5), power_law(1.0))
     assert (ratio.low, ratio.high) == (pytest.approx(1), math.inf)
     assert ratio.at_common_error.value == pytest.approx(1.5**2)
@@ -200,14 +200,14 @@ def test_an_error_that_is_reached_before_the_first_point_gives_a_bound():
 
 
 def test_time_ratio_near_one_has_an_interval_on_both_sides():
-    """Some of the sets of seeds reach the baseline's error and some do not: the interval is there all the same."""
+    """Only some of the sets of seeds reach the baseline's error; there is an interval all the same."""
     for scale in (0.99, 1.01):
         ratio = metrics.time_ratio(power_law(scale, jitter=0.05), power_law(1.0))
         assert ratio.at_common_error.low < scale**2 < ratio.at_common_error.high
         assert ratio.at_common_error.high / ratio.at_common_error.low < 2
 
 
-def test_curve_of_means_joins_seeds_with_waves_at_different_times():
+def test_curve_of_means_of_waves_at_different_times():
     rng = np.random.default_rng(11)
     times = [np.sort(rng.uniform(0.1, 10, 30)) for _ in range(4)]
     scales = [1.0, 2.0, 3.0, 6.0]

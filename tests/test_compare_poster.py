@@ -1,4 +1,4 @@
-"""The poster's figures, from runs with drawn errors."""
+"""The poster's figures, from runs with simulated errors."""
 
 import base64
 import json
@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from made_comparison import make_comparison
+from simulated_comparison import make_comparison
 
 from isonoise.comparison.metrics import chi_square_quantile, ideal_uniformity
 from isonoise.comparison.presets import POSTER, PRESETS
@@ -26,7 +26,7 @@ SEEDS = range(1, 9)
 
 
 def make(directory, **more):
-    """Runs of the whole preset; samples in proportion to the variance but for `uniform`."""
+    """Runs of the whole preset, with samples in proportion to the variance except for `uniform`."""
     shares = {spec: np.ones_like if spec == "uniform" else lambda v: v for spec in PRESET.strategies}
     made = make_comparison(directory, PRESET.scenes, shares, **{"seeds": SEEDS, "shape": (40, 50)} | more)
     plan = json.loads((made / "plan.json").read_text())
@@ -52,10 +52,10 @@ def runs_of(made, scene, spec):
     return list(results.runs(scene)[slug].values())
 
 
-def test_the_preset_has_all_that_the_figures_need():
+def test_the_preset_has_exactly_the_runs_of_the_figures():
     needed = {(design.scene, spec) for design in DESIGNS for spec in design.panels}
     assert needed <= {(scene, spec) for scene in PRESET.scenes for spec in PRESET.strategies}
-    assert {spec for _, spec in needed} == set(PRESET.strategies)  # and nothing for nobody
+    assert {spec for _, spec in needed} == set(PRESET.strategies)
 
 
 def test_maps_are_those_of_the_runs(made, figures):
@@ -70,15 +70,15 @@ def test_maps_are_those_of_the_runs(made, figures):
         np.testing.assert_array_equal(single, abs(runs_of(made, "penumbra", spec)[0].errors[-1].astype(float)))
 
 
-def test_numbers_are_those_of_the_tables(made, figures):
+def test_captions_have_the_numbers_of_the_tables(made, figures):
     text = (made / "tables.md").read_text()
     for figure in figures:
         section = text[text.index(f"### {figure.design.scene}\n") :].split("### ")[1]
         lines = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in section.splitlines() if "|" in line]
-        of_title = {cells[0].removesuffix("` †"): dict(zip(lines[0], cells, strict=True)) for cells in lines[2:]}
+        by_title = {cells[0].removesuffix("` †"): dict(zip(lines[0], cells, strict=True)) for cells in lines[2:]}
         row = next(row for row in figure.rows if row.title.startswith("RMS"))
         for spec, under in zip(figure.design.panels, row.captions, strict=False):
-            assert under == [f"{head} {of_title[spec][head]}" for head in figure.design.heads]
+            assert under == [f"{head} {by_title[spec][head]}" for head in figure.design.heads]
 
 
 def test_the_errors_of_a_figure_share_a_scale(figures):
@@ -86,7 +86,7 @@ def test_the_errors_of_a_figure_share_a_scale(figures):
         [(row.grid.low, row.grid.high, row.grid.colours) for row in figure.rows if "error" in row.title]
         for figure in figures
     ]
-    assert [len(set(of_figure)) for of_figure in scales] == [1, 1, 1]
+    assert [len(set(scale)) for scale in scales] == [1, 1, 1]
     assert len(scales[1]) == 2
 
 
@@ -101,8 +101,8 @@ def test_a_single_run_has_its_own_numbers(made, figures):
     )
 
 
-def test_what_ideal_uniformity_reads_is_drawn(made, figures):
-    """Quantiles of 2,000 drawn pixels: p50 within 5 standard errors (1.5 %), p99/p50 within 4 (3 % each)."""
+def test_the_map_of_equal_errors_is_simulated(made, figures):
+    """Quantiles of 2,000 simulated pixels: p50 within 5 standard errors (1.5 %), p99/p50 within 4 (3 % each)."""
     row = figures[2].rows[0]
     ideal = row.grid.maps[-1].values
     rows = {row["strategy"]: row for row in summarise(made)["scenes"][2]["rows"]}
@@ -128,17 +128,17 @@ def test_figures_are_written_and_shown(made):
     assert all(base64.b64decode(data)[:4] == b"\x89PNG" for data, _ in images)
 
 
-def test_without_the_preset_there_are_none(tmp_path):
+def test_without_the_preset_there_are_no_figures(tmp_path):
     made = make_comparison(tmp_path / "out", ["cornell"], {"uniform": np.ones_like}, seeds=[1, 2])
     write_report(made)
     assert not list((made / "plots").glob("poster*"))
     assert "poster" not in (made / "report.html").read_text()
 
 
-def test_what_is_missing_is_said(tmp_path):
+def test_missing_runs_are_named(tmp_path):
     made = make(tmp_path / "out", seeds=[1, 2], shape=(12, 16))
     (made / "plots").mkdir()
-    (made / "plots" / "poster-1.png").touch()  # of runs that are gone
+    (made / "plots" / "poster-1.png").touch()  # a figure of earlier runs
     shutil.rmtree(made / "runs" / "bright-spots" / "relative-median-kappa-inf-batch-1")
     shutil.rmtree(made / "runs" / "bright-spots" / "relative-mean")
     shutil.rmtree(made / "runs" / "penumbra")

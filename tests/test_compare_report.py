@@ -1,4 +1,4 @@
-"""Tables, files and page that a comparison makes, from runs with drawn errors."""
+"""Tables, files and HTML page of a comparison, from runs with simulated errors."""
 
 import base64
 import csv
@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from made_comparison import SNAPSHOTS, make_comparison
+from simulated_comparison import SNAPSHOTS, make_comparison
 
 from isonoise.comparison.metric_columns import format_number, format_percent
 from isonoise.comparison.metrics import ideal_uniformity
@@ -24,7 +24,7 @@ FILES = ("waves.csv", "summary.json", "tables.md")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A comparison that is finished, its summary, and the folder's page."""
+    """Folder of a finished comparison with its report."""
     pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
     pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
     from isonoise.comparison.report import write_report
@@ -38,12 +38,12 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rows(made):
-    summary = json.loads((made / "summary.json").read_text(), parse_constant=pytest.fail)  # neither NaN nor Infinity
+    summary = json.loads((made / "summary.json").read_text(), parse_constant=pytest.fail)  # rejects NaN and Infinity
     return {row["strategy"]: row for row in summary["scenes"][0]["rows"]}
 
 
-def test_figures_are_those_that_the_errors_were_drawn_from(rows):
-    variance = np.geomspace(0.04, 4, 80)  # times what varies by 6 % within a column
+def test_figures_agree_with_the_simulated_errors(rows):
+    variance = np.geomspace(0.04, 4, 80)  # the simulated variance varies by 6 % within a column
     uniform, deficit, root = rows["uniform"], rows["relative-median"], rows["oracle-rule-sqrt"]
     assert (uniform["spp"], uniform["elapsed_s"], uniform["device_s"]) == pytest.approx((64, 4, 3.88))
     assert uniform["rms"]["p50"] == pytest.approx(np.sqrt(np.median(variance) / 64), rel=0.1)
@@ -59,7 +59,7 @@ def test_figures_are_those_that_the_errors_were_drawn_from(rows):
 
 
 def test_time_to_equal_error_follows_the_samples(tmp_path):
-    """Twice as many samples in the same time: half of the time, whatever the error is measured by."""
+    """Twice as many samples in the same time halve the time to equal error, by both metrics."""
     made = make_comparison(
         tmp_path / "out", ["a"], {"uniform": np.ones_like, "twice": np.ones_like}, range(8), (60, 80), speed=2
     )
@@ -71,24 +71,24 @@ def test_time_to_equal_error_follows_the_samples(tmp_path):
         assert ratio["at_common_error"]["low"] < 0.5 < ratio["at_common_error"]["high"]
 
 
-def test_the_bound_of_the_variance_is_given(made):
+def test_the_lower_bound_of_relmse(made):
     variance = np.geomspace(0.04, 4, 80)
     expected = np.mean(np.sqrt(variance)) ** 2 / variance.mean()
     assert summarise(made)["scenes"][0]["rel_mse_lower_bound"] == pytest.approx(expected, rel=0.02)
 
 
-def test_energy_that_is_lost_is_seen(tmp_path):
+def test_a_dark_image_is_detected(tmp_path):
     strategies = {"uniform": np.ones_like, "dark": np.ones_like}
     made = make_comparison(tmp_path / "out", ["a"], strategies, range(8), (60, 80), bias=-0.02)
     honest, dark = summarise(made)["scenes"][0]["rows"]
-    assert abs(honest["image_mean_ratio"]["value"] - 1) < 0.003  # 4 standard errors of the drawn errors
+    assert abs(honest["image_mean_ratio"]["value"] - 1) < 0.003  # 4 standard errors of the simulated errors
     assert abs(honest["bias"]["z"]) < 5.4  # 1 in 1000 at 7 degrees of freedom
     assert dark["image_mean_ratio"]["value"] == pytest.approx(0.98, abs=0.003)
     assert dark["image_mean_ratio"]["high"] < 1
     assert dark["bias"]["z"] < -dark["bias"]["critical"]
 
 
-def test_a_reference_that_is_no_better_is_said(tmp_path):
+def test_a_noisy_reference_is_marked(tmp_path):
     made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, reference_se=0.1)
     scene = summarise(made)["scenes"][0]
     assert [row["reference_too_noisy"] for row in scene["rows"]] == [True] * 3
@@ -100,7 +100,7 @@ def test_a_reference_that_is_no_better_is_said(tmp_path):
     assert [row["reference_too_noisy"] for row in exact["scenes"][0]["rows"]] == [False] * 3
 
 
-def test_waves_are_tidy(made):
+def test_waves_csv_has_a_row_per_wave(made):
     found = list(csv.DictReader(io.StringIO((made / "waves.csv").read_text())))
     assert list(found[0]) == ["scene", "strategy", "seed", *columns(true_errors=True), "device_s"]
     assert len(found) == len(SCENES) * len(STRATEGIES) * 8 * SNAPSHOTS
@@ -119,7 +119,7 @@ def test_the_same_runs_give_the_same_files(made):
     assert [name for name in files if (made / name).read_bytes() != before[name]] == []
 
 
-def test_an_unfinished_comparison_uses_the_seeds_that_all_have(tmp_path):
+def test_an_unfinished_comparison_uses_the_common_seeds(tmp_path):
     made = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=range(1, 6))
     for name in ("bright/relative-median/5", "bright/oracle-rule-sqrt/4", "bright/oracle-rule-sqrt/5"):
         (made / "runs" / f"{name}.npz").unlink()
@@ -136,7 +136,7 @@ def test_an_unfinished_comparison_uses_the_seeds_that_all_have(tmp_path):
     assert "Not finished: 12 of 15 runs. Figures are from the 3 of 5 seeds" in text
 
 
-def test_a_scene_without_runs_is_left_out(tmp_path):
+def test_a_scene_without_runs_is_remaining_out(tmp_path):
     made = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=[1, 2])
     for path in (made / "runs" / "dim").rglob("*.npz"):
         path.unlink()
@@ -144,23 +144,23 @@ def test_a_scene_without_runs_is_left_out(tmp_path):
     assert [scene["slug"] for scene in summarise(made)["scenes"]] == ["bright"]
 
 
-@pytest.mark.parametrize("left", ["uniform", "relative-median"])
-def test_without_a_partner_there_are_no_ratios(tmp_path, left):
+@pytest.mark.parametrize("remaining", ["uniform", "relative-median"])
+def test_ratios_need_the_baseline_and_two_seeds(tmp_path, remaining):
     made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1])
     for path in (made / "runs" / "a").rglob("*.npz"):
-        if path.parent.name != left:
+        if path.parent.name != remaining:
             path.unlink()
     summary = summarise(made)
     write_summary(made, summary)
     (row,) = summary["scenes"][0]["rows"]
-    if left == "uniform":
+    if remaining == "uniform":
         assert row["rms_ratio"]["p99"] == {"value": 1.0, "low": None, "high": None}
     else:
         assert "rms_ratio" not in row
-    assert left in summary_text(made)
+    assert remaining in summary_text(made)
 
 
-def test_what_cannot_be_read_is_the_users_to_mend(tmp_path):
+def test_unreadable_files_are_messages(tmp_path):
     from isonoise.comparison.report import write_report
 
     with pytest.raises(UserError, match=r"plan\.json"):
@@ -191,13 +191,13 @@ def test_the_tables_of_the_terminal_are_aligned(made):
 
 
 class Page(HTMLParser):
-    """Collects what a browser would fetch, and whether elements are closed in order."""
+    """Collects the URLs that a browser would load; checks that elements are closed in order."""
 
     VOID = ("meta", "link", "img", "br", "line", "use", "path")
 
     def __init__(self):
         super().__init__()
-        self.open, self.fetched, self.ids, self.images, self.text, self.tags = [], [], [], [], [], []
+        self.open, self.urls, self.ids, self.images, self.text, self.tags = [], [], [], [], [], []
 
     def handle_starttag(self, tag, attributes):
         attributes = dict(attributes)
@@ -206,7 +206,7 @@ class Page(HTMLParser):
             self.open.append(tag)
         for name, value in attributes.items():
             if name in ("src", "href", "xlink:href", "srcset", "data", "action"):
-                self.fetched.append(value)
+                self.urls.append(value)
             if name == "id":
                 self.ids.append(value)
         if tag == "img":
@@ -234,9 +234,9 @@ def page(made):
     return parser
 
 
-def test_the_page_fetches_nothing(made, page):
-    assert page.fetched
-    assert [url[:60] for url in page.fetched if not url.startswith(("#", "data:"))] == []
+def test_the_page_is_self_contained(made, page):
+    assert page.urls
+    assert [url[:60] for url in page.urls if not url.startswith(("#", "data:"))] == []
     html = (made / "report.html").read_text(encoding="utf-8")
     for name in ("http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"):
         html = html.replace(f'="{name}"', "")
@@ -257,19 +257,19 @@ def test_the_page_has_every_picture(page):
     assert page.tags.count("table") == 3 + 2 * len(SCENES)
 
 
-def test_the_ids_of_the_page_are_its_own_and_its_links_lead_somewhere(page):
+def test_ids_are_unique_and_links_have_targets(page):
     assert sorted(set(page.ids)) == sorted(page.ids)
-    assert {url[1:] for url in page.fetched if url.startswith("#")} <= set(page.ids)
+    assert {url[1:] for url in page.urls if url.startswith("#")} <= set(page.ids)
 
 
-def test_the_page_begins_with_the_time_to_equal_error(page):
+def test_the_time_to_equal_error_comes_first(page):
     text = "".join(page.text)
     assert text.index("Time to equal RMS p99") < text.index("RMS p50")
-    for needed in ("a made device", "own relative error", "How it was measured", "95 % interval", "0.0100 %"):
+    for needed in ("a simulated device", "own relative error", "How it was measured", "95 % interval", "0.0100 %"):
         assert needed in text
 
 
-def test_names_are_text_and_not_markup(tmp_path):
+def test_names_are_escaped(tmp_path):
     made = make_comparison(
         tmp_path / "out", ["a"], {"uniform": np.ones_like, "relative-median": lambda v: v}, seeds=[1, 2]
     )
@@ -285,7 +285,7 @@ def test_names_are_text_and_not_markup(tmp_path):
     assert "<i>" not in html
 
 
-def test_plots_are_there(made):
+def test_plots_are_written(made):
     from PIL import Image
 
     kinds = ("reference", "rms-p99", "rel-mse", "samples", "errors")
@@ -296,7 +296,7 @@ def test_plots_are_there(made):
             picture.verify()
 
 
-def test_maps_keep_the_scale_and_shrink_by_whole_blocks():
+def test_maps_share_a_scale_and_shrink_by_whole_blocks():
     from PIL import Image
 
     from isonoise.comparison.plots import map_png, sample_maps, shrink
@@ -312,7 +312,7 @@ def test_maps_keep_the_scale_and_shrink_by_whole_blocks():
     assert constant.low < 7 < constant.high
 
 
-def test_labels_are_moved_apart_and_no_further():
+def test_overlapping_labels_are_moved_apart():
     from isonoise.comparison.plots import spread_apart
 
     assert spread_apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]

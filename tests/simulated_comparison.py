@@ -1,4 +1,4 @@
-"""Folders as a comparison leaves them, with errors that are drawn instead of rendered, so that the truth is known."""
+"""Folders of finished comparisons with simulated errors instead of renders, so that the true figures are known."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise.comparison.recorder import SNAPSHOTS
 from isonoise.film.exr import write_exr
 from isonoise.film.log import columns
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
-
-SNAPSHOTS = 6
 
 
 def make_comparison(
@@ -26,14 +25,18 @@ def make_comparison(
     bias: float = 0.0,
     reference_se: float | None = 1e-4,
 ) -> Path:
-    """Write plan, references and runs below `directory`.
+    """Write plan, references and runs to `directory`.
 
-    - `strategies`: spec -> function of the relative variance V (height, width) that gives the share of the samples that
-      each pixel gets, up to a factor.
-    - `speed`: how much faster all strategies but the first are than it; `bias`: their mean relative error.
-    - `reference_se`: the reference's stated relative standard error, or None.
+    Errors are normal with variance V / n. The relative variance V rises from left to right by a factor of 100.
 
-    Errors are normal with variance V / n. V rises from left to right by a factor of 100.
+    Parameters
+    ----------
+    strategies : mapping
+        Spec -> function of V (height, width) that returns weights of the allocation.
+    speed, bias : float
+        Samples over those of the first strategy, and mean relative error, of all other strategies.
+    reference_se : float, optional
+        The reference's stated relative standard error; None for none.
     """
     slugs = {spec: spec.replace(":", "-").replace("=", "-").replace(",", "-") for spec in strategies}
     plan = {
@@ -53,8 +56,8 @@ def make_comparison(
         layers = {"": rgb} | ({} if reference_se is None else {"stderr": (reference_se * rgb).astype(np.float32)})
         write_exr(directory / "references" / f"{scene}.exr", layers, {})
         write_exr(directory / "references" / f"{scene}-variance.exr", {"variance": variance.astype(np.float32)}, {})
-        for index, (spec, share) in enumerate(strategies.items()):
-            weight = share(variance)
+        for index, (spec, weights) in enumerate(strategies.items()):
+            weight = weights(variance)
             count = np.maximum(1, np.rint(spp * weight / weight.mean() * (speed if index else 1))).astype(np.uint32)
             for seed in seeds:
                 path = directory / "runs" / scene / slugs[spec] / f"{seed}.npz"
@@ -71,24 +74,24 @@ def make_comparison(
 
 
 def write_run(path, rgb, variance, count, rng, seconds, bias) -> None:
-    """One run: `SNAPSHOTS` waves, each of which doubles samples and time."""
+    """One run with `SNAPSHOTS` waves, each of which doubles samples and time."""
     r = luminance(rgb)
     scale = np.maximum(r, image_floor(r))
     errors, rows = [], []
     for k in range(SNAPSHOTS):
-        part = 2.0 ** (k + 1 - SNAPSHOTS)
-        e = bias + rng.normal(size=r.shape) * np.sqrt(variance / (count * part))
+        fraction = 2.0 ** (k + 1 - SNAPSHOTS)
+        e = bias + rng.normal(size=r.shape) * np.sqrt(variance / (count * fraction))
         errors.append(e.astype(np.float16))
-        off = e * scale
+        difference = e * scale
         p50, p95, p99 = np.quantile(np.abs(e), (0.5, 0.95, 0.99))
-        squares = np.sort((off[..., None] ** 2 / (rgb**2 + 0.01)).mean(axis=-1).ravel())
-        made = dict.fromkeys(columns(true_errors=True), 0.0)
-        made |= {
-            "elapsed_s": seconds * part,
+        squares = np.sort((difference[..., None] ** 2 / (rgb**2 + 0.01)).mean(axis=-1).ravel())
+        row = dict.fromkeys(columns(true_errors=True), 0.0)
+        row |= {
+            "elapsed_s": seconds * fraction,
             "wave": k + 1,
             "kind": "adaptive" if k % 2 else "uniform",
-            "samples": int(count.sum() * part),
-            "spp": float(count.mean() * part),
+            "samples": int(count.sum() * fraction),
+            "spp": float(count.mean() * fraction),
             "stated_p50": p50 * 0.98,
             "stated_p95": p95 * 0.98,
             "stated_p99": p99 * 0.98,
@@ -98,16 +101,16 @@ def write_run(path, rgb, variance, count, rng, seconds, bias) -> None:
             "true_max": float(np.abs(e).max()),
             "true_rel_mse": float(squares.mean()),
             "true_rel_mse_trimmed": float(squares[: -max(1, squares.size // 1000)].mean()),
-            "true_energy_ratio": float((r + off).mean() / r.mean()),
+            "true_energy_ratio": float((r + difference).mean() / r.mean()),
             "true_coverage": 0.95,
-            "device_s": seconds * part * 0.97,
+            "device_s": seconds * fraction * 0.97,
         }
-        rows.append({key: float(value) if isinstance(value, np.floating) else value for key, value in made.items()})
+        rows.append({key: float(value) if isinstance(value, np.floating) else value for key, value in row.items()})
     facts = {
         "strategy": path.parent.name,
         "scene": path.parent.parent.name,
         "seed": int(path.stem),
-        "device": "a made device",
+        "device": "a simulated device",
         "setup_s": 0.5,
         "samples": int(count.sum()),
         "elapsed_s": seconds,

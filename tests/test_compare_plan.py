@@ -1,0 +1,230 @@
+"""`isonoise compare` before it renders: strategy specs, plans, presets, bad input."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+from compare_command import HEIGHT, SIZE, WIDTH, compare, options, write_flat_reference
+
+import isonoise
+from isonoise.comparison import plan as plans
+from isonoise.comparison.presets import PRESETS
+from isonoise.comparison.strategy_specs import describe_spec, needs_variance, split_specs
+from isonoise.errors import UserError
+
+
+@pytest.fixture(autouse=True)
+def _work_in_tmp_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "specs"),
+    [
+        ("uniform", ["uniform"]),
+        ("uniform,relative-mean", ["uniform", "relative-mean"]),
+        ("a:k=v,l=w,b", ["a:k=v,l=w", "b"]),
+        ("a,b:k=v,c:l=w,m=x,d", ["a", "b:k=v", "c:l=w,m=x", "d"]),
+        ("oracle:rule=sqrt,file=C:/a.exr,uniform", ["oracle:rule=sqrt,file=C:/a.exr", "uniform"]),
+        ("module:Class,module:Class:k=v", ["module:Class", "module:Class:k=v"]),
+        (" a , b:k=v , c,", ["a", "b:k=v ", "c"]),
+    ],
+)
+def test_lists_of_specs_are_split(text, specs):
+    assert [spec.strip() for spec in split_specs(text)] == [spec.strip() for spec in specs]
+
+
+def test_a_parameter_needs_a_strategy():
+    with pytest.raises(UserError, match="without a strategy"):
+        split_specs("k=v,uniform")
+
+
+def test_an_oracle_without_a_file_needs_the_variance():
+    assert needs_variance("oracle")
+    assert needs_variance("oracle:rule=sqrt")
+    assert not needs_variance("oracle:rule=sqrt,file=a.exr")
+    assert not needs_variance("uniform")
+    assert describe_spec("oracle:rule=sqrt").startswith("oracle:rule=sqrt,")
+    assert "file" not in describe_spec("oracle")
+
+
+def request(**changes):
+    values = {"scenes": ["cornell"], "strategies": ["uniform"], "first_seed": 0, "seeds": 2, "time": None, "spp": 4.0}
+    return plans.Request(**(values | {"size": (WIDTH, HEIGHT)} | changes))
+
+
+def test_a_plan_is_stored_and_read(tmp_path):
+    plan = plans.make_plan(request(max_depth=3))
+    plans.write_plan(tmp_path, plan)
+    assert plans.read_plan(tmp_path) == plan
+    assert plans.differences(plan, plans.read_plan(tmp_path)) == []
+    assert plans.read_plan(tmp_path / "nothing") is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "difference"),
+    [
+        ({"spp": 5.0}, "spp was 4.0 and is 5.0"),
+        ({"spp": None, "time": 1.0}, "time was not given and is 1.0"),
+        ({"size": (8, 8)}, "size was 16x12 and is 8x8"),
+        ({"max_depth": 2}, "hash of 'cornell'"),
+        ({"reference_time": 3.0}, "reference_time was not given"),
+        ({"strategies": ["relative-mean"]}, "'uniform' is missing"),
+        ({"scenes": ["penumbra"]}, "'cornell' is missing"),
+        ({"first_seed": 1}, "seeds are missing: 0"),
+        ({"seeds": 1}, "seeds are missing: 1"),
+        ({"references": ["a.exr"]}, "reference of 'cornell' was references/cornell.exr"),
+    ],
+)
+def test_differences_of_plans_are_messages(changes, difference):
+    write_flat_reference("a.exr", changes.get("size", (WIDTH, HEIGHT)))
+    stored = plans.make_plan(request())
+    assert any(difference in text for text in plans.differences(stored, plans.make_plan(request(**changes), stored)))
+
+
+def test_a_plan_may_grow():
+    stored = plans.make_plan(request())
+    changes = {"strategies": ["relative-mean", "uniform"], "scenes": ["penumbra", "cornell"], "seeds": 3}
+    larger = plans.make_plan(request(**changes), stored)
+    assert plans.differences(stored, larger) == []
+    assert plans.additions(stored, larger) == ["penumbra", "relative-mean", "seed 2"]
+
+
+def test_slugs_are_unique_and_do_not_change(tmp_path):
+    """Many scenes are called scene.xml. A plan keeps the slugs that it has."""
+    paths = []
+    for folder in ("a", "b/a", "c"):
+        path = tmp_path / folder / "scene.xml"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(isonoise.scene.builtin.find_scene("cornell").read_bytes())
+        paths.append(str(path))
+    strategies = ["uniform:warmup=4,growth=0.5", "uniform:warmup=4", "uniform"]
+    first = plans.make_plan(request(scenes=paths[1:2], strategies=strategies[1:2]))
+    assert [scene.slug for scene in first.scenes] == ["a"]
+    plan = plans.make_plan(request(scenes=paths, strategies=strategies), first)
+    assert [scene.slug for scene in plan.scenes] == ["a-scene", "a", "c"]
+    assert [strategy.slug for strategy in plan.strategies] == [
+        "uniform-warmup-4-growth-0.5",
+        "uniform-warmup-4",
+        "uniform",
+    ]
+    assert plan.scenes[0].source == str(Path(paths[0]).resolve())
+
+
+def test_references_are_assigned_by_order_or_by_name():
+    write_flat_reference("a.exr")
+    write_flat_reference("b.exr")
+    scenes = ["cornell", "penumbra"]
+    for given in (["a.exr", "b.exr"], ["penumbra=b.exr", "cornell=a.exr"]):
+        plan = plans.make_plan(request(scenes=scenes, references=given))
+        assert [Path(scene.reference).name for scene in plan.scenes] == ["a.exr", "b.exr"]
+        assert all(len(scene.reference_sha256) == 64 for scene in plan.scenes)
+    (one, other) = plans.make_plan(request(scenes=scenes, references=["penumbra=b.exr"])).scenes
+    assert (one.reference, one.reference_sha256) == ("references/cornell.exr", None)
+    assert Path(other.reference) == Path("b.exr").resolve()
+    with pytest.raises(UserError, match="one for each of the 2 scenes"):
+        plans.make_plan(request(scenes=scenes, references=["a.exr"]))
+
+
+def test_presets_can_be_planned():
+    for preset in PRESETS.values():
+        plan = plans.make_plan(request(scenes=preset.scenes, strategies=preset.strategies, seeds=preset.seeds))
+        assert len(plan.scenes) == len(preset.scenes)
+
+
+def test_a_plan_keeps_its_preset(tmp_path):
+    """The report has the preset's figures also if later runs are requested without it."""
+    stored = plans.make_plan(request(preset="poster"))
+    plans.write_plan(tmp_path, stored)
+    assert plans.read_plan(tmp_path) == stored
+    assert plans.make_plan(request(), stored).preset == "poster"
+    late = plans.make_plan(request(preset="poster"), plans.make_plan(request()))
+    assert (late.preset, plans.differences(plans.make_plan(request()), late)) == ("poster", [])
+
+
+def test_options_override_a_preset():
+    from isonoise.cli import _parser
+    from isonoise.commands.compare import _request
+
+    def parsed(*arguments):
+        return _request(_parser().parse_args(["compare", "--preset", "poster", "-o", "out", *arguments]))
+
+    whole, preset = parsed(), PRESETS["poster"]
+    assert (whole.scenes, whole.strategies, whole.seeds) == (preset.scenes, preset.strategies, preset.seeds)
+    assert (whole.time, whole.spp, whole.size) == (preset.time, None, None)
+    small = parsed("--time", "1", "--seeds", "2", "--size", "64x64")
+    assert (small.time, small.seeds, small.size, small.strategies) == (1, 2, (64, 64), preset.strategies)
+    assert (parsed("--spp", "4").time, parsed("--spp", "4").spp) == (None, 4)
+    assert parsed("--strategies", "uniform").strategies == ["uniform"]
+    assert parsed("cornell").scenes == ["cornell"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--time", "1", "--spp", "4"), "--time and --spp are both given"),
+        (("--time", "0"), "more than 0"),
+        (("--seeds", "0"), "1 or more"),
+        (("--seeds", "1.5"), "not a whole number"),
+        (("--seed", 2**63), "seeds go up to"),
+        (("--strategies", "relative-meen"), "relative-mean"),
+        (("--strategies", "uniform:warmap=3"), "warmup"),
+        (("--strategies", "uniform"), "'uniform' is named twice"),
+        (("--strategies", "oracle:rle=sqrt"), "rule"),
+        (("--preset", "postr"), "poster"),
+        (("--device", "no such device"), "no such device"),
+        (("--reference", "nothing.exr"), "No such file"),
+        (("--reference", "small.exr"), "is 5x4 and the image of cornell 16x12"),
+        (("--reference", "a.exr", "--reference", "a.exr"), "one for each of the 1 scenes"),
+        (("--reference-time", "-1"), "more than 0"),
+        (("no such scene",), "no such file or built-in scene"),
+        (("cornell",), "'cornell' is named twice"),
+    ],
+)
+def test_bad_input_is_a_message(arguments, message, capsys):
+    write_flat_reference("a.exr")
+    write_flat_reference("small.exr", (5, 4))
+    assert compare(*arguments, *SIZE, "--strategies", "uniform", "-o", "out") == 2
+    out, err = capsys.readouterr()
+    assert message in err
+    assert "Traceback" not in err + out
+    assert not Path("out").exists()
+
+
+def test_missing_scenes_or_strategies_are_a_message(capsys):
+    assert compare("--strategies", "uniform", "-o", "out", scene=None) == 2
+    assert "give a SCENE" in capsys.readouterr().err
+    assert compare("-o", "out") == 2
+    assert "give --strategies" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("package", "message"), [("jinja2", "isonoise[compare]"), ("mitsuba", "isonoise[peers]")])
+def test_a_missing_package_is_a_message(package, message, capsys, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == package else find(name, *more))
+    assert compare(*SIZE, "--strategies", "uniform,mitsuba-independent", "-o", "out") == 2
+    err = capsys.readouterr().err
+    assert package in err.lower()
+    assert message in err
+    assert not Path("out").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_a_message(capsys):
+    Path("file").touch()
+    for directory in ("file", "file/below"):
+        assert compare(*options(directory)) == 2
+        assert "cannot write" in capsys.readouterr().err
+
+
+def test_a_damaged_plan_is_a_message(capsys):
+    Path("out").mkdir()
+    Path("out/plan.json").write_text("{")
+    assert compare(*options("out")) == 2
+    assert "cannot read the plan" in capsys.readouterr().err
+
+
+def test_help_explains_presets_files_and_exit_codes(capsys):
+    assert compare("--help") == 0
+    out = capsys.readouterr().out
+    for word in ("mitsuba-multijitter", "oracle", "poster", "waves.csv", "SEED.npz", "130 after Ctrl-C"):
+        assert word in out
