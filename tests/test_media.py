@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 import references
+from bsdf_lobe import KERNEL, Lobe, numbers, uniform_sphere
 from scalar_mitsuba import assert_same_picture
 from shared_programs import share_programs
-from test_bsdf_lobes import KERNEL, Lobe, numbers, uniform_sphere
 
 import isonoise
 from isonoise.device import program
@@ -680,8 +680,8 @@ def test_media_of_a_file(scene_of):
 @pytest.mark.parametrize(
     ("inside", "problem"),
     [
-        ('<medium type="homogeneous"/>', "is named interior or exterior"),
-        ('<medium name="inside" type="homogeneous"/>', "is named interior or exterior, got 'inside'"),
+        ('<medium type="homogeneous"/>', "has to be named interior or exterior"),
+        ('<medium name="inside" type="homogeneous"/>', "has to be named interior or exterior, got 'inside'"),
         ('<medium name="interior" type="homogeneous"/>' * 2, "'interior' is given twice"),
         ('<medium name="interior" type="heterogeneous"/>', "medium 'heterogeneous' is not supported.*'homogeneous'"),
         *(
@@ -690,7 +690,7 @@ def test_media_of_a_file(scene_of):
                 ('<phase type="hg"><float name="g" value="1"/></phase>', r"'g' has to be in \(-1, 1\)"),
                 ('<phase type="hg"/><phase type="isotropic"/>', "only one phase"),
                 ('<phase type="rayleigh"/>', "phase 'rayleigh' is not supported"),
-                ('<float name="sigma_t" value="-1"/>', "not negative"),
+                ('<float name="sigma_t" value="-1"/>', "cannot be negative"),
                 ('<float name="albedo" value="1.5"/>', "at most 1"),
                 ('<rgb name="albedo" value="0.5 0.5 1.5"/>', "at most 1"),
                 ('<volume name="albedo" type="constvolume"><float name="value" value="2"/></volume>', "at most 1"),

@@ -9,8 +9,8 @@ import itertools
 
 import numpy as np
 import pytest
+from bsdf_lobe import assert_close, description, numbers, uniform_sphere
 from PIL import Image
-from test_bsdf_lobes import assert_close, description, numbers, uniform_sphere
 
 from isonoise.device import program
 from isonoise.device.opencl import Device
