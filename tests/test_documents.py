@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from isonoise.device.opencl import Device
+from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import KERNELS
 from isonoise.renderer import Renderer
 from isonoise.scene.light.light_kinds import light_header
@@ -117,7 +118,7 @@ def source_names():
     sources = [file for file in files if file.suffix in (".py", ".cl", ".h", ".xml", ".j2", ".csv")]
     texts = [file.read_text("utf-8") for file in [*sources, CHECKOUT / "pyproject.toml"] if file != Path(__file__)]
     paths = [f"/{file.relative_to(CHECKOUT)}" for file in files]
-    return set(re.findall(r"\w+", "\n".join([*texts, *paths]))), paths
+    return set(re.findall(r"\w+", "\n".join([*texts, *paths, *generated_headers().values()]))), paths
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(CHECKOUT)))
