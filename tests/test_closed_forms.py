@@ -1,8 +1,8 @@
-"""Scenes whose radiance is known in closed form, rendered and compared.
+"""Renders scenes whose radiance is known in closed form.
 
 Every pixel and the image mean must lie within Z standard errors, taken from the render's own statistics, plus 1e-5
 relative for float32. A pixel's expected value is the closed form averaged over the pixel by Gauss-Legendre quadrature
-in float64, so that no footprint, however wide, is mistaken for an error.
+in float64, so that the size of a pixel is no error.
 
 False-alarm rate: Z = 5.2 leaves 2.0e-7 per comparison by the normal distribution, and there are about 2,000 of them:
 4e-4 for the whole file under other seeds.
@@ -16,6 +16,7 @@ from shared_programs import LIGHTS, SHAPES, share_programs
 
 import isonoise
 from isonoise.luminance import luminance
+from isonoise.selftest.scenes import area_light, diffuse, look_at, rgb, transform
 
 shared_programs = share_programs((*SHAPES, *LIGHTS, "DIFFUSE", "TWOSIDED"))
 
@@ -25,29 +26,20 @@ SIDE = 4  # pixels along a side of the image
 SPP = 4096
 
 RGB = np.array([1.0, 0.6, 0.3])
-"""Colour of all lights: channels that differ, so that a mix-up of two of them is seen."""
+"""Colour of all lights: the channels differ, so that swapped channels fail."""
 ALBEDO = np.array([0.4, 0.7, 0.9])
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera without roll (up is +z, or +y where it looks along z), half of whose square field of view has
-    the tangent `tangent`."""
+    """A pinhole camera without roll; `tangent` is that of half its square field of view."""
 
     origin: tuple[float, float, float]
     target: tuple[float, float, float]
     tangent: float = 0.02
 
     def to_world(self) -> np.ndarray:
-        """Camera-to-world matrix: +z ahead, +x to the left, as Mitsuba 3 has it."""
-        origin, target = np.array(self.origin), np.array(self.target)
-        ahead = (target - origin) / np.linalg.norm(target - origin)
-        up = np.array([0.0, 1.0, 0.0]) if abs(ahead[2]) > 0.999 else np.array([0.0, 0.0, 1.0])
-        left = np.cross(up, ahead)
-        left /= np.linalg.norm(left)
-        matrix = np.eye(4)
-        matrix[:3] = np.stack([left, np.cross(ahead, left), ahead, origin], axis=1)
-        return matrix
+        return look_at(self.origin, self.target)
 
     def sensor(self) -> dict:
         return {
@@ -59,7 +51,7 @@ class Camera:
         }
 
     def directions(self, nodes: int = 8) -> tuple[np.ndarray, np.ndarray]:
-        """Directions through the quadrature points of every pixel, (side, side, nodes^2, 3), and weights (nodes^2,)."""
+        """Returns directions through the nodes of every pixel, (side, side, nodes^2, 3), and weights (nodes^2,)."""
         x, w = np.polynomial.legendre.leggauss(nodes)
         positions = (np.arange(SIDE)[:, None] + (x + 1) / 2) / SIDE
         plane = (1 - 2 * positions) * self.tangent
@@ -70,7 +62,7 @@ class Camera:
         return world, np.outer(w, w).ravel() / 4
 
     def average_over_floor(self, radiance) -> np.ndarray:
-        """Pixel means of a radiance that is a function of the point in the plane z = 0; (side, side)."""
+        """Returns pixel means (side, side) of a radiance that is a function of the point in the plane z = 0."""
         directions, weights = self.directions()
         origin = np.array(self.origin)
         assert (directions[..., 2] * origin[2] < 0).all(), "some pixel does not see the plane"
@@ -84,29 +76,12 @@ WIDE = Camera((0.0, 0.5, 0.4), (0.0, 0.0, 0.0), tangent=0.25)
 CAMERAS = pytest.mark.parametrize("camera", [ABOVE, OBLIQUE, WIDE], ids=["above", "oblique", "wide"])
 
 
-def rgb(value) -> dict:
-    return {"type": "rgb", "value": [float(v) for v in np.broadcast_to(value, 3)]}
+def coloured_light(radiance: float) -> dict:
+    """The emitter and the black bsdf of a light of the colour RGB."""
+    return area_light(radiance * RGB)
 
 
-def diffuse(albedo) -> dict:
-    return {"type": "diffuse", "reflectance": rgb(albedo)}
-
-
-def area(radiance: float) -> dict:
-    """What makes a shape a black light."""
-    return {"bsdf": diffuse(0.0), "emitter": {"type": "area", "radiance": rgb(radiance * RGB)}}
-
-
-def placed(scale=1.0, offset=(0.0, 0.0, 0.0), x_angle: float = 0.0) -> np.ndarray:
-    """Scale, then rotate about x (degrees), then translate."""
-    c, s = np.cos(np.deg2rad(x_angle)), np.sin(np.deg2rad(x_angle))
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) * np.broadcast_to(scale, 3)
-    matrix[:3, 3] = offset
-    return matrix
-
-
-FLOOR = {"type": "rectangle", "to_world": placed(50.0), "bsdf": diffuse(ALBEDO)}
+FLOOR = {"type": "rectangle", "to_world": transform(50.0), "bsdf": diffuse(ALBEDO)}
 
 
 def render(camera: Camera, max_depth: int, **objects) -> isonoise.Statistics:
@@ -120,7 +95,7 @@ def render(camera: Camera, max_depth: int, **objects) -> isonoise.Statistics:
 
 
 def assert_radiance(statistics, colour: np.ndarray, pattern=1.0) -> None:
-    """The image is colour (3,) times pattern (side, side).
+    """Asserts that the image is colour (3,) times pattern (side, side).
 
     The standard error of a channel is not in the statistics: in each of these scenes a channel is a multiple of the
     luminance, sample by sample or nearly so, and channels are compared by the image mean with the luminance's error.
@@ -139,7 +114,7 @@ def assert_radiance(statistics, colour: np.ndarray, pattern=1.0) -> None:
     assert (np.abs(ratio - 1) <= Z * relative_error + ROUNDING).all(), f"{ratio} of the expected image mean"
 
 
-# Furnace: a closed shape that shines inwards with e and reflects a: e (1 - a^k) / (1 - a) at max_depth k.
+# Furnace: a closed shape that emits e inwards and reflects a: e (1 - a^k) / (1 - a) at max_depth k.
 
 FURNACE = [(0.0, 3), (0.5, 1), (0.5, 2), (0.5, 6), (0.9, 4), (0.9, 30), (0.99, 12), (1.0, 5)]
 
@@ -148,7 +123,7 @@ FURNACE = [(0.0, 3), (0.5, 1), (0.5, 2), (0.5, 6), (0.9, 4), (0.9, 30), (0.99, 1
 @pytest.mark.parametrize("shape", ["sphere", "cube"])
 def test_furnace(shape, albedo, depth):
     camera = Camera((0.3, -0.2, 0.4), (0.7, 0.5, -0.3), tangent=1.0)
-    light = {"type": shape, "flip_normals": True, "to_world": placed(2.0, (0.1, 0.2, 0.3))} | area(0.8)
+    light = {"type": shape, "flip_normals": True, "to_world": transform(2.0, (0.1, 0.2, 0.3))} | coloured_light(0.8)
     light["bsdf"] = diffuse(albedo * np.array([1.0, 0.9, 0.5]))
     statistics = render(camera, depth, light=light)
     powers = (albedo * np.array([1.0, 0.9, 0.5]))[:, None] ** np.arange(depth)
@@ -159,7 +134,7 @@ def test_furnace(shape, albedo, depth):
 
 
 def clip(polygon: np.ndarray) -> np.ndarray:
-    """The part of a polygon that lies above the plane z = 0 (Sutherland and Hodgman 1974)."""
+    """Returns the part of a polygon above the plane z = 0 (Sutherland and Hodgman 1974)."""
     result = []
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if a[2] >= 0:
@@ -203,7 +178,7 @@ def test_triangle_light(name, camera, tmp_path):
         corners = corners[::-1]  # area lights shine on the side of their normal
     mesh = tmp_path / "triangle.obj"
     mesh.write_text("".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in corners.tolist()) + "f 1 2 3\n")
-    light = {"type": "obj", "filename": str(mesh), "face_normals": True} | area(5.0)
+    light = {"type": "obj", "filename": str(mesh), "face_normals": True} | coloured_light(5.0)
     statistics = render(camera, 2, floor=FLOOR, light=light)
     pattern = camera.average_over_floor(lambda points: polygon_irradiance(clip(corners), points))
     assert_radiance(statistics, 5.0 * RGB * ALBEDO / np.pi, pattern)
@@ -214,9 +189,9 @@ def test_triangle_light(name, camera, tmp_path):
     ("scale", "height", "angle"), [(0.5, 1.0, 180), (3.0, 2.0, 180), (1.0, 2.5, 150), (1, 0.7, 90)]
 )
 def test_rectangle_light(scale, height, angle, camera):
-    to_world = placed((scale, 0.5 * scale, 1.0), (0.2, 0.9, height), angle)
+    to_world = transform((scale, 0.5 * scale, 1.0), (0.2, 0.9, height), angle)
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) @ to_world[:3, :3].T + to_world[:3, 3]
-    statistics = render(camera, 2, floor=FLOOR, light={"type": "rectangle", "to_world": to_world} | area(2.0))
+    statistics = render(camera, 2, floor=FLOOR, light={"type": "rectangle", "to_world": to_world} | coloured_light(2.0))
     pattern = camera.average_over_floor(lambda points: polygon_irradiance(clip(corners), points))
     assert_radiance(statistics, 2.0 * RGB * ALBEDO / np.pi, pattern)
 
@@ -238,8 +213,8 @@ def disk_irradiance(radius: float, height: float, points: np.ndarray) -> np.ndar
 @CAMERAS
 @pytest.mark.parametrize(("radius", "height"), [(1.0, 2.0), (0.05, 2.0), (5.0, 2.0), (30.0, 3.0)])
 def test_disk_light(radius, height, camera):
-    to_world = placed(radius, (0.0, 0.0, height), 180)
-    statistics = render(camera, 2, floor=FLOOR, light={"type": "disk", "to_world": to_world} | area(3.0))
+    to_world = transform(radius, (0.0, 0.0, height), 180)
+    statistics = render(camera, 2, floor=FLOOR, light={"type": "disk", "to_world": to_world} | coloured_light(3.0))
     pattern = camera.average_over_floor(lambda points: disk_irradiance(radius, height, points))
     assert_radiance(statistics, 3.0 * RGB * ALBEDO / np.pi, pattern)
 
@@ -252,7 +227,7 @@ def test_disk_light(radius, height, camera):
         (0.01, (0.5, 0.5, 5.0)),
         (0.2, (-1.0, 2.0, 0.3)),
         (100.0, (50.0, 20.0, 150.0)),
-        (0.05, (9.2, -7.1, 12.3)),  # so far that rounding puts points of it behind others
+        (0.05, (9.2, -7.1, 12.3)),  # so far that rounding moves points of it behind others
     ],
 )
 def test_sphere_light(radius, center, camera):
@@ -263,7 +238,7 @@ def test_sphere_light(radius, center, camera):
         distance = np.linalg.norm(to_center, axis=-1)
         return np.pi * radius**2 * to_center[..., 2] / distance**3
 
-    light = {"type": "sphere", "center": list(center), "radius": radius} | area(4.0)
+    light = {"type": "sphere", "center": list(center), "radius": radius} | coloured_light(4.0)
     statistics = render(camera, 2, floor=FLOOR, light=light)
     assert_radiance(statistics, 4.0 * RGB * ALBEDO / np.pi, camera.average_over_floor(irradiance))
 
@@ -294,9 +269,9 @@ def test_directional_light(direction):
 
 
 CONVEX = {
-    "rectangle": {"to_world": placed(2.0, x_angle=20)},
-    "disk": {"to_world": placed(2.0, x_angle=20)},
-    "cube": {"to_world": placed(0.5, x_angle=30)},
+    "rectangle": {"to_world": transform(2.0, x_angle_deg=20)},
+    "disk": {"to_world": transform(2.0, x_angle_deg=20)},
+    "cube": {"to_world": transform(0.5, x_angle_deg=30)},
     "sphere": {"radius": 0.7},
     "cylinder": {"p0": [0.0, 0.4, -3.0], "p1": [0.0, 0.4, 3.0], "radius": 0.5},
 }
@@ -305,17 +280,17 @@ CONVEX = {
 @pytest.mark.parametrize("albedo", [0.3, 1.0])
 @pytest.mark.parametrize("shape", CONVEX)
 def test_constant_environment(shape, albedo):
-    """A convex diffuse surface under the same light from everywhere: a L, at any depth; with a = 1 it is invisible."""
+    """A convex diffuse surface under the same radiance from all directions: a L, at any depth."""
     light = {"type": "constant", "radiance": rgb(0.25 * RGB)}
-    thing = {"type": shape, "bsdf": diffuse(albedo * np.array([1.0, 0.5, 0.2]))} | CONVEX[shape]
+    body = {"type": shape, "bsdf": diffuse(albedo * np.array([1.0, 0.5, 0.2]))} | CONVEX[shape]
     camera = Camera((0.2, -3.0, 0.9), (0.0, 0.0, 0.0))
-    statistics = render(camera, 6, thing=thing, light=light)
+    statistics = render(camera, 6, body=body, light=light)
     assert_radiance(statistics, 0.25 * RGB * albedo * np.array([1.0, 0.5, 0.2]))
 
 
 @pytest.mark.parametrize("ior", [1.0001, 1.5, 2.4])
-def test_glass_neither_takes_nor_gives(ior):
-    """A glass ball under the same light from everywhere has that radiance: what is refracted in comes out again."""
+def test_glass_under_an_even_sky(ior):
+    """A glass ball under the same radiance from all directions has that radiance: it neither absorbs nor emits."""
     light = {"type": "constant", "radiance": rgb(0.25 * RGB)}
     glass = {"type": "dielectric", "int_ior": ior, "ext_ior": 1.0}
     camera = Camera((0.0, -3.0, 0.2), (0.1, 0.0, 0.1), tangent=0.1)
@@ -323,7 +298,7 @@ def test_glass_neither_takes_nor_gives(ior):
     assert_radiance(render(camera, 100, ball={"type": "sphere", "bsdf": glass}, light=light), 0.25 * RGB)
 
 
-# Sides: a diffuse surface has a front only, twosided gives it a back, an area light shines from its front.
+# Sides: a diffuse surface reflects on its front, twosided also on its back; an area light emits from its front.
 
 SUN_UP = {"type": "directional", "direction": [0.3, 0.2, 1.0], "irradiance": rgb(RGB)}
 SUN_DOWN = {"type": "directional", "direction": [0.3, 0.2, -1.0], "irradiance": rgb(RGB)}
@@ -347,7 +322,7 @@ def test_sides_of_a_diffuse_surface(twosided, camera, sun):
 @pytest.mark.parametrize("camera", [ABOVE, BELOW], ids=["above", "below"])
 @pytest.mark.parametrize("twosided", [False, True])
 def test_sides_of_an_area_light(flip, camera, twosided):
-    light = {"type": "rectangle", "flip_normals": flip} | area(3.0)
+    light = {"type": "rectangle", "flip_normals": flip} | coloured_light(3.0)
     if twosided:
         light["bsdf"] = {"type": "twosided", "bsdf": diffuse(0.0)}
     statistics = render(camera, 2, light=light)
