@@ -120,7 +120,7 @@ class Renderer:
             self._wavefront = Wavefront(opencl_device, self.scene, bvh, self.strategy.needs, seed, pool_size)
             self._wavefront.warm_up()
         self._schedule = self.strategy.waves()
-        self._unfinished_wave: Wave | None = None  # what was cut off a uniform wave
+        self._unfinished_wave: Wave | None = None  # the rest of a shortened uniform wave
         self._statistics: Statistics | None = None  # None: out of date
         self._wave_index = 0
         self._max_pixel_samples = 0  # upper bound of the samples that any pixel has
@@ -196,7 +196,7 @@ class Renderer:
         return self.statistics().rgb
 
     def _next_wave(self) -> Wave:
-        """The schedule's next wave, checked: strategies may come from anybody."""
+        """The schedule's next wave, checked: strategies may be third-party code."""
         wave = next(self._schedule, None)
         if wave is None:
             raise UserError(f"strategy '{self.strategy.name}' plans no more waves; its schedule has to be endless")

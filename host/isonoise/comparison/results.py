@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise.error.true_error import luminance_standard_error
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference
 from isonoise.luminance import luminance
@@ -104,8 +105,7 @@ class Results:
         floor = image_floor(r)
         if rgb_se is None:
             return Reference(rgb, r, floor, None, 0.0)
-        # a path shares its random decisions among the three channels, so their errors are fully correlated
-        se = luminance(np.abs(rgb_se))
+        se = luminance_standard_error(rgb_se)
         scale = np.maximum(r, floor)
         relative = np.divide(se, scale, out=np.zeros_like(se), where=scale > 0)
         total = float(r.sum())

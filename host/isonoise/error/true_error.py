@@ -1,6 +1,6 @@
 """Errors of an image against a reference, and whether the stated confidence intervals cover it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,45 +19,37 @@ FLOAT32_ROUNDING = 4 * 2.0**-24
 """Relative rounding of two float32 RGB values and of their luminance. A noiseless pixel differs by this much."""
 
 
+def _formula(text: str):
+    return field(metadata={"doc": text})
+
+
 @dataclass(frozen=True)
 class TrueError:
-    """Errors of an image x against a reference r. `rel_mse*` are over pixels and RGB, all others over luminance.
+    """Errors of an image x against a reference r, as the log describes them.
 
-    Attributes
-    ----------
-    p50, p95, p99, max : float
-        Quantiles over the pixels of abs(x - r) / max(r, floor).
-    rel_mse : float
-        Mean of (x - r)^2 / (r^2 + 0.01).
-    rel_mse_trimmed : float
-        The same without the worst 0.1 % of the pixels (a whole number, rounded down).
-    rel_mse_floor : float
-        Mean of (x - r)^2 / (r^2 + floor^2).
-    rel_mse_floor_trimmed : float
-        The same without the worst 0.1 % of the pixels.
-    energy_ratio : float
-        Mean of x / mean of r.
-    energy_ratio_se : float
-        Its standard error, from s^2 / n and the reference's standard errors if known; nan without statistics.
-    coverage : float
-        Share of the pixels with n >= 2 that have abs(x - r) <= sqrt(h^2 + (1.96 se_ref)^2), h from `half_width_95`, up
-        to float32 rounding; nan without statistics.
-    floor : float
-        `image_floor` of r.
+    `rel_mse*` are over pixels and RGB, all others over luminance. The trimmed share is rounded down to whole pixels.
+    The coverage is over pixels with n >= 2 and allows for float32 rounding. Without statistics, `energy_ratio_se` and
+    `coverage` are nan.
     """
 
-    p50: float
-    p95: float
-    p99: float
-    max: float
-    rel_mse: float
-    rel_mse_trimmed: float
-    rel_mse_floor: float
-    rel_mse_floor_trimmed: float
-    energy_ratio: float
-    energy_ratio_se: float
-    coverage: float
-    floor: float
+    p50: float = _formula(
+        "median over the pixels of |x - r| / max(r, floor), luminance x of the image, r of the reference"
+    )
+    p95: float = _formula("the same at quantile 0.95")
+    p99: float = _formula("the same at quantile 0.99")
+    max: float = _formula("the same for the worst pixel")
+    rel_mse: float = _formula("mean over pixels and RGB of (x - r)^2 / (r^2 + 0.01), the literature's relMSE")
+    rel_mse_trimmed: float = _formula("the same without the worst 0.1 % of the pixels")
+    rel_mse_floor: float = _formula("mean over pixels and RGB of (x - r)^2 / (r^2 + floor^2)")
+    rel_mse_floor_trimmed: float = _formula("the same without the worst 0.1 % of the pixels")
+    energy_ratio: float = _formula("mean luminance of the image / mean luminance of the reference")
+    energy_ratio_se: float = _formula(
+        "standard error of energy_ratio, from s^2 / n and the reference's standard errors"
+    )
+    coverage: float = _formula(
+        "share of the pixels with |x - r| <= sqrt(h^2 + (1.96 se_ref)^2), h half the width of the 95 % interval"
+    )
+    floor: float = _formula("1 % of the geometric mean of max(r, 1e-4 mean r) over the pixels with r > 0")
 
 
 def true_error(
@@ -96,7 +88,7 @@ def true_error(
     p50, p95, p99 = (float(p) for p in np.quantile(relative, (0.5, 0.95, 0.99), method=method))
     rel_mse, rel_mse_trimmed = _rel_mse(image, reference, REL_MSE_EPSILON)
     rel_mse_floor, rel_mse_floor_trimmed = _rel_mse(image, reference, floor**2)
-    r_se = np.zeros_like(r) if reference_se is None else _luminance_se(reference_se)
+    r_se = np.zeros_like(r) if reference_se is None else luminance_standard_error(reference_se)
     ratio, ratio_se = _energy_ratio(luminance(image), r, r_se, statistics)
     return TrueError(
         p50=p50,
@@ -131,7 +123,7 @@ def _rel_mse(image: np.ndarray, reference: np.ndarray, epsilon: float) -> tuple[
     return float(per_pixel.mean()), float(trimmed.mean())
 
 
-def _luminance_se(rgb_se: np.ndarray) -> np.ndarray:
+def luminance_standard_error(rgb_se: np.ndarray) -> np.ndarray:
     """Standard error of the luminance from those of RGB, for fully correlated channels.
 
     That is the upper bound, and close to the truth: the channels of a path share all its random decisions.

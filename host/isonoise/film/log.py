@@ -33,29 +33,13 @@ class LogRow:
     rejected: int = _column("samples so far that were negative or not finite; they enter no statistic")
 
 
-_TRUE_COLUMNS = {
-    "p50": "median over the pixels of |x - r| / max(r, floor), luminance x of the image and r of the reference",
-    "p95": "the same at quantile 0.95",
-    "p99": "the same at quantile 0.99",
-    "max": "the same for the worst pixel",
-    "rel_mse": "mean over pixels and RGB of (x - r)^2 / (r^2 + 0.01), the literature's relMSE",
-    "rel_mse_trimmed": "the same without the worst 0.1 % of the pixels",
-    "rel_mse_floor": "mean over pixels and RGB of (x - r)^2 / (r^2 + floor^2)",
-    "rel_mse_floor_trimmed": "the same without the worst 0.1 % of the pixels",
-    "energy_ratio": "mean luminance of the image / mean luminance of the reference",
-    "energy_ratio_se": "standard error of energy_ratio",
-    "coverage": "share of the pixels with |x - r| <= sqrt(h^2 + (1.96 se_ref)^2), h half the stated 95 % interval",
-    "floor": "1 % of the geometric mean of max(r, 1e-4 mean r) over the pixels with r > 0",
-}
-
-
 def columns(true_errors: bool) -> dict[str, str]:
     """Name -> meaning of the CSV's columns, in order; with `true_errors` also those that need a reference."""
     result = {f.name: f.metadata["doc"] for f in fields(LogRow) if f.name != "true"}
     if true_errors:
         from isonoise.error.true_error import TrueError
 
-        result |= {f"true_{f.name}": _TRUE_COLUMNS[f.name] for f in fields(TrueError)}
+        result |= {f"true_{f.name}": f.metadata["doc"] for f in fields(TrueError)}
     return result
 
 

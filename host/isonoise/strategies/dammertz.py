@@ -28,7 +28,7 @@ class Dammertz(StoppingStrategy):
     it. Both thresholds, the position of the split and the smallest size follow two renderers that implement the paper,
     github.com/TzuChieh/Photon-v2 (`DammertzDispatcher`) and github.com/appleseedhq/appleseed (`adaptivetilerenderer`).
 
-    e_p goes with the square root of the light, so results depend on the scene's brightness, as published.
+    e_p is proportional to the square root of the light, so results depend on the scene's brightness, as published.
 
     Differences: when all blocks have stopped, the threshold is halved and the image is the first block again; the
     statistics so far then test blocks of all levels at once. With few active blocks, tests are further apart

@@ -18,7 +18,7 @@ class Purgathofer(StoppingStrategy):
     From: Purgathofer, "A statistical method for adaptive stochastic sampling", Computers & Graphics 11 (2), 1987, as
     later surveys describe it (the paper itself was not available; both defaults are ours). A pixel has converged when
     t se <= d, t the quantile 1 - alpha / 2 of Student's distribution with n - 1 degrees of freedom and d the tolerance,
-    an absolute one for values from 0 to 1. If all samples are equal, se says nothing. Then there must be
+    an absolute one for values from 0 to 1. If all samples are equal, se is 0 and no evidence. Then there must be
     ln(alpha) / ln(1 - d) samples or more: a share d of the pixel that looks different is missed with probability
     (1 - d)^n.
 

@@ -12,10 +12,10 @@ from isonoise.strategies.schedule import warmup_then_adaptive
 
 MAX_HALVINGS = 64
 """Of the threshold between two tests. If all pixels have converged even then, none has any error."""
-MIN_WAVE_FRACTION = 64
-"""A wave has at least 1 / 64 of the samples so far, as long as no pixel more than doubles its count ..."""
+MIN_WAVE_DIVISOR = 64
+"""A wave has at least 1 / 64 of the samples so far, unless a pixel would more than double its count."""
 MAX_WAVE_SAMPLES_PER_PIXEL = 2**20
-"""... or gets more samples than this: one work-item sums up a pixel's samples."""
+"""One work-item sums up a pixel's samples: more would keep it busy for too long."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -37,7 +37,7 @@ class StoppingStrategy(Strategy):
 
     def allocate(self, statistics: Statistics, budget: None) -> np.ndarray:
         active = self._update_active(statistics)
-        steps_for_full_wave = statistics.samples // (MIN_WAVE_FRACTION * self.step * int(np.count_nonzero(active)))
+        steps_for_full_wave = statistics.samples // (MIN_WAVE_DIVISOR * self.step * int(np.count_nonzero(active)))
         max_steps = max(min(steps_for_full_wave, MAX_WAVE_SAMPLES_PER_PIXEL // self.step), 1)
         steps = np.clip(statistics.count // self.step, 1, max_steps)
         return np.where(active, self.step * steps, 0).astype(np.uint32)
