@@ -1,4 +1,4 @@
-"""Damaged files: every loader loads them or refuses them, in bounded time and memory (tests/fuzzing.py says how)."""
+"""Every reader loads or rejects mutated files in bounded time and memory. See tests/fuzzing.py."""
 
 import json
 import os
@@ -8,45 +8,45 @@ from pathlib import Path
 
 import pytest
 
-fuzzing = pytest.importorskip("fuzzing", reason="needs limits of a process, which this system has not")
+fuzzing = pytest.importorskip("fuzzing", reason="this system has no process limits")
 
 TESTS = Path(__file__).resolve().parent
 
 
 def assert_all_pass(targets: list[str], first: int, count: int, folder: Path, timeout: float) -> None:
-    """Inputs in a process of their own, which is killed by nothing but its own limits, or by what it reads."""
+    """Run the inputs in a process of its own, with its own limits."""
     result = folder / "outcome.json"
     path = os.pathsep.join([str(TESTS), str(TESTS.parent / "host"), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, str(TESTS / "fuzzing.py"), ",".join(targets), str(first), str(count), str(result)]
     done = subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, timeout=timeout, capture_output=True)
     last = done.stderr.decode("utf-8", "replace")[-2000:]
-    assert done.returncode == 0, f"died with {done.returncode} of the last input: {last}"
+    assert done.returncode == 0, f"exit code {done.returncode} at the last input: {last}"
     failures = 0
-    for target, found in json.loads(result.read_text()).items():
-        for seed, problem in found["failures"][:3]:
+    for target, outcome in json.loads(result.read_text()).items():
+        for seed, problem in outcome["failures"][:3]:
             print(f"input {seed} of {target}:\n{problem}\n")
-        failures += len(found["failures"])
-        assert found["loaded"] + found["refused"] + len(found["failures"]) == count
-        assert found["refused"] > 0  # damage is damage
+        failures += len(outcome["failures"])
+        assert outcome["loaded"] + outcome["rejected"] + len(outcome["failures"]) == count
+        assert outcome["rejected"] > 0  # mutations have an effect
     assert not failures, f"{failures} of {count * len(targets)} inputs"
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits the memory of a process as Linux does")
-def test_damaged_files(tmp_path):
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits process memory in the way of Linux")
+def test_mutated_files(tmp_path):
     assert_all_pass(list(fuzzing.TARGETS), 0, 30, tmp_path, 120)
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits the memory of a process as Linux does")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits process memory in the way of Linux")
 @pytest.mark.parametrize("target", fuzzing.TARGETS)
-def test_many_damaged_files(target, tmp_path):
-    """ISONOISE_FUZZ inputs a target (4,000), from ISONOISE_FUZZ_FIRST on (100,000): other numbers are other inputs."""
+def test_many_mutated_files(target, tmp_path):
+    """ISONOISE_FUZZ inputs per target (default 4,000), from number ISONOISE_FUZZ_FIRST (default 100,000)."""
     first, count = int(os.environ.get("ISONOISE_FUZZ_FIRST", "100000")), int(os.environ.get("ISONOISE_FUZZ", "4000"))
     assert_all_pass([target], first, count, tmp_path, 3600)
 
 
-def test_the_same_number_is_the_same_input():
+def test_inputs_are_reproducible():
     for target in fuzzing.TARGETS:
-        inputs = [fuzzing.damaged(target, seed) for seed in range(5)]
-        assert inputs == [fuzzing.damaged(target, seed) for seed in range(5)]
+        inputs = [fuzzing.make_input(target, seed) for seed in range(5)]
+        assert inputs == [fuzzing.make_input(target, seed) for seed in range(5)]
         assert len(set(inputs)) > 3
