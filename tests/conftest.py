@@ -19,6 +19,21 @@ def program_cache_of_session(tmp_path_factory):
     os.environ[program_cache.FOLDER_VARIABLE] = "off"  # nothing is stored at exit
 
 
+@pytest.fixture
+def in_tmp_path(tmp_path, monkeypatch):
+    """The test runs in its `tmp_path`."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def no_compare_report():
+    """`isonoise compare` makes no report; test_compare_report.py tests it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("isonoise.comparison.report.write_report", lambda directory: None)
+        patch.setattr("isonoise.comparison.summary.summary_text", lambda directory: "the table")
+        yield
+
+
 @pytest.fixture(scope="session")
 def public_scenes() -> Path:
     """Folder of public scenes: ISONOISE_TEST_SCENES, or ../shared/scenes/public beside the checkout."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, write_plan
 from isonoise.comparison.recorder import SNAPSHOTS
 from isonoise.film.exr import write_exr
 from isonoise.film.log import columns
@@ -39,16 +40,21 @@ def make_comparison(
         The reference's stated relative standard error; None for none.
     """
     slugs = {spec: spec.replace(":", "-").replace("=", "-").replace(",", "-") for spec in strategies}
-    plan = {
-        "scenes": [{"slug": s, "name": s, "reference": f"references/{s}.exr"} for s in scenes],
-        "strategies": [{"slug": slugs[spec], "spec": spec, "title": spec} for spec in strategies],
-        "seeds": list(seeds),
-        "time": seconds,
-        "spp": None,
-    }
-    (directory / "references").mkdir(parents=True)
-    (directory / "plan.json").write_text(json.dumps(plan))
     height, width = shape
+    plan = Plan(
+        version="",
+        scenes=tuple(SceneEntry(s, s, s, "", width, height, f"references/{s}.exr", None) for s in scenes),
+        strategies=tuple(StrategyEntry(slugs[spec], spec, spec, spec) for spec in strategies),
+        seeds=tuple(seeds),
+        time=seconds,
+        spp=None,
+        size=None,
+        max_depth=None,
+        device="a simulated device",
+        reference_time=None,
+    )
+    (directory / "references").mkdir(parents=True)
+    write_plan(directory, plan)
     for number, scene in enumerate(scenes):
         rng = np.random.default_rng([number, 0])
         variance = np.broadcast_to(np.geomspace(0.04, 4, width), shape) * rng.uniform(0.9, 1.1, shape)

@@ -22,10 +22,7 @@ STARTUP = {"uncached": START, "cached": {name: {"median": s, "min": s, "max": s}
 SETTINGS = Settings(repeat=2, size=(24, 20), spp=8.5, pool_size=512)
 COMMAND = ("--size", "24x20", "--spp", "8.5")
 
-
-@pytest.fixture(autouse=True)
-def _work_in_tmp_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.fixture(scope="module")

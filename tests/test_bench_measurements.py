@@ -20,10 +20,7 @@ from isonoise.commands import bench
 from isonoise.scene import compile_scene, load
 from isonoise.scene.accel.build import build_scene_bvh
 
-
-@pytest.fixture(autouse=True)
-def _work_in_tmp_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def test_every_run_traces_the_same_samples():

@@ -16,10 +16,7 @@ from isonoise.benchmark.prepared_scene import MeasuredDevice
 from isonoise.benchmark.report_text import peers_text
 from isonoise.scene import builtin_scenes, compile_scene, load
 
-
-@pytest.fixture(autouse=True)
-def _work_in_tmp_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 class FakeMitsuba:

@@ -12,10 +12,7 @@ from isonoise.comparison.presets import PRESETS
 from isonoise.comparison.strategy_specs import describe_spec, needs_variance, split_specs
 from isonoise.errors import UserError
 
-
-@pytest.fixture(autouse=True)
-def _work_in_tmp_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.mark.parametrize(

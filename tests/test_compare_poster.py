@@ -48,8 +48,8 @@ def figures(made):
 
 def runs_of(made, scene, spec):
     results = Results(made)
-    slug = next(s["slug"] for s in results.strategies if s["spec"] == spec)
-    return list(results.runs(scene)[slug].values())
+    slug = next(s.slug for s in results.plan.strategies if s.spec == spec)
+    return list(results.runs(results.plan.scene(scene))[slug].values())
 
 
 def test_the_preset_has_exactly_the_runs_of_the_figures():

@@ -27,19 +27,7 @@ from isonoise.strategies.measures import image_floor
 
 HAS_MITSUBA = importlib.util.find_spec("mitsuba") is not None
 
-
-@pytest.fixture(autouse=True)
-def _work_in_tmp_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _no_report():
-    """test_compare_report.py tests the report."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isonoise.comparison.report.write_report", lambda directory: None)
-        patch.setattr("isonoise.comparison.summary.summary_text", lambda directory: "the table")
-        yield
+pytestmark = pytest.mark.usefixtures("in_tmp_path", "no_compare_report")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +38,7 @@ def uniform_batches():
 
 
 @pytest.fixture(scope="module")
-def reference_file(tmp_path_factory):
+def reference_file(tmp_path_factory, no_compare_report):
     """Reference for runs of 64 samples per pixel: 1280 samples per pixel, half of them placed by a pilot run."""
     directory = tmp_path_factory.mktemp("reference") / "out"
     assert compare(*options(directory, ("uniform",), 1, 64)) == 0

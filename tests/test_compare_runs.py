@@ -31,23 +31,11 @@ from isonoise.loop import Stops
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
-
-@pytest.fixture(autouse=True)
-def _work_in_tmp_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _no_report():
-    """test_compare_report.py tests the report."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isonoise.comparison.report.write_report", lambda directory: None)
-        patch.setattr("isonoise.comparison.summary.summary_text", lambda directory: "the table")
-        yield
+pytestmark = pytest.mark.usefixtures("in_tmp_path", "no_compare_report")
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def whole(tmp_path_factory, no_compare_report):
     """Folder of a comparison that was not interrupted."""
     directory = tmp_path_factory.mktemp("whole") / "out"
     assert compare(*options(directory)) == 0

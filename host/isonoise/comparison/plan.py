@@ -63,6 +63,9 @@ class Plan:
     reference_time: float | None  # seconds; None: REFERENCE_BUDGET_FACTOR times spp
     preset: str | None = None  # the report has its figures
 
+    def scene(self, slug: str) -> SceneEntry:
+        return next(scene for scene in self.scenes if scene.slug == slug)
+
 
 @dataclass(frozen=True)
 class Request:
@@ -145,6 +148,16 @@ def write_plan(directory: Path, plan: Plan) -> None:
     """Raises UserError if the file cannot be written."""
     text = json.dumps(asdict(plan), indent=1) + "\n"
     write_atomically(directory / PLAN_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def run_path(directory: Path, scene: SceneEntry, strategy: StrategyEntry, seed: int) -> Path:
+    """File of a finished run."""
+    return directory / "runs" / scene.slug / strategy.slug / f"{seed}.npz"
+
+
+def variance_path(directory: Path, scene: SceneEntry) -> Path:
+    """File of the single-sample variance that the oracle reads."""
+    return directory / "references" / f"{scene.slug}-variance.exr"
 
 
 def differences(stored: Plan, plan: Plan) -> list[str]:

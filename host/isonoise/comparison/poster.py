@@ -145,11 +145,11 @@ def _figure(name: str, design: Design, results: Results, summary: Mapping) -> Po
     if not scene["rows"]:
         return PosterFigure(name, design, (), f"no seed of {design.scene} is finished with every strategy")
     by_slug = {row["strategy"]: row for row in scene["rows"]}
-    by_spec = {s["spec"]: by_slug[s["slug"]] for s in results.strategies if s["slug"] in by_slug}
+    by_spec = {s.spec: by_slug[s.slug] for s in results.plan.strategies if s.slug in by_slug}
     missing = [spec for spec in design.panels if spec not in by_spec]
     if missing:
         return PosterFigure(name, design, (), f"no run of {design.scene} is finished with {', '.join(missing)}")
-    finished = results.runs(scene["slug"])
+    finished = results.runs(results.plan.scene(scene["slug"]))
     runs = {spec: [finished[by_spec[spec]["strategy"]][seed] for seed in scene["seeds"]] for spec in design.panels}
     return PosterFigure(name, design, _rows(design, scene, by_spec, runs), "")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison.plan import FIRST_REFERENCE_SEED, REFERENCE_BUDGET_FACTOR, SceneEntry
+from isonoise.comparison.plan import FIRST_REFERENCE_SEED, REFERENCE_BUDGET_FACTOR, SceneEntry, variance_path
 from isonoise.errors import UserError
 from isonoise.film.exr import write_exr
 from isonoise.film.files import write_atomically
@@ -130,7 +130,7 @@ def ensure_variance(
 
     The batches are uniform; they have the budget of a reference. Parameters as of `ensure_reference`.
     """
-    path = directory / "references" / f"{scene.slug}-variance.exr"
+    path = variance_path(directory, scene)
     if not path.exists():
         sums = _accumulate(make, scene, path, budget, "variance", show)
         _finish(path, {"variance": sums.relative_variance()}, scene, sums)

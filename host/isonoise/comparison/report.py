@@ -71,7 +71,7 @@ def _template():
 def _poster(results: Results, summary: Mapping) -> list[dict]:
     """The poster's figures for the template, with the preset `poster`; also writes them to plots/."""
     figures = []
-    for figure in poster.poster_figures(results, summary) if results.plan.get("preset") == POSTER else ():
+    for figure in poster.poster_figures(results, summary) if results.plan.preset == POSTER else ():
         path = results.directory / "plots" / f"{figure.name}.png"
         if figure.rows:
             plots.write_figure(path, poster.draw(figure))
@@ -97,8 +97,7 @@ def _scene(results: Results, summary: Mapping, scene: Mapping) -> dict:
 
     slug = scene["slug"]
     folder = results.directory / "plots"
-    planned = next(entry for entry in results.scenes if entry["slug"] == slug)
-    picture = Image.fromarray(tone_map(results.reference(planned).rgb))
+    picture = Image.fromarray(tone_map(results.reference(results.plan.scene(slug)).rgb))
     write_atomically(folder / f"{slug}-reference.png", lambda temporary: picture.save(temporary, format="PNG"))
     curves = []
     for metric in plots.METRICS:
@@ -125,7 +124,7 @@ def _map_grids(results: Results, summary: Mapping, scene: Mapping) -> dict[str, 
     """Grids of maps by the name of their file, each with its title and the format of its scale."""
     titles = strategy_titles(summary)
     counts, errors = {}, {}
-    for strategy, runs in results.runs(scene["slug"]).items():
+    for strategy, runs in results.runs(results.plan.scene(scene["slug"])).items():
         used = [runs[seed] for seed in scene["seeds"]]
         counts[titles[strategy]] = used[0].count
         errors[titles[strategy]] = metrics.rms_over_seeds(np.stack([run.errors[-1] for run in used]))
@@ -162,8 +161,8 @@ def _dates(results: Results) -> str:
     """First and last day (UTC) on which runs were finished, from the times of their files."""
     finished = [
         run.path.stat().st_mtime
-        for scene in results.scenes
-        for runs in results.runs(scene["slug"]).values()
+        for scene in results.plan.scenes
+        for runs in results.runs(scene).values()
         for run in runs.values()
     ]
     first, last = (time.strftime("%Y-%m-%d", time.gmtime(moment)) for moment in (min(finished), max(finished)))

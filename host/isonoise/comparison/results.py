@@ -2,12 +2,13 @@
 
 import json
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from isonoise.comparison.plan import PLAN_FILE, SceneEntry, read_plan, run_path, variance_path
 from isonoise.error.true_error import luminance_standard_error
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference
@@ -71,36 +72,32 @@ class Reference:
 class Results:
     """A comparison's folder. Raises UserError if its plan cannot be read.
 
-    `plan` is the content of plan.json; `scenes` and `strategies` are its entries. `baseline` is the slug of the
-    strategy that all others are compared with: `uniform` if it is in the plan, else the first.
+    `baseline` is the slug of the strategy that all others are compared with: `uniform` if it is in the plan, else the
+    first.
     """
 
     def __init__(self, directory: Path):
         self.directory = Path(directory)
-        path = self.directory / "plan.json"
-        try:
-            self.plan = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise UserError(f"cannot read the comparison's plan '{path}': {error}") from error
-        self.scenes: Sequence[Mapping] = self.plan["scenes"]
-        self.strategies: Sequence[Mapping] = self.plan["strategies"]
-        slugs = [strategy["slug"] for strategy in self.strategies]
+        plan = read_plan(self.directory)
+        if plan is None:
+            raise UserError(f"'{directory}' has no {PLAN_FILE}: it is not the folder of a comparison")
+        self.plan = plan
+        slugs = [strategy.slug for strategy in plan.strategies]
         self.baseline: str = "uniform" if "uniform" in slugs else slugs[0]
 
-    def runs(self, scene: str) -> dict[str, dict[int, Run]]:
-        """Finished runs of a scene (a slug): strategy's slug -> seed -> run. Strategies without runs are left out."""
+    def runs(self, scene: SceneEntry) -> dict[str, dict[int, Run]]:
+        """Finished runs of a scene: strategy's slug -> seed -> run. Strategies without runs are left out."""
         runs_by_strategy = {}
-        for strategy in self.strategies:
-            folder = self.directory / "runs" / scene / strategy["slug"]
-            paths = {seed: folder / f"{seed}.npz" for seed in self.plan["seeds"]}
+        for strategy in self.plan.strategies:
+            paths = {seed: run_path(self.directory, scene, strategy, seed) for seed in self.plan.seeds}
             runs = {seed: Run(path, seed) for seed, path in paths.items() if path.is_file()}
             if runs:
-                runs_by_strategy[strategy["slug"]] = runs
+                runs_by_strategy[strategy.slug] = runs
         return runs_by_strategy
 
-    def reference(self, scene: Mapping) -> Reference:
+    def reference(self, scene: SceneEntry) -> Reference:
         """Reference of a scene. Raises UserError if it cannot be read."""
-        rgb, rgb_se = read_reference(self.directory / scene["reference"])
+        rgb, rgb_se = read_reference(self.directory / scene.reference)
         r = luminance(rgb)
         floor = image_floor(r)
         if rgb_se is None:
@@ -111,9 +108,9 @@ class Results:
         total = float(r.sum())
         return Reference(rgb, r, floor, relative, float(np.sqrt(np.square(se).sum()) / total) if total > 0 else 0.0)
 
-    def variance(self, scene: str) -> np.ndarray | None:
+    def variance(self, scene: SceneEntry) -> np.ndarray | None:
         """Relative variance of one sample, (height, width), or None if it was not rendered."""
-        path = self.directory / "references" / f"{scene}-variance.exr"
+        path = variance_path(self.directory, scene)
         return read_exr(path)[0].get("variance") if path.is_file() else None
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from isonoise.comparison.mitsuba_worker import MitsubaWorkers
-from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry
+from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, run_path, variance_path
 from isonoise.comparison.recorder import Recorder
 from isonoise.comparison.references import ensure_reference, ensure_variance
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance, with_variance
@@ -18,11 +18,6 @@ from isonoise.strategies import describe
 WARM_UP_S = 1.0
 """Seconds of the discarded render before the first run of a strategy on a scene: drivers compile at first use, and
 caches fill."""
-
-
-def run_path(directory: Path, scene: SceneEntry, strategy: StrategyEntry, seed: int) -> Path:
-    """File of a run."""
-    return directory / "runs" / scene.slug / strategy.slug / f"{seed}.npz"
 
 
 def run_plan(plan: Plan, directory: Path, device: str | None, log: Callable[[str], None]) -> None:
@@ -99,7 +94,7 @@ class _Runner:
         """Render one run with isonoise; returns its last row."""
         spec = strategy.spec
         if needs_variance(spec):
-            spec = with_variance(spec, self.directory / "references" / f"{scene.slug}-variance.exr")
+            spec = with_variance(spec, variance_path(self.directory, scene))
         if (scene.slug, strategy.slug) not in self.warmed_up:
             seconds = min(WARM_UP_S, self.stops.time or WARM_UP_S)
             render_loop(self._renderer(scene, strategy=spec, seed=seed), Stops(time=seconds, spp=self.stops.spp))

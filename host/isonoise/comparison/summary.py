@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from isonoise import __version__
 from isonoise.comparison import metrics
+from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.report_tables import markdown_tables, text_tables
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
 from isonoise.film.files import write_atomically
@@ -62,20 +62,19 @@ def summarise(directory: Path) -> dict:
     0: the ratio is below `high`. `at_common_error` is the ratio at the larger of the two final errors, an interval.
     """
     results = Results(directory)
-    slugs = {strategy["spec"]: strategy["slug"] for strategy in results.strategies}
+    plan = results.plan
+    slugs = {strategy.spec: strategy.slug for strategy in plan.strategies}
     return _to_json(
         {
             "schema": SCHEMA,
             "schema_version": SCHEMA_VERSION,
             "isonoise_version": __version__,
-            "budget": {"time": results.plan.get("time"), "spp": results.plan.get("spp")},
-            "seeds": list(results.plan["seeds"]),
-            "strategies": [{key: s[key] for key in ("slug", "spec", "title")} for s in results.strategies],
+            "budget": {"time": plan.time, "spp": plan.spp},
+            "seeds": list(plan.seeds),
+            "strategies": [{"slug": s.slug, "spec": s.spec, "title": s.title} for s in plan.strategies],
             "baseline": results.baseline,
             "default": slugs.get(DEFAULT_STRATEGY),
-            "scenes": [
-                _scene(results, scene, runs) for scene in results.scenes if (runs := results.runs(scene["slug"]))
-            ],
+            "scenes": [_scene(results, scene, runs) for scene in plan.scenes if (runs := results.runs(scene))],
         }
     )
 
@@ -94,9 +93,9 @@ def summary_text(directory: Path) -> str:
     return text_tables(json.loads(path.read_text(encoding="utf-8")) if path.is_file() else summarise(directory))
 
 
-def _scene(results: Results, scene: Mapping, runs: dict[str, dict[int, Run]]) -> dict:
+def _scene(results: Results, scene: SceneEntry, runs: dict[str, dict[int, Run]]) -> dict:
     reference = results.reference(scene)
-    variance = results.variance(scene["slug"])
+    variance = results.variance(scene)
     seeds = common_seeds(runs)
     height, width = reference.luminance.shape
     measured = (
@@ -107,15 +106,15 @@ def _scene(results: Results, scene: Mapping, runs: dict[str, dict[int, Run]]) ->
     baseline = measured.get(results.baseline)
     reference_quantiles = _quantiles(np.zeros(1) if reference.relative_se is None else reference.relative_se)
     return {
-        "slug": scene["slug"],
-        "name": scene["name"],
+        "slug": scene.slug,
+        "name": scene.name,
         "width": width,
         "height": height,
         "floor": reference.floor,
         "devices": sorted({str(run.facts.get("device")) for by_seed in runs.values() for run in by_seed.values()}),
         "seeds": seeds,
         "runs": sum(len(by_seed) for by_seed in runs.values()),
-        "planned_runs": len(results.strategies) * len(results.plan["seeds"]),
+        "planned_runs": len(results.plan.strategies) * len(results.plan.seeds),
         "reference": {
             "has_standard_error": reference.relative_se is not None,
             **reference_quantiles,
@@ -248,11 +247,11 @@ def _waves_csv(results: Results) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["scene", "strategy", "seed", *names])
-    for scene in results.scenes:
-        for strategy, runs in results.runs(scene["slug"]).items():
+    for scene in results.plan.scenes:
+        for strategy, runs in results.runs(scene).items():
             for seed, run in runs.items():
                 for row in run.rows:
-                    writer.writerow([scene["slug"], strategy, seed, *(_csv_field(row.get(name)) for name in names)])
+                    writer.writerow([scene.slug, strategy, seed, *(_csv_field(row.get(name)) for name in names)])
     return text.getvalue()
 
 
