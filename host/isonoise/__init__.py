@@ -1,4 +1,4 @@
-"""isonoise: an OpenCL path tracer that distributes its samples until the noise is the same everywhere.
+"""An OpenCL path tracer that distributes its samples until the noise is the same everywhere.
 
 Examples
 --------

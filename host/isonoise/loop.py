@@ -42,7 +42,7 @@ MIN_REMAINING_PIXEL_SAMPLES = 2**20
 class Stops:
     """Limits of a render; the first one reached ends it. At least one of spp, time and error is required.
 
-    Attributes
+    Parameters
     ----------
     spp : float or None
         Mean samples per pixel.

@@ -14,7 +14,7 @@ class Needs:
 
     Count, mean and variance are always kept.
 
-    Attributes
+    Parameters
     ----------
     median : bool
         Keep M_x, the running mean of chunk medians.

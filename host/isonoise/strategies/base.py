@@ -13,7 +13,7 @@ from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 class Wave:
     """One planned wave. The renderer may shorten it to meet a sample budget or a deadline.
 
-    Attributes
+    Parameters
     ----------
     kind : 'uniform' or 'adaptive'
         Whether every pixel gets the same count, or `Strategy.allocate` decides.
