@@ -85,7 +85,7 @@ def rough(type_: str, alpha, distribution: str = "ggx", **more) -> dict:
 
 
 GLASS = {"int_ior": 1.5, "ext_ior": 1.0}
-LOBES = {
+LOBES = {  # append new ones: the seeds of tests follow the order
     "diffuse": {"type": "diffuse", "reflectance": RED},
     "roughconductor": {"type": "roughconductor", **GOLD},
     "roughconductor ggx": rough("roughconductor", 0.3, **GOLD, specular_reflectance=RED),

@@ -1,8 +1,16 @@
 """Random emitters. Used by scene_generator.py."""
 
+from functools import partial
+
 import numpy as np
 from random_shapes import CLOSED, FLAT, MESHES, RandomShapes
 from random_xml import to_text
+
+from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN
+
+OTHER_LIGHTS = [
+    plugin for plugin in KIND_OF_PLUGIN if plugin not in ("point", "spot", "directional", "constant", "envmap")
+]
 
 
 class RandomLights(RandomShapes):
@@ -11,9 +19,10 @@ class RandomLights(RandomShapes):
     def lights(self):
         """A wide light, or a few without extent."""
         far = [self.constant, self.envmap, self.envmap, self.directional, lambda: self.area_light((1, 5, 2))]
-        near = [self.point, self.spot, lambda: self.area_light((-3.2, 1.5, 1.5)), self.directional]
+        others = [partial(self.other_light, plugin) for plugin in OTHER_LIGHTS]
+        near = [self.point, self.spot, lambda: self.area_light((-3.2, 1.5, 1.5)), self.directional, *others]
         if self.point_like_lights:
-            far = near = [self.point, self.spot, self.directional]
+            far = near = [self.point, self.spot, self.directional, *others]
         self.area_light((0, 3.0, 0)) if self.in_room else self.r.choice(far)()
         for _ in range(self.r.choice((0, 1, 1, 2))):
             self.r.choice(near)()
@@ -83,6 +92,15 @@ class RandomLights(RandomShapes):
         if self.chance(0.6):
             self.float(emitter, "beam_width", cutoff * self.uniform(0.2, 0.95))
         self.emission(emitter, "intensity", self.uniform(10, 40))
+
+    def other_light(self, plugin: str):
+        """A light without a method of its own."""
+        emitter = self.tag(self.root, "emitter", plugin)
+        to_world = self.tag(emitter, "transform", name="to_world")
+        origin = self.uniform(-3, 3), 2.8, self.uniform(-1, 3)
+        self.tag(to_world, "lookat", origin=origin, target=self.place(), up=(0.3, 0, 1))
+        self.emission(emitter, KIND_OF_PLUGIN[plugin].emission, self.uniform(10, 40))
+        self.any_parameters(emitter)
 
     def directional(self):
         emitter = self.tag(self.root, "emitter", "directional")

@@ -3,10 +3,17 @@
 import numpy as np
 from random_textures import RandomTextures
 
+from isonoise.scene.material.bsdf_kinds import KINDS
+from isonoise.scene.vocabulary import plugins_of
+from isonoise.scene.vocabulary.plugin import SUPPORTED
+
 METALS = ("Au", "Cu", "Al", "Ag", "W", "Cr", "none")
 INDICES = ("air", "water", "bk7", "diamond", "acetone", "pet", "vacuum")
-OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic", "principled")
-CLEAR = ("dielectric", "thindielectric", "roughdielectric")
+OPAQUE = ["diffuse", "conductor", "roughconductor", "plastic", "roughplastic", "principled"]
+CLEAR = ["dielectric", "thindielectric", "roughdielectric"]
+for _kind in KINDS.values():  # BSDFs without a method of their own are written by `any_parameters`
+    if _kind.scatters and _kind.plugin and _kind.plugin not in OPAQUE + CLEAR:
+        (CLEAR if _kind.transmits else OPAQUE).append(_kind.plugin)
 BUMPY = ("bumpmap", "normalmap")
 
 
@@ -53,7 +60,21 @@ class RandomMaterials(RandomTextures):
             self.tag(texture, "boolean", name="raw", value="true")
             nested()
         else:
-            getattr(self, f"_{kind}")(bsdf, attribute, opaque)
+            getattr(self, f"_{kind}", self.any_parameters)(bsdf, attribute, opaque)
+
+    def any_parameters(self, tag, attribute: str = "", opaque: bool = True):
+        """Some of the colours, numbers and flags that the vocabulary has for a plugin."""
+        for parameter in plugins_of(tag.tag)[tag.get("type")].parameters:
+            if parameter.status != SUPPORTED or not self.chance(0.6):
+                continue
+            if parameter.type == "reflectance":
+                self.colour(tag, parameter.name, 0.1, 0.85, attribute)
+            elif parameter.type == "float" and parameter.texture:
+                self.number(tag, parameter.name, 0.05, 0.95, attribute)
+            elif parameter.type == "float":
+                self.float(tag, parameter.name, self.uniform(0.05, 0.95))
+            elif parameter.type == "boolean":
+                self.flag(tag, parameter.name, 0.5)
 
     def _diffuse(self, bsdf, attribute, opaque):
         if self.chance(0.9):
