@@ -1,15 +1,14 @@
-"""Comparison with another renderer's images: references, their standard errors, and the tests that weigh both.
+"""Compares images with those of another renderer, or of another method: estimates, standard scores, tests.
 
-An image is an `Estimate`: a mean and its standard error for every value. Two estimates of the same picture are compared
+An image is an `Estimate`: a mean and its standard error for every value. Two estimates of the same image are compared
 value by value (`assert_agree`) and by their image means (`assert_means_agree`).
 
-What the value-by-value test can and cannot do. A value passes if the difference is no larger than chance allows at
-1 % for the whole image (Sidak: 5.3 standard errors for 65,536 values). It finds what is wrong in a place: a missing
-surface, a light on the wrong side, a shifted edge. It is blind to a bias below the noise of single pixels, and it is
-nearly blind to fireflies: one outlier of size v among n samples moves the mean by v/n and the standard error by as
-much, so that no outlier is ever much more than one standard error off. Hence the means of 8x8 blocks (an eighth of the
-noise, and 64 times the samples for the rare paths to show up in) and the image means, which a wrong weight of any kind
-of path moves.
+A value passes if the difference is not larger than chance allows at 1 % for the whole image (Sidak: 5.3 standard errors
+for 65,536 values). This detects local errors: a missing surface, a light on the wrong side, a shifted edge. It does not
+detect a bias below the noise of single pixels, and hardly any fireflies: one outlier of size v among n samples changes
+the mean by v/n and the standard error by as much, so no outlier is much more than one standard error off. Therefore the
+means of 8x8 blocks are compared, too (an eighth of the noise, and 64 times the samples for rare paths), and the image
+means, which a wrong weight of any kind of path changes.
 """
 
 import hashlib
@@ -30,30 +29,32 @@ from isonoise.luminance import luminance
 from isonoise.statistics import Statistics
 
 ROUNDING = 1e-4
-"""Relative difference that is rounding, not noise: a float32 sum of 1,024 samples of one value is off by up to
-1024 * 2^-24 = 6e-5. Matters where nothing varies: in a pixel that the light fills both standard errors are 0."""
+"""Relative difference that may be rounding: a float32 sum of 1,024 equal samples has an error of up to
+1024 * 2^-24 = 6e-5. It matters in pixels without noise, where both standard errors are 0."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Mean and standard error of every value, float64 (height, width, channels), and the degrees of freedom of the
-    standard error: one number, or an array that goes with the values."""
+    """Mean, standard error and degrees of freedom of the standard error, per value: float64 (height, width, channels).
+
+    `dof` may be one number for all values.
+    """
 
     mean: np.ndarray
     se: np.ndarray
-    freedom: float | np.ndarray
+    dof: float | np.ndarray
 
     def blocks(self, size: int) -> "Estimate":
-        """Means of size x size blocks; the standard error of a block is right if its pixels are independent."""
-        return Estimate(block_means(self.mean, size), np.sqrt(block_means(self.se**2, size)) / size, self.freedom)
+        """Means of size x size blocks; the standard error assumes that the pixels are independent."""
+        return Estimate(block_means(self.mean, size), np.sqrt(block_means(self.se**2, size)) / size, self.dof)
 
 
 def block_means(image: np.ndarray, size: int) -> np.ndarray:
-    """Means of size x size blocks of (..., height, width, channels); what fills no block is left out."""
+    """Means of size x size blocks of (..., height, width, channels); incomplete blocks are left out."""
     *batches, height, width, channels = image.shape
     rows, columns = height // size, width // size
-    cut = image[..., : rows * size, : columns * size, :]
-    return cut.reshape(*batches, rows, size, columns, size, channels).mean(axis=(-4, -2))
+    cropped = image[..., : rows * size, : columns * size, :]
+    return cropped.reshape(*batches, rows, size, columns, size, channels).mean(axis=(-4, -2))
 
 
 def from_batches(batches: np.ndarray) -> Estimate:
@@ -64,10 +65,10 @@ def from_batches(batches: np.ndarray) -> Estimate:
 
 
 def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
-    """Independent images of a scene, (batches, height, width, 3) float64: what each wave of one render has brought.
+    """Independent images of a scene, (batches, height, width, 3) float64: one per wave of a single render.
 
-    Hierarchy and programs are made once, the programs for few paths alone: PoCL compiles anew for 2^16 and more. As a
-    difference of float32 means a batch carries a rounding error of up to batches * 2^-24 of its value. No sample may
+    So hierarchy and programs are built once, and only for small pools: PoCL compiles again for 2^16 paths and more. A
+    batch is a difference of float32 means, with a rounding error of up to batches * 2^-24 of its value. No sample may
     be rejected.
     """
     renderer = isonoise.Renderer(scene, strategy=f"uniform:wave_spp={spp}", seed=seed, pool_size=1 << 15)
@@ -82,11 +83,11 @@ def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
 
 
 def from_statistics(statistics: list[Statistics]) -> Estimate:
-    """Estimate of the luminance, from renders of equal counts with different seeds, by the variance that they state."""
+    """Estimate of the luminance from renders with equal counts and different seeds, using their sample variances."""
     mean = np.mean([s.mean for s in statistics], axis=0)
     squared = np.mean([s.variance / s.count for s in statistics], axis=0) / len(statistics)
-    freedom = sum(s.count.astype(np.float64) - 1 for s in statistics)
-    return Estimate(mean[..., None], np.sqrt(squared)[..., None], freedom[..., None])
+    dof = sum(s.count.astype(np.float64) - 1 for s in statistics)
+    return Estimate(mean[..., None], np.sqrt(squared)[..., None], dof[..., None])
 
 
 def read_reference(path: Path) -> Estimate:
@@ -99,16 +100,19 @@ def read_reference(path: Path) -> Estimate:
 
 
 def luminance_of(rgb: Estimate) -> Estimate:
-    """Luminance of an RGB estimate. The channels' errors are taken as fully correlated: the most that it can be, and
-    close to the truth where all channels come from the same paths."""
-    return Estimate(luminance(rgb.mean)[..., None], luminance(rgb.se)[..., None], rgb.freedom)
+    """Luminance of an RGB estimate.
+
+    The errors of the channels are assumed to be fully correlated: an upper bound, and nearly exact if all channels come
+    from the same paths.
+    """
+    return Estimate(luminance(rgb.mean)[..., None], luminance(rgb.se)[..., None], rgb.dof)
 
 
 def standard_scores(image: Estimate, reference: Estimate, rounding: float = ROUNDING) -> np.ndarray:
-    """Differences in units of their standard error, as standard normal deviates; 0 up to `rounding` of the reference.
+    """Differences over their standard error, as standard normal deviates; 0 for relative differences up to `rounding`.
 
-    The degrees of freedom of the difference are those of Welch and Satterthwaite; Student's t becomes a normal deviate
-    by D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square distributions" (Annals of
+    The degrees of freedom are those of Welch and Satterthwaite. Student's t is converted to a normal deviate by
+    D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square distributions" (Annals of
     Mathematical Statistics 30, 1959), good to 1 % in the tails used here (15 degrees of freedom and more).
     """
     squared_image, squared_reference = image.se**2, reference.se**2
@@ -116,9 +120,9 @@ def standard_scores(image: Estimate, reference: Estimate, rounding: float = ROUN
     difference = image.mean - reference.mean
     difference[np.abs(difference) <= rounding * np.abs(reference.mean)] = 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = squared**2 / (squared_image**2 / image.freedom + squared_reference**2 / reference.freedom)
+        dof = squared**2 / (squared_image**2 / image.dof + squared_reference**2 / reference.dof)
         t = difference / np.sqrt(squared)
-    score = np.sign(t) * np.sqrt(freedom * np.log1p(t**2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3)
+    score = np.sign(t) * np.sqrt(dof * np.log1p(t**2 / dof)) * (8 * dof + 1) / (8 * dof + 3)
     return np.where(squared > 0, score, np.where(difference == 0, 0.0, np.copysign(np.inf, difference)))
 
 
@@ -130,12 +134,12 @@ def assert_agree(
     alpha: float = 0.01,
     rounding: float = ROUNDING,
 ) -> np.ndarray:
-    """At least `share` of the values agree, each tested so that all of them together fail by chance with probability
-    alpha (Sidak); returns the standard scores.
+    """Assert that at least `share` of the values agree; returns the standard scores.
 
-    The share is Mitsuba 3's (src/render/tests/test_renders.py): it leaves room for pixels on an edge that two renderers
-    round to different sides. With it the false-alarm rate is far below alpha. On failure image, reference and scores
-    are written to `folder` and named in the message.
+    The threshold is Sidak's: all values together fail by chance with probability `alpha`. The share is Mitsuba 3's
+    (src/render/tests/test_renders.py): it allows for edge pixels that two renderers round to different sides, and makes
+    the false-alarm rate far smaller than `alpha`. On failure image, reference and scores are written to `folder` and
+    named in the message.
     """
     assert image.mean.shape == reference.mean.shape
     assert np.isfinite(image.mean).all()
@@ -153,10 +157,10 @@ def assert_agree(
 
 
 def assert_means_agree(image: Estimate, reference: Estimate, relative: float = 0.003, errors: float = 3.0) -> None:
-    """The mean of every channel over the image agrees within 0.3 %, or three standard errors where that is more.
+    """Assert that the image mean of every channel agrees within 0.3 % or three standard errors, whichever is larger.
 
-    Pixels are independent, so their errors add up in squares. Where three standard errors are the wider bound, a
-    correct program fails with probability 0.0027 per channel, by the normal distribution.
+    Pixels are independent, so their squared errors add up. If three standard errors are the larger bound, a correct
+    program fails with probability 0.0027 per channel, by the normal distribution.
     """
     means, squared = [], 0.0
     for estimate in (image, reference):
@@ -170,7 +174,7 @@ def assert_means_agree(image: Estimate, reference: Estimate, relative: float = 0
 
 
 def _write_failure(folder: Path, image: Estimate, reference: Estimate, scores: np.ndarray) -> list[Path]:
-    """Writes both images and the scores: EXR for numbers, PNG for a look (white: 6 errors too bright)."""
+    """Write both images and the scores as EXR, and the scores as PNG (white: 6 standard errors too bright)."""
     from PIL import Image
 
     finite = np.nan_to_num(np.broadcast_to(scores, (*scores.shape[:2], 3)), posinf=1e3, neginf=-1e3)
@@ -195,7 +199,7 @@ def resized(scene: Path, side: int, folder: Path) -> Path:
 
 
 def cache_folder(cache) -> Path | None:
-    """Folder that outlives a run: ISONOISE_REFERENCE_CACHE, else one in pytest's cache; None where that is off."""
+    """Persistent folder: ISONOISE_REFERENCE_CACHE, else one in pytest's cache; None if that is disabled."""
     if folder := os.environ.get("ISONOISE_REFERENCE_CACHE"):
         return Path(folder)
     return Path(cache.mkdir("mitsuba")) if cache else None
@@ -211,10 +215,9 @@ def mitsuba_batches(
 ) -> np.ndarray:
     """Images of a scene file by Mitsuba 3, (batches, height, width, 3) float32, each with its own seed.
 
-    Rendered by the first variant that works: llvm_ad_rgb where a libLLVM serves it, scalar_rgb (several times slower,
-    but with nothing to compile). Kept in `folder` under a name that is a hash of all that they depend on: `files` are
-    those that the scene names. Mitsuba runs in a process of its own: a libLLVM that does not serve it aborts the
-    process, and OpenCL drivers bring an LLVM of theirs.
+    The first variant that works renders them: llvm_ad_rgb needs libLLVM, scalar_rgb is several times slower. They are
+    cached in `folder` under a hash of scene, `files` (those that the scene refers to), version and counts. Mitsuba runs
+    in its own process: an unsuitable libLLVM aborts the process, and OpenCL drivers load an LLVM of their own.
     """
     import mitsuba
 
@@ -241,7 +244,7 @@ def _mitsuba_main(scene: str, output: str, spp: str, batches: str, variant: str)
 
     mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    loaded = mitsuba.load_file(scene, optimize=False)  # which merges meshes, and stumbles over some (3.9.1)
+    loaded = mitsuba.load_file(scene, optimize=False)  # merging meshes fails for some scenes (3.9.1)
     images = [np.array(mitsuba.render(loaded, spp=int(spp), seed=seed)) for seed in range(int(batches))]
     np.save(output, np.stack(images)[..., :3].astype(np.float32))
 
