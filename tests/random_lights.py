@@ -98,7 +98,7 @@ class RandomLights(RandomShapes):
         emitter = self.tag(self.root, "emitter", plugin)
         to_world = self.tag(emitter, "transform", name="to_world")
         origin = self.uniform(-3, 3), 2.8, self.uniform(-1, 3)
-        self.tag(to_world, "lookat", origin=origin, target=self.place(), up=(0.3, 0, 1))
+        self.tag(to_world, "lookat", origin=origin, target=self.random_place(), up=(0.3, 0, 1))
         self.emission(emitter, KIND_OF_PLUGIN[plugin].emission, self.uniform(10, 40))
         self.any_parameters(emitter)
 
