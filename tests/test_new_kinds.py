@@ -79,7 +79,7 @@ TORCH_ROW = """    LightKind(
 TORCH_PLUGIN = """    Plugin(
         "emitter",
         "torch",
-        (P("intensity", "radiance", 1.0, meaning="radiant intensity along +z, W / sr"), *PLACED),
+        (P("intensity", "radiance", 1.0, meaning="radiant intensity along +z, W / sr"), *TO_WORLD),
         meaning="a point that emits a cosine around +z",
     ),
 """
