@@ -18,7 +18,7 @@ SHARED = {
     for name in (
         "base",
         "measures",
-        "parameter_checks",
+        "parameters",
         "registry",
         "schedule",
         "uniform_allocation",

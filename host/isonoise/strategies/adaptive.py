@@ -11,7 +11,7 @@ from isonoise.statistics import Needs, Statistics
 from isonoise.strategies import measures
 from isonoise.strategies.allocation import deficit, proportional_to_error
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.parameter_checks import check_integer, check_odd, check_range
+from isonoise.strategies.parameters import check_integer, check_odd, ranged
 from isonoise.strategies.schedule import alternating_waves
 
 RULES = ("deficit", "sqrt", "proportional")
@@ -43,22 +43,17 @@ class Adaptive(Strategy):
     """
 
     rule: str = "deficit"
-    exponent: float = 1.0
-    warmup: int = 16
-    ratio: float = 1.0
-    growth: float = 0.5
-    clip: float = 0.999
-    cap: float = 4
+    exponent: float = ranged(1.0, 0.01, 16)
+    warmup: int = ranged(16, 2, 65536)
+    ratio: float = ranged(1.0, 0.01)
+    growth: float = ranged(0.5, 0.01, 4)
+    clip: float = ranged(0.999, 0.5, 1)
+    cap: float = ranged(4, 2)
 
     def __post_init__(self):
+        super().__post_init__()
         if self.rule not in RULES:
             raise UserError(f"strategy parameter rule = {self.rule!r} is not one of {', '.join(RULES)}")
-        check_range("exponent", self.exponent, 0.01, 16)
-        check_range("warmup", self.warmup, 2, 65536)
-        check_range("ratio", self.ratio, 0.01)
-        check_range("growth", self.growth, 0.01, 4)
-        check_range("clip", self.clip, 0.5, 1)
-        check_range("cap", self.cap, 2)
         check_integer("cap", self.cap)
 
     def waves(self) -> Iterator[Wave]:
@@ -117,16 +112,13 @@ class RelativeMedian(Adaptive):
 
     name = "relative-median"
 
-    kappa: float = 8.0
-    chunk: int = 5
-    batch: int = 4
+    kappa: float = ranged(8.0, 1)
+    chunk: int = ranged(5, 3, 31)
+    batch: int = ranged(4, 1, 1024)
     literal: bool = False
 
     def __post_init__(self):
         super().__post_init__()
-        check_range("kappa", self.kappa, 1)
-        check_range("chunk", self.chunk, 3, 31)
-        check_range("batch", self.batch, 1, 1024)
         check_odd("chunk", self.chunk)
 
     @property
@@ -170,11 +162,7 @@ class Tsallis(Adaptive):
 
     name = "tsallis"
 
-    q: float = 2.0
-
-    def __post_init__(self):
-        super().__post_init__()
-        check_range("q", self.q, 0.1, 8)
+    q: float = ranged(2.0, 0.1, 8)
 
     @property
     def needs(self) -> Needs:
@@ -201,15 +189,14 @@ class Pooled(Adaptive):
 
     name = "pooled"
 
-    window: int = 3
+    window: int = ranged(3, 1, 31)
     rule: str = "sqrt"
-    ratio: float = 0.35
-    growth: float = 0.2
-    clip: float = 1.0
+    ratio: float = ranged(0.35, 0.01)
+    growth: float = ranged(0.2, 0.01, 4)
+    clip: float = ranged(1.0, 0.5, 1)
 
     def __post_init__(self):
         super().__post_init__()
-        check_range("window", self.window, 1, 31)
         check_odd("window", self.window)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
+from isonoise.strategies.parameters import check_ranges
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,9 @@ class Strategy:
 
     name: ClassVar[str]
     needs: Needs = BASIC_NEEDS
+
+    def __post_init__(self):
+        check_ranges(self)  # of dataclasses
 
     def waves(self) -> Iterator[Wave]:
         """Return the schedule, an endless iterator. The renderer takes from it until the render ends."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from isonoise.statistics import Needs, Statistics
 from isonoise.strategies.measures import brightness, half_difference
-from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.parameters import ranged
 from isonoise.strategies.stopping import StoppingStrategy
 
 THRESHOLD_FACTOR = 5
@@ -45,12 +45,8 @@ class Cycles(StoppingStrategy):
     needs = Needs(half=True)
     step = 16
 
-    threshold: float = 0.01
-    min_samples: int = 0
-
-    def __post_init__(self):
-        check_range("threshold", self.threshold, 1e-6, 1)
-        check_range("min_samples", self.min_samples, 0, 65536)
+    threshold: float = ranged(0.01, 1e-6, 1)
+    min_samples: int = ranged(0, 0, 65536)
 
     @property
     def first_test_spp(self) -> int:

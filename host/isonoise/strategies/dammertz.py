@@ -6,7 +6,7 @@ import numpy as np
 
 from isonoise.statistics import Needs, Statistics
 from isonoise.strategies.measures import half_buffer
-from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.parameters import ranged
 from isonoise.strategies.stopping import StoppingStrategy
 
 SPLIT_FACTOR = 256
@@ -47,16 +47,11 @@ class Dammertz(StoppingStrategy):
     name = "dammertz"
     needs = Needs(half=True)
 
-    threshold: float = 0.0002
-    step: int = 16
-    smallest: int = 8
+    threshold: float = ranged(0.0002, 1e-9, 1)
+    step: int = ranged(16, 2, 65536)
+    smallest: int = ranged(8, 1, 4096)
 
     _active_blocks: list["Block"] = field(default_factory=list, init=False, repr=False)
-
-    def __post_init__(self):
-        check_range("threshold", self.threshold, 1e-9, 1)
-        check_range("step", self.step, 2, 65536)
-        check_range("smallest", self.smallest, 1, 4096)
 
     @property
     def first_test_spp(self) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from isonoise.statistics import Statistics
 from isonoise.strategies.allocation import proportional
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.parameters import ranged
 from isonoise.strategies.schedule import warmup_then_adaptive
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
@@ -49,20 +49,14 @@ class LuxCore(Strategy):
 
     name = "luxcore"
 
-    warmup: int = 32
-    step: int = 32
-    scale: int = 4
-    strength: float = 0.95
+    warmup: int = ranged(32, 1, 65536)
+    step: int = ranged(32, 1, 65536)
+    scale: int = ranged(4, 1, 64)
+    strength: float = ranged(0.95, 0, 0.95)
 
     _last_image: np.ndarray | None = field(default=None, init=False, repr=False)
     _last_samples: int = field(default=0, init=False, repr=False)
     _weights: np.ndarray | None = field(default=None, init=False, repr=False)
-
-    def __post_init__(self):
-        check_range("warmup", self.warmup, 1, 65536)
-        check_range("step", self.step, 1, 65536)
-        check_range("scale", self.scale, 1, 64)
-        check_range("strength", self.strength, 0, 0.95)
 
     def waves(self) -> Iterator[Wave]:
         self._last_image, self._weights = None, None  # one object may be used for several renders in turn

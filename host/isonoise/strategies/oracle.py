@@ -8,6 +8,7 @@ import numpy as np
 from isonoise.errors import UserError
 from isonoise.statistics import Statistics
 from isonoise.strategies.adaptive import Adaptive
+from isonoise.strategies.parameters import ranged
 
 LAYER = "variance"
 
@@ -28,7 +29,7 @@ class Oracle(Adaptive):
     name = "oracle"
 
     file: str
-    clip: float = 1.0
+    clip: float = ranged(1.0, 0.5, 1)
 
     @cached_property
     def _variance(self) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import confidence
-from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.parameters import ranged
 from isonoise.strategies.stopping import StoppingStrategy
 
 
@@ -40,16 +40,10 @@ class Purgathofer(StoppingStrategy):
 
     name = "purgathofer"
 
-    significance: float = 0.05
-    tolerance: float = 0.05
-    warmup: int = 8
-    step: int = 8
-
-    def __post_init__(self):
-        check_range("significance", self.significance, 1e-9, 0.5)
-        check_range("tolerance", self.tolerance, 1e-6, 0.5)
-        check_range("warmup", self.warmup, 2, 65536)
-        check_range("step", self.step, 1, 65536)
+    significance: float = ranged(0.05, 1e-9, 0.5)
+    tolerance: float = ranged(0.05, 1e-6, 0.5)
+    warmup: int = ranged(8, 2, 65536)
+    step: int = ranged(8, 1, 65536)
 
     @property
     def first_test_spp(self) -> int:

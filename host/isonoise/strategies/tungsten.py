@@ -7,7 +7,7 @@ import numpy as np
 
 from isonoise.statistics import Statistics
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.parameters import ranged
 from isonoise.strategies.schedule import warmup_then_adaptive
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
@@ -45,12 +45,8 @@ class Tungsten(Strategy):
 
     name = "tungsten"
 
-    warmup: int = 16
-    step: int = 16
-
-    def __post_init__(self):
-        check_range("warmup", self.warmup, 2, 65536)
-        check_range("step", self.step, 1, 65536)
+    warmup: int = ranged(16, 2, 65536)
+    step: int = ranged(16, 1, 65536)
 
     def waves(self) -> Iterator[Wave]:
         return warmup_then_adaptive(self.warmup, self.step)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from isonoise.strategies.base import Strategy, Wave
-from isonoise.strategies.parameter_checks import check_range
+from isonoise.strategies.parameters import ranged
 from isonoise.strategies.schedule import uniform_waves
 
 
@@ -24,14 +24,9 @@ class Uniform(Strategy):
 
     name = "uniform"
 
-    wave_spp: int = 0
-    warmup: int = 16
-    growth: float = 0.25
-
-    def __post_init__(self):
-        check_range("wave_spp", self.wave_spp, 0, 2**20)
-        check_range("warmup", self.warmup, 1, 65536)
-        check_range("growth", self.growth, 0.01, 4)
+    wave_spp: int = ranged(0, 0, 2**20)
+    warmup: int = ranged(16, 1, 65536)
+    growth: float = ranged(0.25, 0.01, 4)
 
     def waves(self) -> Iterator[Wave]:
         if self.wave_spp == 0:
