@@ -5,7 +5,7 @@
 
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 LEFT, RIGHT = "<", ">"
 GAP = "  "
@@ -46,7 +46,7 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell | str]]
     title: str = ""
-    notes: Sequence[str] = field(default_factory=tuple)
+    notes: Sequence[str] = ()
 
 
 def columns(*heads: str, left: Iterable[int] = (0,)) -> list[Column]:

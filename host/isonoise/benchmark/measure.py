@@ -28,7 +28,7 @@ PATH_BUFFERS = ("paths", "hits", "shadow rays", "flags of the paths")
 """Buffers that hold the state of the paths in flight."""
 
 ShowProgress = Callable[[float, str], None]
-"""Gets the finished share of a measurement, and what is measured next."""
+"""Gets the finished share of a measurement and the current activity."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ def measure_each(sources: Mapping[str, str], measure: Callable[[str, str, ShowPr
     with ProgressBar() as bar:
         for index, (name, source) in enumerate(sources.items()):
 
-            def show(done: float, what: str, index=index, name=name) -> None:
-                bar.show(index + done, len(sources), f"{name}: {what}")
+            def show(done: float, activity: str, index=index, name=name) -> None:
+                bar.show(index + done, len(sources), f"{name}: {activity}")
 
             measure(name, source, show)
 
@@ -115,7 +115,7 @@ def scene_identity(name: str, scene: CompiledScene, samples: int) -> dict[str, o
 
 
 def measure_scene(
-    name: str, source: str, scene: CompiledScene, settings: Settings, show: ShowProgress = lambda done, what: None
+    name: str, source: str, scene: CompiledScene, settings: Settings, show: ShowProgress = lambda done, activity: None
 ) -> dict[str, object]:
     """An entry of the JSON field `scenes`.
 

@@ -57,8 +57,11 @@ def measure_peers(sources: Mapping[str, str], settings: Settings) -> dict[str, o
         result["scenes"].append(_measure_samples(name, source, scene, settings, show))
         if is_triangles_only(scene):
             device = MeasuredDevice(settings.device)
-            rays = measure_rays(name, scene, device, settings.repeat, lambda done, what: show(0.6 + 0.4 * done, what))
-            result["meshes"].append(rays)
+
+            def show_rays(done: float, activity: str) -> None:
+                show(0.6 + 0.4 * done, activity)
+
+            result["meshes"].append(measure_rays(name, scene, device, settings.repeat, show_rays))
 
     measure_each(sources, measure)
     return result

@@ -22,9 +22,10 @@ class MeasuredDevice(Device):
         self.buffer_bytes: Counter[str] = Counter()
         super().__init__(choice)
 
-    def buffer(self, size: int | np.ndarray, what: str):
-        self.buffer_bytes[what.removeprefix("the ")] += size.nbytes if isinstance(size, np.ndarray) else int(size)
-        return super().buffer(size, what)
+    def buffer(self, content: int | np.ndarray, label: str):
+        content_bytes = content.nbytes if isinstance(content, np.ndarray) else int(content)
+        self.buffer_bytes[label.removeprefix("the ")] += content_bytes
+        return super().buffer(content, label)
 
 
 @dataclass

@@ -107,7 +107,7 @@ def _tune(settings: Settings, sources: Mapping[str, str]) -> int:
     device = Device(settings.device).device
     scenes = [load_scene(source, settings) for source in sources.values()]
     with ProgressBar() as bar:
-        speeds = measure_pools(scenes, settings, lambda done, what: bar.show(done, 1, what))
+        speeds = measure_pools(scenes, settings, lambda done, activity: bar.show(done, 1, activity))
     untuned = pool_size.untuned_pool_size(device)
     chosen = choose_pool_size(speeds, untuned)
     _print(pool_sizes_text(speeds, untuned, chosen))

@@ -1,4 +1,4 @@
-"""Columns of a comparison's tables: which figure of summary.json each one shows, how it is formatted, what it means."""
+"""Columns of a comparison's tables: the figure of summary.json, its format and its meaning."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
