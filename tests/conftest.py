@@ -55,3 +55,14 @@ def scene_of(tmp_path):
         return load(path, parameters)
 
     return make
+
+
+@pytest.fixture
+def one_lane(monkeypatch):
+    """A work-item takes one path, as on GPUs. Such kernels compile in a third of the time.
+
+    That the number of lanes changes no bit is tested in test_renderer.py.
+    """
+    from isonoise.device.opencl import Device
+
+    monkeypatch.setattr(Device, "lanes", 1)

@@ -58,6 +58,7 @@ VISIBLE_TRANSFORMS = (
 )
 
 
+@pytest.mark.usefixtures("one_lane")
 def test_image_equals_that_of_the_flattened_scene(tmp_path):
     """False alarms: below 1 % for the pixels, at most 0.8 % for the means."""
     group = with_materials(FLAT_SHAPES)
@@ -84,6 +85,7 @@ def test_image_equals_mitsubas(tmp_path):
     assert_same_picture(with_instances(group, *VISIBLE_TRANSFORMS, **lamp_and_floor()), tmp_path, spp=32)
 
 
+@pytest.mark.usefixtures("one_lane")
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_white_furnace_with_an_instance(scale):
     """Reflectance 1 under constant radiance 1 gives 1 in every pixel, at any scale."""

@@ -360,6 +360,7 @@ def room(count: int) -> dict:
     return scene | mixed_lights(count, seed=9)
 
 
+@pytest.mark.usefixtures("one_lane")
 def test_pictures_with_and_without_the_tree_agree(monkeypatch):
     """Means of blocks of 3 x 3 pixels over independent renders: z-values of each, and of the image."""
     images = {}
@@ -380,6 +381,7 @@ def test_pictures_with_and_without_the_tree_agree(monkeypatch):
         assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 2.1 * Z * se).all()
 
 
+@pytest.mark.usefixtures("one_lane")
 def test_less_noise_where_lights_are_spread(monkeypatch):
     """300 lamps over a long floor: without the tree most samples go to lamps that are far away."""
     scene = lamp_over_floor(max_depth=2)

@@ -90,6 +90,7 @@ def test_instances_have_the_media_of_their_group():
     assert radiance(scene)[0] == pytest.approx([math.exp(-0.15)] * 3, rel=3e-5)
 
 
+@pytest.mark.usefixtures("one_lane")
 def test_path_sees_no_media_and_is_blocked_by_boundaries():
     shapes = LAYERS["one"][0]
     assert (radiance(lit_floor("path", **shapes))[0] == 0).all()
@@ -137,10 +138,12 @@ def test_light_through_sheets(name):
     assert radiance(sheets(materials))[0] == pytest.approx(share, rel=2e-5, abs=1e-7)
 
 
+@pytest.mark.usefixtures("one_lane")
 def test_path_casts_full_shadows_of_masks():
     assert (radiance(sheets([HALF], "path"))[0] == 0).all()
 
 
+@pytest.mark.usefixtures("one_lane")
 def test_what_is_seen_through_sheets_is_seen_in_full():
     """A lamp behind a mask of opacity 1/4, at max_depth 1: passing is no bounce. Under `path` it is one. The mask's own
     light and its mirror image do not count: it is lit from behind alone."""

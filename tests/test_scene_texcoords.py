@@ -235,6 +235,7 @@ def test_cube(mitsuba):
     np.testing.assert_array_equal(mesh.uvs, theirs["vertex_texcoords"])
 
 
+@pytest.mark.usefixtures("one_lane")
 @pytest.mark.parametrize("normals", ["", "0 0 1", "0 0 -1"])
 @pytest.mark.parametrize("flip", [False, True])
 def test_without_coordinates_they_are_barycentric(flip, normals, write):
