@@ -28,26 +28,26 @@ SEEDS = range(1, 9)
 def make(directory, **more):
     """Runs of the whole preset, with samples in proportion to the variance except for `uniform`."""
     shares = {spec: np.ones_like if spec == "uniform" else lambda v: v for spec in PRESET.strategies}
-    made = make_comparison(directory, PRESET.scenes, shares, **{"seeds": SEEDS, "shape": (40, 50)} | more)
-    plan = json.loads((made / "plan.json").read_text())
-    (made / "plan.json").write_text(json.dumps(plan | {"preset": POSTER}))
-    return made
+    folder = make_comparison(directory, PRESET.scenes, shares, **{"seeds": SEEDS, "shape": (40, 50)} | more)
+    plan = json.loads((folder / "plan.json").read_text())
+    (folder / "plan.json").write_text(json.dumps(plan | {"preset": POSTER}))
+    return folder
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def folder(tmp_path_factory):
     directory = make(tmp_path_factory.mktemp("poster") / "out")
     write_report(directory)
     return directory
 
 
 @pytest.fixture(scope="module")
-def figures(made):
-    return poster_figures(Results(made), summarise(made))
+def figures(folder):
+    return poster_figures(Results(folder), summarise(folder))
 
 
-def runs_of(made, scene, spec):
-    results = Results(made)
+def runs_of(folder, scene, spec):
+    results = Results(folder)
     slug = next(s.slug for s in results.plan.strategies if s.spec == spec)
     return list(results.runs(results.plan.scene(scene))[slug].values())
 
@@ -58,20 +58,20 @@ def test_the_preset_has_exactly_the_runs_of_the_figures():
     assert {spec for _, spec in needed} == set(PRESET.strategies)
 
 
-def test_maps_are_those_of_the_runs(made, figures):
+def test_maps_are_those_of_the_runs(folder, figures):
     spots, penumbra, _ = figures
     for k, spec in enumerate(spots.design.panels):
-        runs = runs_of(made, "bright-spots", spec)
+        runs = runs_of(folder, "bright-spots", spec)
         rms, samples = (row.grid.maps[k].values for row in spots.rows)
         np.testing.assert_allclose(rms**2, np.mean([run.errors[-1].astype(float) ** 2 for run in runs], axis=0))
         np.testing.assert_array_equal(samples, runs[0].count)
     for k, spec in enumerate(penumbra.design.panels):
         single = penumbra.rows[0].grid.maps[k].values
-        np.testing.assert_array_equal(single, abs(runs_of(made, "penumbra", spec)[0].errors[-1].astype(float)))
+        np.testing.assert_array_equal(single, abs(runs_of(folder, "penumbra", spec)[0].errors[-1].astype(float)))
 
 
-def test_captions_have_the_numbers_of_the_tables(made, figures):
-    text = (made / "tables.md").read_text()
+def test_captions_have_the_numbers_of_the_tables(folder, figures):
+    text = (folder / "tables.md").read_text()
     for figure in figures:
         section = text[text.index(f"### {figure.design.scene}\n") :].split("### ")[1]
         lines = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in section.splitlines() if "|" in line]
@@ -90,10 +90,10 @@ def test_the_errors_of_a_figure_share_a_scale(figures):
     assert len(scales[1]) == 2
 
 
-def test_a_single_run_has_its_own_numbers(made, figures):
+def test_a_single_run_has_its_own_numbers(folder, figures):
     single = figures[1].rows[0]
     assert single.title == "error, seed 1"
-    last = runs_of(made, "penumbra", "uniform")[0].rows[-1]
+    last = runs_of(folder, "penumbra", "uniform")[0].rows[-1]
     p99, worst = (float(re.search(r"([\d.]+) %", line)[1]) for line in single.captions[0])
     assert (p99, worst) == (
         pytest.approx(100 * last["true_p99"], rel=0.005),
@@ -101,11 +101,11 @@ def test_a_single_run_has_its_own_numbers(made, figures):
     )
 
 
-def test_the_map_of_equal_errors_is_simulated(made, figures):
+def test_the_map_of_equal_errors_is_simulated(folder, figures):
     """Quantiles of 2,000 simulated pixels: p50 within 5 standard errors (1.5 %), p99/p50 within 4 (3 % each)."""
     row = figures[2].rows[0]
     ideal = row.grid.maps[-1].values
-    rows = {row["strategy"]: row for row in summarise(made)["scenes"][2]["rows"]}
+    rows = {row["strategy"]: row for row in summarise(folder)["scenes"][2]["rows"]}
     assert len(row.grid.maps) == len(figures[2].design.panels) + 1
     assert np.median(ideal) == pytest.approx(rows[DEFAULT_STRATEGY]["rms"]["p50"], rel=0.075)
     assert np.quantile(ideal, 0.99) / np.median(ideal) == pytest.approx(ideal_uniformity(8), rel=0.12)
@@ -113,13 +113,13 @@ def test_the_map_of_equal_errors_is_simulated(made, figures):
     assert row.captions[-1][-1] == "p99/p50 1.65"
 
 
-def test_figures_are_written_and_shown(made):
+def test_figures_are_written_and_shown(folder):
     from PIL import Image
 
-    page = (made / "report.html").read_text()
+    page = (folder / "report.html").read_text()
     assert "Not shown" not in page
     for k, design in enumerate(DESIGNS, start=1):
-        with Image.open(made / "plots" / f"poster-{k}.png") as picture:
+        with Image.open(folder / "plots" / f"poster-{k}.png") as picture:
             assert picture.width > 800
         assert f"<h3>{design.title}</h3>" in page
     section = page[page.index('id="poster-figures"') : page.index('id="bright-spots"')]
@@ -129,36 +129,36 @@ def test_figures_are_written_and_shown(made):
 
 
 def test_without_the_preset_there_are_no_figures(tmp_path):
-    made = make_comparison(tmp_path / "out", ["cornell"], {"uniform": np.ones_like}, seeds=[1, 2])
-    write_report(made)
-    assert not list((made / "plots").glob("poster*"))
-    assert "poster" not in (made / "report.html").read_text()
+    folder = make_comparison(tmp_path / "out", ["cornell"], {"uniform": np.ones_like}, seeds=[1, 2])
+    write_report(folder)
+    assert not list((folder / "plots").glob("poster*"))
+    assert "poster" not in (folder / "report.html").read_text()
 
 
 def test_missing_runs_are_named(tmp_path):
-    made = make(tmp_path / "out", seeds=[1, 2], shape=(12, 16))
-    (made / "plots").mkdir()
-    (made / "plots" / "poster-1.png").touch()  # a figure of earlier runs
-    shutil.rmtree(made / "runs" / "bright-spots" / "relative-median-kappa-inf-batch-1")
-    shutil.rmtree(made / "runs" / "bright-spots" / "relative-mean")
-    shutil.rmtree(made / "runs" / "penumbra")
-    (made / "runs" / "cornell" / "tsallis" / "1.npz").unlink()
-    (made / "runs" / "cornell" / "uniform" / "2.npz").unlink()
-    found = poster_figures(Results(made), summarise(made))
+    folder = make(tmp_path / "out", seeds=[1, 2], shape=(12, 16))
+    (folder / "plots").mkdir()
+    (folder / "plots" / "poster-1.png").touch()  # a figure of earlier runs
+    shutil.rmtree(folder / "runs" / "bright-spots" / "relative-median-kappa-inf-batch-1")
+    shutil.rmtree(folder / "runs" / "bright-spots" / "relative-mean")
+    shutil.rmtree(folder / "runs" / "penumbra")
+    (folder / "runs" / "cornell" / "tsallis" / "1.npz").unlink()
+    (folder / "runs" / "cornell" / "uniform" / "2.npz").unlink()
+    found = poster_figures(Results(folder), summarise(folder))
     assert [figure.missing for figure in found] == [
         "no run of bright-spots is finished with relative-mean, relative-median:kappa=inf,batch=1",
         "no run of penumbra is finished",
         "no seed of cornell is finished with every strategy",
     ]
-    write_report(made)
-    assert not list((made / "plots").glob("poster*"))
-    page = (made / "report.html").read_text()
+    write_report(folder)
+    assert not list((folder / "plots").glob("poster*"))
+    page = (folder / "report.html").read_text()
     for figure in found:
         assert f"Not shown: {figure.missing}." in page
 
 
 def test_a_single_seed_is_enough(tmp_path):
-    made = make(tmp_path / "out", seeds=[3], shape=(12, 16))
-    for figure in poster_figures(Results(made), summarise(made)):
+    folder = make(tmp_path / "out", seeds=[3], shape=(12, 16))
+    for figure in poster_figures(Results(folder), summarise(folder)):
         assert [row.title for row in figure.rows if "RMS" in row.title] == ["RMS error, 1 seed"]
         draw(figure)

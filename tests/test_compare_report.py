@@ -23,22 +23,22 @@ FILES = ("waves.csv", "summary.json", "tables.md")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def folder(tmp_path_factory):
     """Folder of a finished comparison with its report."""
     pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
     pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
     from isonoise.comparison.report import write_report
 
     directory = make_comparison(
-        tmp_path_factory.mktemp("made") / "out", SCENES, STRATEGIES, seeds=range(1, 9), shape=(60, 80)
+        tmp_path_factory.mktemp("folder") / "out", SCENES, STRATEGIES, seeds=range(1, 9), shape=(60, 80)
     )
     write_report(directory)
     return directory
 
 
 @pytest.fixture(scope="module")
-def rows(made):
-    summary = json.loads((made / "summary.json").read_text(), parse_constant=pytest.fail)  # rejects NaN and Infinity
+def rows(folder):
+    summary = json.loads((folder / "summary.json").read_text(), parse_constant=pytest.fail)  # rejects NaN and Infinity
     return {row["strategy"]: row for row in summary["scenes"][0]["rows"]}
 
 
@@ -60,10 +60,10 @@ def test_figures_agree_with_the_simulated_errors(rows):
 
 def test_time_to_equal_error_follows_the_samples(tmp_path):
     """Twice as many samples in the same time halve the time to equal error, by both metrics."""
-    made = make_comparison(
+    folder = make_comparison(
         tmp_path / "out", ["a"], {"uniform": np.ones_like, "twice": np.ones_like}, range(8), (60, 80), speed=2
     )
-    baseline, twice = summarise(made)["scenes"][0]["rows"]
+    baseline, twice = summarise(folder)["scenes"][0]["rows"]
     assert baseline["time_to_equal_error"]["rel_mse"]["low"] == 1
     for metric in ("rms_p99", "rel_mse"):
         ratio = twice["time_to_equal_error"][metric]
@@ -71,16 +71,16 @@ def test_time_to_equal_error_follows_the_samples(tmp_path):
         assert ratio["at_common_error"]["low"] < 0.5 < ratio["at_common_error"]["high"]
 
 
-def test_the_lower_bound_of_relmse(made):
+def test_the_lower_bound_of_relmse(folder):
     variance = np.geomspace(0.04, 4, 80)
     expected = np.mean(np.sqrt(variance)) ** 2 / variance.mean()
-    assert summarise(made)["scenes"][0]["rel_mse_lower_bound"] == pytest.approx(expected, rel=0.02)
+    assert summarise(folder)["scenes"][0]["rel_mse_lower_bound"] == pytest.approx(expected, rel=0.02)
 
 
 def test_a_dark_image_is_detected(tmp_path):
     strategies = {"uniform": np.ones_like, "dark": np.ones_like}
-    made = make_comparison(tmp_path / "out", ["a"], strategies, range(8), (60, 80), bias=-0.02)
-    honest, dark = summarise(made)["scenes"][0]["rows"]
+    folder = make_comparison(tmp_path / "out", ["a"], strategies, range(8), (60, 80), bias=-0.02)
+    honest, dark = summarise(folder)["scenes"][0]["rows"]
     assert abs(honest["image_mean_ratio"]["value"] - 1) < 0.003  # 4 standard errors of the simulated errors
     assert abs(honest["bias"]["z"]) < 5.4  # 1 in 1000 at 7 degrees of freedom
     assert dark["image_mean_ratio"]["value"] == pytest.approx(0.98, abs=0.003)
@@ -89,19 +89,19 @@ def test_a_dark_image_is_detected(tmp_path):
 
 
 def test_a_noisy_reference_is_marked(tmp_path):
-    made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, reference_se=0.1)
-    scene = summarise(made)["scenes"][0]
+    folder = make_comparison(tmp_path / "out", ["a"], STRATEGIES, reference_se=0.1)
+    scene = summarise(folder)["scenes"][0]
     assert [row["reference_too_noisy"] for row in scene["rows"]] == [True] * 3
     assert scene["reference"]["p99"] == pytest.approx(0.1, rel=1e-3)
-    text = summary_text(made)
+    text = summary_text(folder)
     assert "† noisy reference" in text
     assert all("†" in line for line in text.splitlines() if line.startswith((" uniform", " relative-median")))
     exact = summarise(make_comparison(tmp_path / "exact", ["a"], STRATEGIES, reference_se=None))
     assert [row["reference_too_noisy"] for row in exact["scenes"][0]["rows"]] == [False] * 3
 
 
-def test_waves_csv_has_a_row_per_wave(made):
-    found = list(csv.DictReader(io.StringIO((made / "waves.csv").read_text())))
+def test_waves_csv_has_a_row_per_wave(folder):
+    found = list(csv.DictReader(io.StringIO((folder / "waves.csv").read_text())))
     assert list(found[0]) == ["scene", "strategy", "seed", *columns(true_errors=True), "device_s"]
     assert len(found) == len(SCENES) * len(STRATEGIES) * 8 * SNAPSHOTS
     keys = [(row["scene"], row["strategy"], int(row["seed"]), int(row["wave"])) for row in found]
@@ -110,54 +110,54 @@ def test_waves_csv_has_a_row_per_wave(made):
     assert float(found[-1]["elapsed_s"]) == 4
 
 
-def test_the_same_runs_give_the_same_files(made):
+def test_the_same_runs_give_the_same_files(folder):
     from isonoise.comparison.report import write_report
 
-    files = [*FILES, "report.html", *(f"plots/{path.name}" for path in (made / "plots").iterdir())]
-    before = {name: (made / name).read_bytes() for name in files}
-    write_report(made)
-    assert [name for name in files if (made / name).read_bytes() != before[name]] == []
+    files = [*FILES, "report.html", *(f"plots/{path.name}" for path in (folder / "plots").iterdir())]
+    before = {name: (folder / name).read_bytes() for name in files}
+    write_report(folder)
+    assert [name for name in files if (folder / name).read_bytes() != before[name]] == []
 
 
 def test_an_unfinished_comparison_uses_the_common_seeds(tmp_path):
-    made = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=range(1, 6))
+    folder = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=range(1, 6))
     for name in ("bright/relative-median/5", "bright/oracle-rule-sqrt/4", "bright/oracle-rule-sqrt/5"):
-        (made / "runs" / f"{name}.npz").unlink()
-    for path in (made / "runs" / "dim" / "oracle-rule-sqrt").iterdir():
+        (folder / "runs" / f"{name}.npz").unlink()
+    for path in (folder / "runs" / "dim" / "oracle-rule-sqrt").iterdir():
         path.unlink()
-    bright, dim = summarise(made)["scenes"]
+    bright, dim = summarise(folder)["scenes"]
     assert bright["seeds"] == [1, 2, 3]
     assert (bright["runs"], bright["planned_runs"]) == (12, 15)
     assert [row["seeds"] for row in bright["rows"]] == [5, 4, 3]
     assert bright["ideal_uniformity"] == pytest.approx(ideal_uniformity(3))
     assert dim["seeds"] == [1, 2, 3, 4, 5]
     assert [row["strategy"] for row in dim["rows"]] == ["uniform", "relative-median"]
-    text = summary_text(made)
+    text = summary_text(folder)
     assert "Not finished: 12 of 15 runs. Figures are from the 3 of 5 seeds" in text
 
 
 def test_a_scene_without_runs_is_remaining_out(tmp_path):
-    made = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=[1, 2])
-    for path in (made / "runs" / "dim").rglob("*.npz"):
+    folder = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=[1, 2])
+    for path in (folder / "runs" / "dim").rglob("*.npz"):
         path.unlink()
-    (made / "references" / "dim.exr").unlink()
-    assert [scene["slug"] for scene in summarise(made)["scenes"]] == ["bright"]
+    (folder / "references" / "dim.exr").unlink()
+    assert [scene["slug"] for scene in summarise(folder)["scenes"]] == ["bright"]
 
 
 @pytest.mark.parametrize("remaining", ["uniform", "relative-median"])
 def test_ratios_need_the_baseline_and_two_seeds(tmp_path, remaining):
-    made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1])
-    for path in (made / "runs" / "a").rglob("*.npz"):
+    folder = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1])
+    for path in (folder / "runs" / "a").rglob("*.npz"):
         if path.parent.name != remaining:
             path.unlink()
-    summary = summarise(made)
-    write_summary(made, summary)
+    summary = summarise(folder)
+    write_summary(folder, summary)
     (row,) = summary["scenes"][0]["rows"]
     if remaining == "uniform":
         assert row["rms_ratio"]["p99"] == {"value": 1.0, "low": None, "high": None}
     else:
         assert "rms_ratio" not in row
-    assert remaining in summary_text(made)
+    assert remaining in summary_text(folder)
 
 
 def test_unreadable_files_are_messages(tmp_path):
@@ -165,20 +165,20 @@ def test_unreadable_files_are_messages(tmp_path):
 
     with pytest.raises(UserError, match=r"plan\.json"):
         summarise(tmp_path)
-    made = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1, 2])
-    damaged = made / "runs" / "a" / "uniform" / "2.npz"
+    folder = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1, 2])
+    damaged = folder / "runs" / "a" / "uniform" / "2.npz"
     damaged.write_bytes(damaged.read_bytes()[:1000])
     with pytest.raises(UserError, match=r"uniform/2\.npz.*delete it"):
-        summarise(made)
-    for path in (made / "runs").rglob("*.npz"):
+        summarise(folder)
+    for path in (folder / "runs").rglob("*.npz"):
         path.unlink()
     with pytest.raises(UserError, match="nothing to report"):
-        write_report(made)
-    assert not (made / "report.html").exists()
+        write_report(folder)
+    assert not (folder / "report.html").exists()
 
 
-def test_the_tables_of_the_terminal_are_aligned(made):
-    text = summary_text(made)
+def test_the_tables_of_the_terminal_are_aligned(folder):
+    text = summary_text(folder)
     lines = text.splitlines()
     for line, after in itertools.pairwise(lines):
         if line.startswith(" uniform"):
@@ -226,18 +226,18 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def page(made):
+def page(folder):
     parser = Page()
-    parser.feed((made / "report.html").read_text(encoding="utf-8"))
+    parser.feed((folder / "report.html").read_text(encoding="utf-8"))
     parser.close()
     assert parser.open == []
     return parser
 
 
-def test_the_page_is_self_contained(made, page):
+def test_the_page_is_self_contained(folder, page):
     assert page.urls
     assert [url[:60] for url in page.urls if not url.startswith(("#", "data:"))] == []
-    html = (made / "report.html").read_text(encoding="utf-8")
+    html = (folder / "report.html").read_text(encoding="utf-8")
     for name in ("http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"):
         html = html.replace(f'="{name}"', "")
     for outside in ("http:", "https:", "file:", "@import", "fetch(", "url(/", 'url("'):
@@ -270,29 +270,29 @@ def test_the_time_to_equal_error_comes_first(page):
 
 
 def test_names_are_escaped(tmp_path):
-    made = make_comparison(
+    folder = make_comparison(
         tmp_path / "out", ["a"], {"uniform": np.ones_like, "relative-median": lambda v: v}, seeds=[1, 2]
     )
-    plan = json.loads((made / "plan.json").read_text())
+    plan = json.loads((folder / "plan.json").read_text())
     plan["scenes"][0]["name"] = "<script>alert(1)</script>"
     plan["strategies"][1]["title"] = 'a "b" <i>&'
-    (made / "plan.json").write_text(json.dumps(plan))
+    (folder / "plan.json").write_text(json.dumps(plan))
     from isonoise.comparison.report import write_report
 
-    write_report(made)
-    html = (made / "report.html").read_text()
+    write_report(folder)
+    html = (folder / "report.html").read_text()
     assert html.count("<script>") == 1
     assert "<i>" not in html
 
 
-def test_plots_are_written(made):
+def test_plots_are_written(folder):
     from PIL import Image
 
     kinds = ("reference", "rms-p99", "rel-mse", "samples", "errors")
     expected = sorted(f"{scene}-{kind}.png" for scene in SCENES for kind in kinds)
-    assert sorted(path.name for path in (made / "plots").iterdir()) == expected
+    assert sorted(path.name for path in (folder / "plots").iterdir()) == expected
     for name in expected:
-        with Image.open(made / "plots" / name) as picture:
+        with Image.open(folder / "plots" / name) as picture:
             picture.verify()
 
 

@@ -47,13 +47,13 @@ def test_the_files_of_a_comparison(whole):
         f"runs/cornell/{strategy}/{seed}.npz" for strategy in sorted(STRATEGIES) for seed in (0, 1)
     ]
     assert sorted(path.name for path in (whole / "references").iterdir()) == ["cornell.exr"]
-    made = json.loads((whole / "plan.json").read_text())
-    assert [(scene["slug"], scene["name"], scene["reference"]) for scene in made["scenes"]] == [
+    plan = json.loads((whole / "plan.json").read_text())
+    assert [(scene["slug"], scene["name"], scene["reference"]) for scene in plan["scenes"]] == [
         ("cornell", "cornell", "references/cornell.exr")
     ]
-    assert [(strategy["slug"], strategy["spec"]) for strategy in made["strategies"]] == [(s, s) for s in STRATEGIES]
-    assert made["seeds"] == [0, 1]
-    assert (made["time"], made["spp"]) == (None, 8.0)
+    assert [(strategy["slug"], strategy["spec"]) for strategy in plan["strategies"]] == [(s, s) for s in STRATEGIES]
+    assert plan["seeds"] == [0, 1]
+    assert (plan["time"], plan["spp"]) == (None, 8.0)
     rgb, error = read_reference(whole / "references" / "cornell.exr")
     assert rgb.shape == error.shape == (HEIGHT, WIDTH, 3)
 
