@@ -178,7 +178,7 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
         "alpha": 0.2,
         "sample_visible": not on["SAMPLE_ALL_NORMALS"],
     }
-    (folder / "image.png").write_bytes(small_files.encoded("PNG"))
+    (folder / "image.png").write_bytes(small_files.image_file("PNG"))
     (folder / "sky.hdr").write_bytes(small_files.hdr())
     image = {"type": "bitmap", "filename": str(folder / "image.png")}
     simple = {

@@ -78,7 +78,7 @@ def mutate_png(data: bytes, rng: random.Random) -> bytes:
             content = (
                 _mutate_deflated(content, rng) if name == b"IDAT" and rng.random() < 0.5 else mutate_bytes(content, rng)
             )
-        chunks[number] = small_files.chunk(name, content)
+        chunks[number] = small_files.png_chunk(name, content)
     rng.random() < 0.1 and rng.shuffle(chunks)
     return data[:8] + b"".join(chunks)
 

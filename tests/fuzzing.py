@@ -101,26 +101,30 @@ TARGETS = {
     "mtl": Target(lambda: [small_files.mtl()], "a.mtl", compile_mtl),
     "ply": Target(lambda: [small_files.ply(), small_files.ply(binary=False)], "m.ply", compile_file),
     "serialized": Target(
-        lambda: [small_files.serialized(), small_files.serialized(version=3), small_files.serialized_head()],
+        lambda: [small_files.serialized(), small_files.serialized(version=3), small_files.serialized_uncompressed()],
         "m.serialized",
         compile_shape,
         mutate_serialized,
     ),
-    "stl": Target(lambda: [small_files.foreign("stl"), small_files.foreign("stl_ascii")], "m.stl", compile_file),
-    "glb": Target(lambda: [small_files.foreign("glb"), small_files.textured_glb()], "m.glb", compile_file, mutate_glb),
+    "stl": Target(
+        lambda: [small_files.from_trimesh("stl"), small_files.from_trimesh("stl_ascii")], "m.stl", compile_file
+    ),
+    "glb": Target(
+        lambda: [small_files.from_trimesh("glb"), small_files.textured_glb()], "m.glb", compile_file, mutate_glb
+    ),
     "png": Target(
-        lambda: [small_files.encoded("PNG"), small_files.encoded("PNG", mode="P"), small_files.deep_png()],
+        lambda: [small_files.image_file("PNG"), small_files.image_file("PNG", mode="P"), small_files.png_16_bit()],
         "m.png",
         compile_with_image,
         mutate_png,
     ),
     "jpeg": Target(
-        lambda: [small_files.encoded("JPEG"), small_files.encoded("JPEG", mode="L")], "m.jpg", compile_with_image
+        lambda: [small_files.image_file("JPEG"), small_files.image_file("JPEG", mode="L")], "m.jpg", compile_with_image
     ),
     "bmp": Target(
-        lambda: [small_files.encoded("BMP"), small_files.encoded("BMP", mode="P")], "m.bmp", compile_with_image
+        lambda: [small_files.image_file("BMP"), small_files.image_file("BMP", mode="P")], "m.bmp", compile_with_image
     ),
-    "tga": Target(lambda: [small_files.encoded("TGA")], "m.tga", compile_with_image),
+    "tga": Target(lambda: [small_files.image_file("TGA")], "m.tga", compile_with_image),
     "hdr": Target(lambda: [small_files.hdr(), small_files.hdr(packed=False)], "m.hdr", compile_with_image),
     "exr": Target(lambda: [small_files.exr(), small_files.exr(packed=False)], "m.exr", compile_with_image),
     "exr-picture": Target(lambda: [small_files.exr(), small_files.exr(packed=False)], "m.exr", read_picture),
@@ -134,8 +138,8 @@ def write_sound_files(folder: Path) -> None:
         "a.mtl": small_files.mtl(),
         "a.ply": small_files.ply(),
         "a.serialized": small_files.serialized(),
-        "a.png": small_files.encoded("PNG"),
-        "a.jpg": small_files.encoded("JPEG"),
+        "a.png": small_files.image_file("PNG"),
+        "a.jpg": small_files.image_file("JPEG"),
         "a.exr": small_files.exr(),
         "a.hdr": small_files.hdr(),
         "part.xml": PART.encode(),

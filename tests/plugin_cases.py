@@ -21,7 +21,7 @@ def write_files(folder: Path) -> Path:
     """Write different files a.* and b.* of each format to a folder; return it."""
     for number, name in enumerate("ab"):
         content = {
-            "png": small_files.encoded("PNG", number),
+            "png": small_files.image_file("PNG", number),
             "obj": small_files.obj(number),
             "ply": small_files.ply(shift=number),
             "serialized": small_files.serialized(shift=number),

@@ -56,7 +56,7 @@ class _RandomScene(RandomLights):
             self.instances()
         self.lights()
         path = self.folder / "scene.xml"
-        mitsuba_faults.leave_out(self.root)
+        mitsuba_faults.avoid_faults(self.root)
         if self.is_version_0_6:
             _rename_as_in_0_6(self.root)
         ElementTree.indent(self.root)

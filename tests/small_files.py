@@ -1,4 +1,4 @@
-"""Small valid files of every format that is read, as bytes: seeds of the fuzzer, and what plugins name."""
+"""Small valid files of every supported format, as bytes, for the fuzzer and other tests."""
 
 import io
 import re
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 NUMBER = re.compile(rb"[-+]?[0-9]+(\.[0-9]+)?")
-"""Numbers in a text."""
+"""Matches a number in a text."""
 
 _POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.1], [1, 1, 1e-3]])
 _FACES = np.array([[0, 1, 2], [2, 1, 3]])
@@ -18,7 +18,10 @@ _UVS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 
 
 def obj(shift: float = 0.0, relative: bool = False) -> bytes:
-    """`shift` is added to all positions, here and below; `relative`: a face counts backwards, which Mitsuba refuses."""
+    """`shift` is added to all positions, here and below.
+
+    `relative` adds a face with negative indices, which Mitsuba rejects.
+    """
     lines = ["mtllib a.mtl", *(f"v {x} {y} {z}" for x, y, z in _POINTS + shift), *(f"vt {u} {v}" for u, v in _UVS)]
     lines += [
         "vn 0 0 1",
@@ -37,7 +40,7 @@ def mtl() -> bytes:
 
 
 def ply(binary: bool = True, shift: float = 0.0) -> bytes:
-    """Normals, texture coordinates, colours of vertices and of faces."""
+    """With normals, texture coordinates, vertex colours and a face attribute."""
     form = "binary_little_endian" if binary else "ascii"
     head = f"ply\nformat {form} 1.0\nelement vertex 4\n" + "".join(
         f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz", "u", "v")
@@ -70,14 +73,14 @@ def serialized(meshes: int = 2, version: int = 4, shift: float = 0.0) -> bytes:
     return b"".join(parts) + offsets.tobytes() + struct.pack("<I", meshes)
 
 
-def serialized_head() -> bytes:
-    """Not deflated, so that what is in it can be damaged: stored blocks alone."""
+def serialized_uncompressed() -> bytes:
+    """A file with stored instead of compressed blocks, so that mutations reach the content."""
     whole, stored = serialized(1), zlib.compressobj(0)
     return whole[:4] + stored.compress(zlib.decompress(whole[4:-12])) + stored.flush() + whole[-12:]
 
 
-def foreign(kind: str) -> bytes:
-    """'stl', 'stl_ascii' or 'glb', as trimesh writes them."""
+def from_trimesh(kind: str) -> bytes:
+    """An 'stl', 'stl_ascii' or 'glb' file written by trimesh."""
     import trimesh
 
     mesh = trimesh.Trimesh(_POINTS, _FACES, process=False)
@@ -89,26 +92,30 @@ def pixels(width: int = 9, height: int = 5, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def encoded(form: str, seed: int = 0, mode: str = "RGB") -> bytes:
-    """'PNG', 'JPEG', 'BMP' or 'TGA', as pillow writes them."""
+def image_file(format_: str, seed: int = 0, mode: str = "RGB") -> bytes:
+    """A 'PNG', 'JPEG', 'BMP' or 'TGA' file written by pillow."""
     import PIL.Image
 
     file = io.BytesIO()
-    PIL.Image.fromarray(pixels(seed=seed)).convert(mode).save(file, form)
+    PIL.Image.fromarray(pixels(seed=seed)).convert(mode).save(file, format_)
     return file.getvalue()
 
 
-def chunk(name: bytes, data: bytes) -> bytes:
-    """One of a PNG."""
+def png_chunk(name: bytes, data: bytes) -> bytes:
+    """A chunk of a PNG file."""
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
-def deep_png() -> bytes:
-    """16 bits a channel."""
-
+def png_16_bit() -> bytes:
+    """16 bits per channel."""
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels().astype(np.uint16) * 257)
     head = struct.pack(">2I5B", 9, 5, 16, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + png_chunk(b"IHDR", head)
+        + png_chunk(b"IDAT", zlib.compress(rows))
+        + png_chunk(b"IEND", b"")
+    )
 
 
 def exr(seed: int = 0, packed: bool = True) -> bytes:
@@ -126,7 +133,7 @@ def exr(seed: int = 0, packed: bool = True) -> bytes:
 
 
 def hdr(packed: bool = True) -> bytes:
-    """Radiance HDR, its lines run-length encoded a channel at a time, or plain."""
+    """Radiance HDR, uncompressed or with run-length encoded lines."""
     rgbe = np.concatenate([pixels(), np.full((5, 9, 1), 129, np.uint8)], axis=2)
     body = b""
     for row in rgbe:
@@ -138,7 +145,7 @@ def hdr(packed: bool = True) -> bytes:
 
 
 def textured_glb() -> bytes:
-    """With a material, a texture, and a node inside of another."""
+    """With a material, a texture and nested nodes."""
     import PIL.Image
     import trimesh
 

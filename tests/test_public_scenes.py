@@ -1,4 +1,4 @@
-"""Mitsuba scenes that others made: every file loads, and its picture is that of its reference (tests/README.md).
+"""Published Mitsuba scenes: every file loads, and its image equals its reference (tests/README.md).
 
 Seeds are fixed. False-alarm rates, the chance that a correct program fails under other seeds: below 1 % for each
 comparison by values (references.assert_agree), at most 0.8 % for each comparison of three image means.
@@ -18,7 +18,7 @@ BATCHES = 16
 """As in test_against_mitsuba.py."""
 
 RENDERED = {"cornell-box": 32, "veach-mis": 64, "staircase2": 32, "cbox-spheres": 128, "bunny-box": 32}
-"""Scenes with a reference.exr, and samples per pixel of a batch."""
+"""Scenes with a reference.exr -> samples per pixel of a batch."""
 
 MITSUBA_TESTS = {
     "bsdf_spheres/test_arealight_path.xml": 128,
@@ -32,24 +32,24 @@ MITSUBA_TESTS = {
     "participating_media/test_homo_area_light_volpath.xml": 64,
     "participating_media/test_homo_null_envmap_volpath.xml": 64,
 }
-"""Mitsuba 3's own test scenes, and samples per pixel of a batch."""
+"""Mitsuba 3's own test scenes -> samples per pixel of a batch."""
 
 REFERENCE_SPP = 32000
 """Samples per pixel of Mitsuba's reference images: the default of its src/render/tests/test_renders.py."""
 
 SUM_ROUNDING = REFERENCE_SPP * 2.0**-24
-"""Relative error of these images: their samples were summed in float32, one after the other."""
+"""Relative error of these images, whose samples were summed sequentially in float32."""
 
 TO_XYZ = np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
-"""Mitsuba 3's `srgb_to_xyz` (include/mitsuba/core/spectrum.h), by which its reference images were made RGB."""
+"""Mitsuba 3's `srgb_to_xyz` (include/mitsuba/core/spectrum.h), whose inverse made its reference images RGB."""
 
 
-def folder_of_mitsuba(public_scenes: Path) -> Path:
+def mitsuba_test_folder(public_scenes: Path) -> Path:
     return public_scenes / "mitsuba-tests" / "tests" / "scenes"
 
 
 def read_mitsuba_reference(scene: Path) -> references.Estimate:
-    """Mean and standard error of XYZ. Mean and variance were taken of XYZ, and stored as RGB like colours."""
+    """Mean and standard error of XYZ. The files contain the mean and the variance of XYZ, converted to RGB."""
     stem = scene.stem.rsplit("_", 1)[0]
     planes = []
     for name in (f"{stem}_ref_rgb.exr", f"{stem}_ref_rgb_var.exr"):
@@ -59,7 +59,9 @@ def read_mitsuba_reference(scene: Path) -> references.Estimate:
     return references.Estimate(mean, np.sqrt(np.maximum(variance, 0) / REFERENCE_SPP), REFERENCE_SPP - 1)
 
 
-def assert_same(batches: np.ndarray, reference: references.Estimate, folder: Path, rounding: float, **means) -> None:
+def assert_images_agree(
+    batches: np.ndarray, reference: references.Estimate, folder: Path, rounding: float, **means
+) -> None:
     """Pixels, means of 8x8 pixels and image means agree."""
     image = references.from_batches(batches)
     references.assert_agree(image, reference, folder, rounding=rounding)
@@ -68,22 +70,22 @@ def assert_same(batches: np.ndarray, reference: references.Estimate, folder: Pat
     references.assert_means_agree(image, reference, **means)
 
 
-def test_none_is_left_out(public_scenes):
-    folder = folder_of_mitsuba(public_scenes)
+def test_no_scene_is_left_out(public_scenes):
+    folder = mitsuba_test_folder(public_scenes)
     assert {str(path.relative_to(folder)) for path in folder.glob("*/test_*.xml")} == set(MITSUBA_TESTS)
     assert {path.parent.name for path in public_scenes.glob("*/reference.exr")} == set(RENDERED)
 
 
 @pytest.mark.parametrize("name", [*RENDERED, *MITSUBA_TESTS])
-def test_file_is_understood(public_scenes, name):
-    """Old and new files pass the checks of names, types and ranges; an integrator inside `moment` is the integrator."""
-    path = public_scenes / name / "scene.xml" if name in RENDERED else folder_of_mitsuba(public_scenes) / name
+def test_file_loads(public_scenes, name):
+    """Old and new files pass the checks. The integrator nested in `moment` is used."""
+    path = public_scenes / name / "scene.xml" if name in RENDERED else mitsuba_test_folder(public_scenes) / name
     description = isonoise.load(path)
     assert description["integrator"]["type"] in ("path", "direct", "volpath")
 
 
-def test_staircase_as_published_is_the_new_file(public_scenes):
-    """The file of 2015, but for film size, filter and max_depth, comes to the same arrays, bit by bit."""
+def test_published_staircase_equals_the_upgraded_file(public_scenes):
+    """Except for film size, filter and max_depth, the file of 2015 compiles to the same bits."""
     folder = public_scenes / "staircase2"
     new, old = isonoise.load(folder / "scene.xml"), isonoise.load(folder / "scene-v0.5.xml")
     assert old["integrator"]["max_depth"] == 65
@@ -94,16 +96,16 @@ def test_staircase_as_published_is_the_new_file(public_scenes):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", RENDERED)
-def test_picture_is_that_of_the_reference(public_scenes, tmp_path, name):
+def test_image_equals_the_reference(public_scenes, tmp_path, name):
     folder = public_scenes / name
     batches = references.wave_batches(folder / "scene.xml", RENDERED[name], BATCHES)
     reference = references.read_reference(folder / "reference.exr")
-    assert_same(batches, reference, tmp_path, references.ROUNDING)
+    assert_images_agree(batches, reference, tmp_path, references.ROUNDING)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", MITSUBA_TESTS)
-def test_picture_is_that_of_mitsubas_test(public_scenes, tmp_path, name):
-    path = folder_of_mitsuba(public_scenes) / name
+def test_image_equals_that_of_mitsubas_test(public_scenes, tmp_path, name):
+    path = mitsuba_test_folder(public_scenes) / name
     batches = references.wave_batches(path, MITSUBA_TESTS[name], BATCHES) @ TO_XYZ.T
-    assert_same(batches, read_mitsuba_reference(path), tmp_path, SUM_ROUNDING)
+    assert_images_agree(batches, read_mitsuba_reference(path), tmp_path, SUM_ROUNDING)
