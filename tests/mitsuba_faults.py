@@ -71,7 +71,7 @@ def _remove_rotated_textured_spheres(root: ElementTree.Element) -> None:
 
 
 def _remove_blends_in_bumps(root: ElementTree.Element) -> None:
-    """A blend of smooth and rough plastic in a normal map is up to 6 % darker than the weighted sum of both in that map."""
+    """A blend of smooth and rough plastic in a normal map is up to 6 % darker than their weighted sum in that map."""
     for wrapper in _bsdfs_of_type(root, *_BUMP_TYPES):
         for around in list(wrapper.iter("bsdf")):
             for number, part in enumerate(around):
