@@ -1,4 +1,4 @@
-"""Wrong scenes: one clear SceneError each, naming file, line, element and what to do; never anything else."""
+"""Invalid scenes raise one SceneError that names file, line and element, and never another error."""
 
 import math
 
@@ -17,7 +17,7 @@ THIN_LENS = (
 )
 ORTHOGRAPHIC = '<sensor type="orthographic">{}</sensor>'
 
-INSIDE = [
+ELEMENTS = [
     # names
     ('<bsdf type="difuse"/>', "unknown bsdf 'difuse'; did you mean 'diffuse'"),
     ('<bsdf type="measured"/>', "'measured' is not supported .*: needs measured data.*nearest: '"),
@@ -160,9 +160,9 @@ SENSOR = [
 
 
 @pytest.mark.parametrize(
-    ("inside", "message"), [*INSIDE, *((f'<sensor type="perspective">{x}</sensor>', m) for x, m in SENSOR)]
+    ("inside", "message"), [*ELEMENTS, *((f'<sensor type="perspective">{x}</sensor>', m) for x, m in SENSOR)]
 )
-def test_wrong_elements(inside, message, scene_of):
+def test_invalid_elements(inside, message, scene_of):
     with pytest.raises(SceneError, match=message) as error:
         scene_of(inside)
     assert "scene.xml:" in str(error.value)
@@ -173,7 +173,7 @@ def test_errors_name_the_line(scene_of):
         scene_of('<shape type="disk"/>\n<shape type="sphere">\n<float name="radus" value="1"/></shape>')
 
 
-BOMB = (
+ENTITY_BOMB = (
     '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY a "aaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
     '<scene version="3.0.0">&b;</scene>'
 )
@@ -192,14 +192,14 @@ FILES = [
     (b'<scene version="0.5.0"/>', "the scene has no sensor"),
     (b'<scene version="3.0.0"/>', "the scene has no sensor"),
     (b'<scene version="3.0.0">' + b"<a>" * 100_000, "nested more than 64 levels deep"),
-    (BOMB.encode(), "remove the <!DOCTYPE>"),
+    (ENTITY_BOMB.encode(), "remove the <!DOCTYPE>"),
     (b'<?xml version="1.0" encoding="nonsense"?><scene version="3.0.0"/>', "not "),
     ('<scene version="3.0.0">é</scene>'.encode("latin-1"), "not well-formed XML"),
 ]
 
 
 @pytest.mark.parametrize(("content", "message"), FILES)
-def test_wrong_files(content, message, tmp_path):
+def test_invalid_files(content, message, tmp_path):
     path = tmp_path / "scene.xml"
     path.write_bytes(content)
     with pytest.raises(SceneError, match=message) as error:
@@ -207,8 +207,8 @@ def test_wrong_files(content, message, tmp_path):
     assert str(path) in str(error.value)
 
 
-def test_every_cut_of_a_scene_is_an_error(tmp_path):
-    """Cut off anywhere, a scene is refused, and with a SceneError."""
+def test_truncated_scenes(tmp_path):
+    """A scene truncated anywhere raises SceneError."""
     text = '<scene version="3.0.0"><sensor type="perspective"/><shape type="sphere"/></scene>'
     path = tmp_path / "scene.xml"
     for length in range(len(text)):
@@ -217,20 +217,20 @@ def test_every_cut_of_a_scene_is_an_error(tmp_path):
             load(path)
 
 
-def test_include_cycles_and_floods(tmp_path):
+def test_include_cycles_and_exponential_includes(tmp_path):
     scene = '<scene version="3.0.0">{}</scene>'
     (tmp_path / "a.xml").write_text(scene.format('<include filename="b.xml"/>'))
     (tmp_path / "b.xml").write_text(scene.format('<include filename="a.xml"/>'))
     with pytest.raises(SceneError, match="includes itself"):
         load(tmp_path / "a.xml")
-    for number in range(14):  # 2^14 files if nobody counts
+    for number in range(14):  # 2^14 files without a limit
         (tmp_path / f"{number}.xml").write_text(scene.format(f'<include filename="{number + 1}.xml"/>' * 2))
     (tmp_path / "14.xml").write_text(scene.format(""))
     with pytest.raises(SceneError, match="too many includes"):
         load(tmp_path / "0.xml")
 
 
-def test_parameters_that_grow_without_bound(scene_of):
+def test_exponential_parameters(scene_of):
     names = "".join(f'<default name="p{i + 1}" value="{f"$p{i}" * 16}"/>' for i in range(20))
     with pytest.raises(SceneError, match="exceeds a million characters"):
         scene_of(f'<default name="p0" value="aaaaaaaa"/>{names}')
@@ -279,7 +279,7 @@ DICTS = [
 
 
 @pytest.mark.parametrize(("source", "message"), DICTS)
-def test_wrong_dicts(source, message):
+def test_invalid_dicts(source, message):
     with pytest.raises(SceneError, match=message):
         load(source)
 
@@ -296,7 +296,7 @@ def test_missing_files_and_folders(tmp_path):
 TINY, HUGE = np.diag([1e-60, 1e-60, 1e-60, 1]), np.diag([1e38, 1e38, 1e38, 1])
 
 
-def test_shapes_beyond_the_range_of_the_device():
+def test_shapes_out_of_range():
     for shape in (
         {"type": "sphere", "radius": 1e30},
         {"type": "cube", "to_world": np.diag([1e30, 1, 1, 1])},
@@ -312,8 +312,8 @@ def test_shapes_beyond_the_range_of_the_device():
             compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "odd": shape}))
 
 
-def test_two_sides_inside_of_two_sides():
-    """Mitsuba 3 takes them; the sides inside are never seen from behind."""
+def test_nested_twosided():
+    """Mitsuba 3 accepts it; the back of the inner one is never visible."""
     red, blue = ({"type": "diffuse", "reflectance": {"type": "rgb", "value": c}} for c in ([0.5, 0, 0], [0, 0, 0.5]))
 
     def compiled(bsdf: dict):

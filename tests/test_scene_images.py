@@ -1,4 +1,4 @@
-"""Images from files against Mitsuba 3's reader, against what was written, and files that are bad in every way."""
+"""Image files against Mitsuba 3's reader and against the written pixels; invalid files."""
 
 import struct
 import tracemalloc
@@ -19,35 +19,35 @@ def mi():
     return mitsuba
 
 
-def bytes_of(shape, seed: int = 1, dtype=np.uint8) -> np.ndarray:
+def random_pixels(shape, seed: int = 1, dtype=np.uint8) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max + 1, shape, dtype=dtype)
 
 
 def palette() -> Image.Image:
-    image = Image.fromarray(bytes_of((5, 7)) % 16)
-    image.putpalette(bytes_of(48, 2).tobytes())
+    image = Image.fromarray(random_pixels((5, 7)) % 16)
+    image.putpalette(random_pixels(48, 2).tobytes())
     return image
 
 
-ENCODED = {  # name, image, how it is saved
-    "grey.png": (lambda: Image.fromarray(bytes_of((5, 7))), {}),
-    "rgb.png": (lambda: Image.fromarray(bytes_of((5, 7, 3))), {}),
-    "rgba.png": (lambda: Image.fromarray(bytes_of((5, 7, 4))), {}),
-    "grey-alpha.png": (lambda: Image.fromarray(bytes_of((5, 7, 2))), {}),
+IMAGES = {  # file name -> (image, options of pillow's save)
+    "grey.png": (lambda: Image.fromarray(random_pixels((5, 7))), {}),
+    "rgb.png": (lambda: Image.fromarray(random_pixels((5, 7, 3))), {}),
+    "rgba.png": (lambda: Image.fromarray(random_pixels((5, 7, 4))), {}),
+    "grey-alpha.png": (lambda: Image.fromarray(random_pixels((5, 7, 2))), {}),
     "palette.png": (palette, {"transparency": 3}),
-    "bit.png": (lambda: Image.fromarray(bytes_of((5, 7)) > 127), {}),
-    "rgb.bmp": (lambda: Image.fromarray(bytes_of((5, 7, 3))), {}),
-    "rgb.tga": (lambda: Image.fromarray(bytes_of((5, 7, 3))), {}),
-    "packed.tga": (lambda: Image.fromarray(bytes_of((5, 7, 3)) // 128), {"compression": "tga_rle"}),
-    "grey.jpg": (lambda: Image.fromarray(bytes_of((16, 24))), {"quality": 95}),
-    "rgb.jpg": (lambda: Image.fromarray(bytes_of((16, 24, 3))), {"quality": 95, "subsampling": 0}),
+    "bit.png": (lambda: Image.fromarray(random_pixels((5, 7)) > 127), {}),
+    "rgb.bmp": (lambda: Image.fromarray(random_pixels((5, 7, 3))), {}),
+    "rgb.tga": (lambda: Image.fromarray(random_pixels((5, 7, 3))), {}),
+    "packed.tga": (lambda: Image.fromarray(random_pixels((5, 7, 3)) // 128), {"compression": "tga_rle"}),
+    "grey.jpg": (lambda: Image.fromarray(random_pixels((16, 24))), {"quality": 95}),
+    "rgb.jpg": (lambda: Image.fromarray(random_pixels((16, 24, 3))), {"quality": 95, "subsampling": 0}),
 }
 
 
-@pytest.mark.parametrize("name", ENCODED)
-def test_encoded_images_are_mitsubas(mi, tmp_path, name):
-    """Those of 8 bits, alpha aside. JPEG decoders may differ by one step in the transform and one in the colours."""
-    make, options = ENCODED[name]
+@pytest.mark.parametrize("name", IMAGES)
+def test_8_bit_images_equal_mitsubas(mi, tmp_path, name):
+    """Without alpha. JPEG decoders may differ by one step in the transform and one in the colour conversion."""
+    make, options = IMAGES[name]
     make().save(tmp_path / name, **options)
     image = read_image(tmp_path / name)
     theirs = np.atleast_3d(np.array(mi.Bitmap(str(tmp_path / name))))
@@ -60,7 +60,7 @@ def test_encoded_images_are_mitsubas(mi, tmp_path, name):
 
 
 def png(pixels: np.ndarray, interlaced: bool = False, **changes) -> bytes:
-    """A PNG of 16 bits, or of 8, with unfiltered rows."""
+    """A PNG of 8 or 16 bits with unfiltered rows."""
     height, width, channels = pixels.shape
     big = pixels.astype(pixels.dtype.newbyteorder(">"))
     passes = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)]
@@ -81,7 +81,7 @@ def png(pixels: np.ndarray, interlaced: bool = False, **changes) -> bytes:
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 @pytest.mark.parametrize("interlaced", [False, True])
 def test_all_16_bits_of_a_png(tmp_path, channels, interlaced):
-    pixels = bytes_of((13, 9, channels), dtype=np.uint16)
+    pixels = random_pixels((13, 9, channels), dtype=np.uint16)
     (tmp_path / "deep.png").write_bytes(png(pixels, interlaced))
     image = read_image(tmp_path / "deep.png")
     assert image.pixels.dtype == np.uint16
@@ -90,7 +90,7 @@ def test_all_16_bits_of_a_png(tmp_path, channels, interlaced):
 
 
 def test_linear_values(tmp_path):
-    """The transfer function of sRGB; its two ends and its knee."""
+    """The sRGB transfer function at its ends and around the end of its linear part."""
     Image.fromarray(np.array([[0, 10, 11, 128, 255]], np.uint8)).save(tmp_path / "grey.png")
     image = read_image(tmp_path / "grey.png")
     expected = [0, 10 / 255 / 12.92, ((11 / 255 + 0.055) / 1.055) ** 2.4, 0.21586050, 1]
@@ -124,11 +124,11 @@ def test_openexr(tmp_path):
         read_image(tmp_path / "other.exr")
 
 
-# Radiance pictures.
+# Radiance pictures
 
 
-def rgbe_of(shape, seed: int = 5) -> np.ndarray:
-    """Pixels (height, width, 4) with runs in them, none of which is a mark of the format."""
+def random_rgbe(shape, seed: int = 5) -> np.ndarray:
+    """Pixels (height, width, 4) with runs, without the codes of the format."""
     random = np.random.default_rng(seed)
     height, width = shape
     pixels = np.repeat(
@@ -138,7 +138,7 @@ def rgbe_of(shape, seed: int = 5) -> np.ndarray:
     return pixels[:, :width]
 
 
-def value_of(rgbe: np.ndarray) -> np.ndarray:
+def decode_rgbe(rgbe: np.ndarray) -> np.ndarray:
     exponent = rgbe[..., 3:].astype(int)
     return np.where(exponent > 0, rgbe[..., :3] * 2.0 ** (exponent - 136), 0.0)
 
@@ -147,8 +147,8 @@ def hdr(body: bytes, size: str, header: str = "#?RADIANCE\n# made up\nFORMAT=32-
     return f"{header}{size}\n".encode() + body
 
 
-def packed_line(line: np.ndarray) -> bytes:
-    """One line, a channel at a time; runs of 3 and more are packed, of up to 127, the rest is copied, up to 128."""
+def encode_planar_line(line: np.ndarray) -> bytes:
+    """One line, channel by channel: runs of 3 to 127 bytes are packed, the rest is copied in pieces of up to 128."""
     width = len(line)
     out = bytes([2, 2, width >> 8, width & 255])
     for channel in line.T:
@@ -169,8 +169,8 @@ def packed_line(line: np.ndarray) -> bytes:
     return out
 
 
-def repeated_pixels(pixels: np.ndarray) -> bytes:
-    """The older encoding: a pixel, and how often it repeats in digits of a byte."""
+def encode_repeated_pixels(pixels: np.ndarray) -> bytes:
+    """The older encoding: a pixel, then the count of its repetitions, one byte per record."""
     out, flat, at = b"", pixels.reshape(-1, 4), 0
     while at < len(flat):
         run = 1
@@ -188,36 +188,36 @@ def repeated_pixels(pixels: np.ndarray) -> bytes:
 @pytest.mark.parametrize("width", [1, 7, 8, 129, 400])
 @pytest.mark.parametrize("encoding", ["plain", "repeats", "packed"])
 def test_radiance_pictures(mi, tmp_path, width, encoding):
-    """As they were written, and as Mitsuba reads all but repeats, which it does not know."""
-    pixels = rgbe_of((6, width))
+    """Equal to the written pixels and to Mitsuba's, which does not support repeats."""
+    pixels = random_rgbe((6, width))
     if encoding == "packed":
         if width < 8:
-            pytest.skip("lines this short are not packed")
-        body = b"".join(packed_line(line) for line in pixels)
+            pytest.skip("lines shorter than 8 pixels are not packed")
+        body = b"".join(encode_planar_line(line) for line in pixels)
     elif encoding == "repeats":
         pixels[2:4] = pixels[2, 0]  # a run of more than 255 where lines are long
-        body = repeated_pixels(pixels)
+        body = encode_repeated_pixels(pixels)
     else:
         body = pixels.tobytes()
     path = tmp_path / "picture.hdr"
     path.write_bytes(hdr(body, f"-Y 6 +X {width}"))
     image = read_image(path)
     assert image.pixels.dtype == np.float32
-    assert (image.pixels == value_of(pixels)).all()
+    assert (image.pixels == decode_rgbe(pixels)).all()
     if encoding != "repeats":
         assert (image.pixels == np.array(mi.Bitmap(str(path)))).all()
 
 
 def test_radiance_pictures_of_many_chunks(tmp_path, monkeypatch):
     monkeypatch.setattr("isonoise.scene.image.rgbe._CHUNK_BYTES", 1000)
-    pixels = rgbe_of((37, 60))
-    (tmp_path / "picture.hdr").write_bytes(hdr(b"".join(map(packed_line, pixels)), "-Y 37 +X 60"))
-    assert (read_image(tmp_path / "picture.hdr").pixels == value_of(pixels)).all()
+    pixels = random_rgbe((37, 60))
+    (tmp_path / "picture.hdr").write_bytes(hdr(b"".join(map(encode_planar_line, pixels)), "-Y 37 +X 60"))
+    assert (read_image(tmp_path / "picture.hdr").pixels == decode_rgbe(pixels)).all()
 
 
 def test_orientations_and_formats_of_radiance_pictures(tmp_path):
-    pixels, path = rgbe_of((4, 9)), tmp_path / "picture.hdr"
-    values = value_of(pixels)
+    pixels, path = random_rgbe((4, 9)), tmp_path / "picture.hdr"
+    values = decode_rgbe(pixels)
     for size, expected in (
         ("+Y 4 +X 9", values[::-1]),
         ("-Y 4 -X 9", values[:, ::-1]),
@@ -257,30 +257,30 @@ def test_damaged_radiance_pictures(tmp_path, body, message):
         read_image(tmp_path / "picture.hdr")
 
 
-def test_repetitions_beyond_the_picture_are_left_out(tmp_path):
+def test_repetitions_beyond_the_last_pixel_are_ignored(tmp_path):
     (tmp_path / "picture.hdr").write_bytes(hdr(bytes([9, 9, 9, 9]) + bytes([1, 1, 1, 255]) * 9, "-Y 2 +X 16"))
     assert (read_image(tmp_path / "picture.hdr").pixels == 9 * 2.0 ** (9 - 136)).all()
 
 
-# Files that are no images, or claim too much.
+# Invalid files
 
 
 @pytest.fixture(scope="module")
-def small_files(tmp_path_factory):
-    """One good file of every format."""
+def small_images(tmp_path_factory):
+    """A folder with a valid file of every format."""
     folder = tmp_path_factory.mktemp("small")
     for name in ("rgb.png", "palette.png", "rgb.bmp", "packed.tga", "rgb.jpg"):
-        make, options = ENCODED[name]
+        make, options = IMAGES[name]
         make().save(folder / name, **options)
-    (folder / "deep.png").write_bytes(png(bytes_of((5, 7, 3), dtype=np.uint16)))
+    (folder / "deep.png").write_bytes(png(random_pixels((5, 7, 3), dtype=np.uint16)))
     write_exr(folder / "half.exr", **{c: np.random.default_rng(6).random((5, 7)).astype(np.float16) for c in "RGB"})
-    pixels = rgbe_of((6, 20))
-    (folder / "packed.hdr").write_bytes(hdr(b"".join(map(packed_line, pixels)), "-Y 6 +X 20"))
-    (folder / "repeats.hdr").write_bytes(hdr(repeated_pixels(pixels), "-Y 6 +X 20"))
+    pixels = random_rgbe((6, 20))
+    (folder / "packed.hdr").write_bytes(hdr(b"".join(map(encode_planar_line, pixels)), "-Y 6 +X 20"))
+    (folder / "repeats.hdr").write_bytes(hdr(encode_repeated_pixels(pixels), "-Y 6 +X 20"))
     return folder
 
 
-def test_files_that_are_not_there_or_no_images(tmp_path):
+def test_missing_files_and_other_formats(tmp_path):
     for name, content, message in (
         ("nothing.png", None, "No such file"),
         ("folder", "folder", "directory"),
@@ -302,9 +302,9 @@ def test_files_that_are_not_there_or_no_images(tmp_path):
         read_image("a\0b.png")
 
 
-def test_truncated_files(small_files, tmp_path):
-    """Cut off anywhere: an error, or the whole picture where only what follows the pixels is gone."""
-    for file in sorted(small_files.iterdir()):
+def test_truncated_files(small_images, tmp_path):
+    """A truncated file is an error, unless only data after the pixels is missing."""
+    for file in sorted(small_images.iterdir()):
         data, whole = file.read_bytes(), read_image(file).pixels
         path, errors = tmp_path / file.name, 0
         cuts = range(0, len(data), max(len(data) // 40, 1))
@@ -319,18 +319,18 @@ def test_truncated_files(small_files, tmp_path):
         assert errors > 0.8 * len(cuts), file.name
 
 
-def test_damaged_files_give_images_or_errors(small_files, tmp_path):
-    """Some bytes changed at random, 60 times a file: nothing but an image or a SceneError comes back."""
+def test_random_changes_give_images_or_errors(small_images, tmp_path):
+    """60 random changes of each file: the result is an image or a SceneError."""
     random = np.random.default_rng(7)
-    for file in sorted(small_files.iterdir()):
+    for file in sorted(small_images.iterdir()):
         data = np.frombuffer(file.read_bytes(), np.uint8)
         path = tmp_path / file.name
         for _ in range(60):
             changed = data.copy()
-            places = random.integers(
+            positions = random.integers(
                 0, len(data) if random.random() < 0.5 else min(len(data), 64), random.integers(1, 5)
             )
-            changed[places] = random.integers(0, 256, len(places))
+            changed[positions] = random.integers(0, 256, len(positions))
             path.write_bytes(changed.tobytes())
             try:
                 image = read_image(path)
@@ -346,27 +346,27 @@ def exr_of_size(data: bytes, width: int, height: int) -> bytes:
     return data[:at] + struct.pack("<4i", 0, 0, width - 1, height - 1) + data[at + 16 :]
 
 
-def absurd(small_files, width: int, height: int) -> dict[str, bytes]:
-    """Small files that claim a size."""
-    bmp, jpg = bytearray((small_files / "rgb.bmp").read_bytes()), bytearray((small_files / "rgb.jpg").read_bytes())
+def files_of_size(small_images, width: int, height: int) -> dict[str, bytes]:
+    """Small files whose headers state a size."""
+    bmp, jpg = bytearray((small_images / "rgb.bmp").read_bytes()), bytearray((small_images / "rgb.jpg").read_bytes())
     bmp[18:26] = struct.pack("<ii", width, height)
     frame = jpg.index(b"\xff\xc0")
     jpg[frame + 5 : frame + 9] = struct.pack(">HH", min(height, 65535), min(width, 65535))
     return {
-        "size.png": png(bytes_of((5, 7, 3)), width=width, height=height),
+        "size.png": png(random_pixels((5, 7, 3)), width=width, height=height),
         "size.bmp": bytes(bmp),
         "size.jpg": bytes(jpg),
         "size.hdr": hdr(b"\0" * 999, f"-Y {height} +X {width}"),
-        "size.exr": exr_of_size((small_files / "half.exr").read_bytes(), width, height),
+        "size.exr": exr_of_size((small_images / "half.exr").read_bytes(), width, height),
     }
 
 
 @pytest.mark.parametrize("size", [(60_000, 60_000), (2**30, 2**29), (30_000, 3_000), (0, 4), (4, 0)])
-def test_sizes_are_refused_by_the_header(small_files, tmp_path, size):
-    """Without memory for what is claimed."""
-    for name, data in absurd(small_files, *size).items():
+def test_huge_sizes_are_rejected_by_the_header(small_images, tmp_path, size):
+    """Without allocating the pixels."""
+    for name, data in files_of_size(small_images, *size).items():
         if name == "size.exr" and size == (30_000, 3_000):
-            continue  # a size like this may be true of an OpenEXR file: its compression has no bound
+            continue  # possible for an OpenEXR file, because its compression ratio is unbounded
         (tmp_path / name).write_bytes(data)
         tracemalloc.start()
         with pytest.raises(SceneError, match=rf"{name}.*image"):

@@ -1,4 +1,4 @@
-"""Lights: order, power, the alias table, the scale."""
+"""Light records: order, power, alias table and radiance scale."""
 
 import numpy as np
 import pytest
@@ -10,27 +10,27 @@ from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 
-def _scene(**objects) -> dict:
+def scene_with(**objects) -> dict:
     return load({"type": "scene", "sensor": {"type": "perspective"}, **objects})
 
 
-def _distributions() -> list[np.ndarray]:
+def weight_distributions() -> list[np.ndarray]:
     rng = np.random.default_rng(7)
     weights = []
     for count in (1, 2, 3, 17, 1000, 200_000):
         weights += [np.ones(count), rng.random(count) + 1e-3, rng.pareto(0.5, count) + 1e-12]
         weights.append(np.where(rng.random(count) < 0.9, 0.0, rng.random(count)) + np.eye(1, count, count // 2)[0])
         weights.append(np.eye(1, count, count - 1)[0])
-        weights.append(np.arange(count) % 4 // 2 + np.eye(1, count)[0])  # deficits that end where surpluses do
+        weights.append(np.arange(count) % 4 // 2 + np.eye(1, count)[0])  # deficits that end where surpluses end
     return weights
 
 
-@pytest.mark.parametrize("weights", _distributions())
-def test_alias_table_picks_in_proportion(weights):
+@pytest.mark.parametrize("weights", weight_distributions())
+def test_alias_table_selects_in_proportion_to_weights(weights):
     probabilities = weights / weights.sum()
     table = alias_table(probabilities)
     result = selection_probabilities(table)
-    # A threshold rounds by 2^-24 at most: kept parts relatively, passed on parts absolutely, in units of 1/n.
+    # A threshold rounds by at most 2^-24: relative for the entry, absolute for its alias, in units of 1/n.
     np.testing.assert_allclose(result, probabilities, rtol=1e-6, atol=0)
     assert np.all(result[probabilities == 0] == 0)
     assert result.sum() == pytest.approx(1.0, abs=1e-12)
@@ -38,16 +38,16 @@ def test_alias_table_picks_in_proportion(weights):
     assert table["threshold"].max() <= 1
 
 
-def test_alias_tables_of_rows_are_those_of_each():
-    """Rows of all sorts, side by side; one without weight is even."""
+def test_alias_tables_of_several_rows():
+    """Different rows together; a row without weight is uniform."""
     rng = np.random.default_rng(8)
     weights = np.stack(
         [rng.random(64), 10 ** rng.uniform(-30, 30, 64), np.eye(64)[63], np.ones(64), np.arange(64) % 4 // 2]
     )
     weights = np.concatenate([weights, np.zeros((1, 64)), weights[::-1]])
     threshold, alias = alias_tables(weights)
-    even = np.where(weights.any(axis=1, keepdims=True), weights, 1.0)
-    for row, expected in enumerate(even / even.sum(axis=1, keepdims=True)):
+    positive = np.where(weights.any(axis=1, keepdims=True), weights, 1.0)
+    for row, expected in enumerate(positive / positive.sum(axis=1, keepdims=True)):
         result = (threshold[row] + np.bincount(alias[row], 1.0 - threshold[row], 64)) / 64
         np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-15)
         assert np.all(result[expected == 0] == 0)
@@ -55,7 +55,7 @@ def test_alias_tables_of_rows_are_those_of_each():
 
 def test_alias_table_sums_exactly_to_the_stated_probabilities():
     scene = compile_scene(
-        _scene(
+        scene_with(
             a={"type": "cube", "emitter": {"type": "area", "radiance": 3.0}},
             b={"type": "disk", "emitter": {"type": "area", "radiance": 0.1}},
             c={"type": "point", "intensity": 0.7},
@@ -66,7 +66,7 @@ def test_alias_table_sums_exactly_to_the_stated_probabilities():
 
 def test_lights_of_a_shape_follow_its_primitives():
     scene = compile_scene(
-        _scene(
+        scene_with(
             dark={"type": "cube"},
             ball={"type": "sphere"},
             first={"type": "rectangle", "emitter": {"type": "area", "radiance": 2.0}},
@@ -83,10 +83,10 @@ def test_lights_of_a_shape_follow_its_primitives():
         assert light["area"] == pytest.approx(0.5 * np.linalg.norm(np.cross(b - a, c - a)))
 
 
-def test_power_decides_the_pick():
-    """Powers in closed form: pi A L, 4 pi I, pi r^2 E, 4 pi^2 r^2 L with r of the sphere around the scene's box."""
+def test_selection_is_proportional_to_power():
+    """Powers in closed form: pi A L, 4 pi I, pi r^2 E, 4 pi^2 r^2 L; r is the radius of the scene's bounding sphere."""
     scene = compile_scene(
-        _scene(
+        scene_with(
             quad={"type": "rectangle", "emitter": {"type": "area", "radiance": 3.0}},
             ball={"type": "sphere", "radius": 0.5, "emitter": {"type": "area", "radiance": 5.0}},
             disk={"type": "disk", "emitter": {"type": "area", "radiance": 7.0}},
@@ -112,9 +112,9 @@ def test_power_decides_the_pick():
     assert scene.environment_light == 7
 
 
-def test_dark_and_degenerate_primitives_are_never_picked():
+def test_dark_and_degenerate_primitives_are_never_selected():
     scene = compile_scene(
-        _scene(
+        scene_with(
             black={"type": "rectangle", "emitter": {"type": "area", "radiance": 0.0}},
             sliver={
                 "type": "mesh",
@@ -128,10 +128,10 @@ def test_dark_and_degenerate_primitives_are_never_picked():
 
 
 def test_lights_without_power_and_scenes_without_light():
-    dark = compile_scene(_scene(sky={"type": "constant", "radiance": 0.0}))
+    dark = compile_scene(scene_with(sky={"type": "constant", "radiance": 0.0}))
     assert dark.radiance_scale == 1.0
     assert dark.lights["selection_pmf"].tolist() == [1.0]
-    none = compile_scene(_scene())
+    none = compile_scene(scene_with())
     assert none.radiance_scale == 1.0
     assert len(none.lights) == len(none.light_alias) == 0
     assert none.environment_light == -1
@@ -141,7 +141,7 @@ def test_lights_without_power_and_scenes_without_light():
 def test_scaling_all_lights_by_a_power_of_two_changes_nothing_but_the_scale(exponent):
     def scene(factor):
         return compile_scene(
-            _scene(
+            scene_with(
                 quad={"type": "rectangle", "emitter": {"type": "area", "radiance": 3.3 * factor}},
                 point={"type": "point", "intensity": {"type": "rgb", "value": [0.1 * factor, 0.7 * factor, 0]}},
                 sky={"type": "constant", "radiance": {"type": "spectrum", "value": 0.01 * factor}},
@@ -157,7 +157,7 @@ def test_scaling_all_lights_by_a_power_of_two_changes_nothing_but_the_scale(expo
 
 def test_the_scale_brings_the_brightest_emitter_near_one():
     for value in (1e-30, 0.3, 1.0, 1.9999, 2.0, 17.0, 1e30):
-        scene = compile_scene(_scene(sky={"type": "constant", "radiance": value}))
+        scene = compile_scene(scene_with(sky={"type": "constant", "radiance": value}))
         assert np.log2(scene.radiance_scale) % 1 == 0
         assert 1.0 <= scene.lights["radiance"][0].astype(float) @ MITSUBA_LUMINANCE * (1 + 1e-6) < 2.0 * (1 + 1e-5)
 
@@ -172,17 +172,17 @@ def test_a_million_emissive_triangles():
     rng = np.random.default_rng(3)
     vertices = np.stack([x.ravel(), y.ravel(), rng.random(side * side)], 1).astype(float)
     shape = {"type": "mesh", "vertices": vertices, "faces": faces, "emitter": {"type": "area", "radiance": 1.0}}
-    scene = compile_scene(_scene(field=shape))
+    scene = compile_scene(scene_with(field=shape))
     assert len(scene.lights) == 2 * (side - 1) ** 2 > 10**6
     areas = scene.lights["area"].astype(float)
     np.testing.assert_allclose(scene.lights["selection_pmf"], areas / areas.sum(), rtol=2e-6)
 
 
-def test_what_shines_and_names_no_material_reflects_nothing():
-    """As in Mitsuba 3: its default material has the reflectance 0.5, on emitters 0."""
+def test_emitters_without_bsdf_are_black():
+    """As in Mitsuba 3, the default reflectance is 0.5, and 0 for emissive shapes."""
     lamp = {"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}}
-    scene = compile_scene(_scene(lamp=lamp, ball={"type": "sphere"}))
-    lit = scene.shapes["first_light"] != structs.NONE
+    scene = compile_scene(scene_with(lamp=lamp, ball={"type": "sphere"}))
+    is_emissive = scene.shapes["first_light"] != structs.NONE
     reflectance = slot(scene.bsdfs, "reflectance")[scene.shapes["bsdf"]]
-    assert (reflectance[lit] == 0).all()
-    assert (reflectance[~lit] == 0.5).all()
+    assert (reflectance[is_emissive] == 0).all()
+    assert (reflectance[~is_emissive] == 0.5).all()

@@ -1,4 +1,4 @@
-"""OBJ, PLY, STL and GLB: what is read, in which order, with which normals; and what is refused."""
+"""OBJ, PLY, STL and GLB: triangles, their order and normals, and rejected files."""
 
 import os
 import struct
@@ -15,7 +15,7 @@ from isonoise.scene import compile_scene, load, structs
 MIRROR = np.diag([-1.0, 1, 1, 1])
 
 
-def shape_of(path, **extra):
+def compile_mesh(path, **extra):
     kind = path.suffix[1:]
     shape = {"type": kind, "filename": str(path), **extra}
     return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "it": shape}))
@@ -71,43 +71,43 @@ FACES = {
 @pytest.mark.parametrize("face", FACES.values(), ids=FACES)
 def test_obj_face_forms(face, write):
     text = f"# a\nmtllib a.mtl\no it\nv 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1 0\nvt 0 0\nvt 1 1 0\nvn 0 0 2\ns 1\n{face}\n"
-    scene = shape_of(write("a.obj", text))
+    scene = compile_mesh(write("a.obj", text))
     assert len(scene.faces) == 1
     np.testing.assert_array_equal(scene.vertices[scene.faces[0]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(scene.vertex_normals, [[0, 0, 1]] * 3)
 
 
-def test_obj_polygons_forms_and_order_mixed_in_one_file(write):
+def test_obj_with_mixed_polygons_and_face_forms(write):
     text = (
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv -1 .5 0\nvt 0 0\nvn 0 0 1\n"
         "f 1 2 3 4\nf 1/1 2/1 3/1\nl 1 2\nf 1//1 2//1 3//1 4//1 5//1\nv 5 5 5\nf -1 1 2\n"
     )
-    scene = shape_of(write("a.obj", text), face_normals=True)
+    scene = compile_mesh(write("a.obj", text), face_normals=True)
     triangles = scene.vertices[scene.faces][:, :, :2].tolist()
     a, b, c, d, e = [0, 0], [1, 0], [1, 1], [0, 1], [-1, 0.5]
     assert triangles == [[a, b, c], [a, c, d], [a, b, c], [a, b, c], [a, c, d], [a, d, e], [[5, 5], a, b]]
 
 
-def test_shading_normals_by_rule(write):
-    """Normals of the file; else smooth ones, angle-weighted; none with face_normals."""
+def test_shading_normals(write):
+    """Normals of the file, else smooth angle-weighted normals; none with face_normals."""
     tent = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\n"
-    smooth = shape_of(write("a.obj", tent))
+    smooth = compile_mesh(write("a.obj", tent))
     assert smooth.shapes["flags"][0] == structs.SHAPE_VERTEX_NORMALS
-    # At vertex 1 both faces, +z and +x, meet with right angles; 2 and 4 belong to one face each.
+    # At vertex 1 the faces +z and +x meet, both with right angles; 2 and 4 belong to one face each.
     half = np.sqrt(0.5)
     np.testing.assert_allclose(smooth.vertex_normals[[0, 1, 3]], [[half, 0, half], [0, 0, 1], [1, 0, 0]], atol=1e-6)
-    flat = shape_of(write("a.obj", tent), face_normals=True)
+    flat = compile_mesh(write("a.obj", tent), face_normals=True)
     assert flat.shapes["flags"][0] == 0
     assert flat.vertex_normals.shape == (0, 3)
-    given = shape_of(write("b.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3//1\n"))
+    given = compile_mesh(write("b.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3//1\n"))
     np.testing.assert_allclose(given.vertex_normals, [[0, 0.6, 0.8]] * 3, atol=1e-6)
-    partly = shape_of(write("c.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3\n"))
+    partly = compile_mesh(write("c.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3\n"))
     np.testing.assert_allclose(partly.vertex_normals[-1], [0, 0, 1], atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("normal", "extra", "front"),
-    [  # front side (z) as Mitsuba 3.9.1's shading frame has it; the winding of the file says +z
+    [  # front side (z) of Mitsuba 3.9.1's shading frame; the winding in the file is +z
         ("0 0 1", {}, 1),
         ("0 0 -1", {}, -1),
         ("0 0 -1", {"face_normals": True}, 1),
@@ -123,7 +123,7 @@ def test_shading_normals_by_rule(write):
 def test_front_sides(normal, extra, front, write):
     corner = "//1" if normal else ""
     text = f"v -1 -1 0\nv 1 -1 0\nv 0 1 0\n{f'vn {normal}' if normal else ''}\nf 1{corner} 2{corner} 3{corner}\n"
-    scene = shape_of(write("a.obj", text), **extra)
+    scene = compile_mesh(write("a.obj", text), **extra)
     a, b, c = scene.vertices[scene.faces[0]]
     assert np.sign(np.cross(b - a, c - a)[2]) == front
     assert np.all(np.sign(scene.vertex_normals[:, 2]) == front)
@@ -139,10 +139,10 @@ def test_ply_forms_agree(write):
         f"3 {a} {b} {c}\n" for a, b, c in faces
     )
     scenes = [
-        shape_of(write("a.ply", header + body)),
-        shape_of(write("l.ply", ply_bytes(vertices, faces))),
-        shape_of(write("b.ply", ply_bytes(vertices, faces, ">"))),
-        shape_of(write("o.obj", obj_text(vertices.astype(np.float32), faces))),
+        compile_mesh(write("a.ply", header + body)),
+        compile_mesh(write("l.ply", ply_bytes(vertices, faces))),
+        compile_mesh(write("b.ply", ply_bytes(vertices, faces, ">"))),
+        compile_mesh(write("o.obj", obj_text(vertices.astype(np.float32), faces))),
     ]
     for scene in scenes:
         np.testing.assert_array_equal(scene.faces, faces)
@@ -151,7 +151,7 @@ def test_ply_forms_agree(write):
     assert scenes[1].hash == scenes[2].hash
 
 
-def test_ply_with_normals_colours_mixed_polygons_and_other_elements(write):
+def test_ply_with_mixed_polygons_and_other_elements(write):
     header = (
         "ply\nformat binary_little_endian 1.0\nelement material 2\nproperty list uchar float weights\nproperty int id\n"
         "element vertex 5\nproperty double x\nproperty double y\nproperty double z\nproperty uchar red\n"
@@ -165,7 +165,7 @@ def test_ply_with_normals_colours_mixed_polygons_and_other_elements(write):
     body += b"".join(struct.pack("<dddB5f", x, y, 0, 255, 0, 0, 1, 0, 0) for x, y in corners)
     for polygon, texture in (((0, 1, 2, 3), (1, 2)), ((0, 1, 4), ()), ((0, 1, 2, 3), (3,))):
         body += struct.pack(f"<BB{len(polygon)}IB{len(texture)}f", 0, len(polygon), *polygon, len(texture), *texture)
-    scene = shape_of(write("a.ply", header.encode() + body + struct.pack("<i", 3)))
+    scene = compile_mesh(write("a.ply", header.encode() + body + struct.pack("<i", 3)))
     assert scene.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 4], [0, 1, 2], [0, 2, 3]]
     np.testing.assert_array_equal(scene.vertex_normals, [[0, 0, 1]] * 5)
 
@@ -176,7 +176,7 @@ PLY = (
 )
 BINARY = PLY.replace("ascii", "binary_little_endian")
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
-BROKEN = [
+INVALID_MESHES = [
     ("a.obj", "", "no faces"),
     ("a.obj", TRIANGLE, "no faces"),
     ("a.obj", TRIANGLE + "f 1 2 4\n", "uses a vertex that does not exist .there are 3"),
@@ -220,23 +220,23 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("name", "content", "message"), BROKEN)
-def test_broken_meshes_are_refused_in_bounded_memory(name, content, message, write):
+@pytest.mark.parametrize(("name", "content", "message"), INVALID_MESHES)
+def test_invalid_meshes_are_rejected_in_bounded_memory(name, content, message, write):
     path = write(name, content)
     tracemalloc.start()
-    for read in (shape_of, load):
+    for read in (compile_mesh, load):
         with pytest.raises(SceneError, match=message) as error:
             read(path)
         assert str(path) in str(error.value)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 20e6  # what importing takes is in it; a header's promise of 1e9 vertices would be 12e9
+    assert peak < 20e6  # includes imports; 1e9 vertices would take 12e9
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 @pytest.mark.parametrize("kind", ["obj", "ply", "serialized"])
-def test_pipes_are_refused(kind, tmp_path):
-    """Else reading one would wait for ever."""
+def test_pipes_are_rejected(kind, tmp_path):
+    """Reading one would wait for ever."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "it": {"type": kind, "filename": str(path)}}
@@ -246,18 +246,18 @@ def test_pipes_are_refused(kind, tmp_path):
 
 @pytest.mark.parametrize("suffix", ["stl", "glb"])
 @pytest.mark.parametrize("content", [b"", b"solid x", b"glTF" + bytes(50), bytes(range(256)) * 4, bytes(84)])
-def test_broken_files_of_trimesh_are_refused(suffix, content, write):
+def test_invalid_files_of_trimesh_are_rejected(suffix, content, write):
     path = write(f"a.{suffix}", content)
     with pytest.raises(SceneError, match=r"not a readable|no triangles"):
         load(path)
 
 
 def triangle_count(scene) -> int:
-    """Triangles without the key light's two."""
+    """Triangles, without the two of the key light."""
     return len(scene.faces) - (2 if scene.environment_light >= 0 else 0)
 
 
-def test_bare_meshes_are_framed_and_lit(tmp_path):
+def test_bare_meshes_get_a_camera_and_lights(tmp_path):
     import trimesh
 
     mesh = trimesh.creation.icosphere(subdivisions=3)
@@ -277,7 +277,7 @@ def test_bare_meshes_are_framed_and_lit(tmp_path):
 
 
 def assert_framed(scene, points):
-    """Every point is in the picture, and they fill more than half of it in one direction."""
+    """Every point is in the image, and they fill more than half of it in one direction."""
     camera = scene.camera[0]
     to_world = camera["to_world"].reshape(3, 4).astype(float)
     local = (points - to_world[:, 3]) @ to_world[:, :3]
@@ -287,7 +287,7 @@ def assert_framed(scene, points):
     assert 0.5 < np.abs(image).max() < 1
 
 
-def test_bare_obj_takes_colours_and_light_from_its_mtl(write):
+def test_bare_obj_uses_colours_and_emission_of_its_mtl(write):
     write("it.mtl", "newmtl red\nKd 0.8 0.1 0.1 # red\nnewmtl lamp\nKd 0 0 0\nKe 17 12 4\n")
     quad = "v {0} 0 0\nv {0} 1 0\nv {0} 1 1\nv {0} 0 1\n"
     quads = quad.format(0) + quad.format(1) + quad.format(2)
@@ -301,7 +301,7 @@ def test_bare_obj_takes_colours_and_light_from_its_mtl(write):
     assert scene.shapes["first_light"].tolist() == [structs.NONE, structs.NONE, 0]
 
 
-def test_bare_glb_takes_placement_colours_and_emission(tmp_path):
+def test_bare_glb_uses_transforms_colours_and_emission(tmp_path):
     import trimesh
 
     scene = trimesh.Scene()
@@ -321,7 +321,7 @@ def test_bare_glb_takes_placement_colours_and_emission(tmp_path):
     colours = slot(compiled.bsdfs, "reflectance")[compiled.shapes["bsdf"]]
     np.testing.assert_allclose(colours, [[1, 0, 0.2], [0, 0, 0]], rtol=1e-6)
     np.testing.assert_allclose(compiled.lights["radiance"][0] / compiled.radiance_scale, [1, 0.5, 0.25], rtol=1e-6)
-    for first in (0, 12):  # mirrored as they are, both boxes face outwards
+    for first in (0, 12):  # both boxes face outwards, although they are mirrored
         corners = compiled.vertices[compiled.faces[first : first + 12]].astype(float)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         away = corners.mean(axis=1) - corners.mean(axis=(0, 1))
@@ -329,7 +329,7 @@ def test_bare_glb_takes_placement_colours_and_emission(tmp_path):
 
 
 def test_public_meshes(public_scenes):
-    # Triangles as Mitsuba 3.9.1 counts them; polygons of the glTF sample as its metadata says.
+    # Triangle counts of Mitsuba 3.9.1; for the glTF sample, of its metadata.
     for name, count in (
         ("obj/spot.obj", 5856),
         ("obj/teapot.obj", 6320),
@@ -340,7 +340,7 @@ def test_public_meshes(public_scenes):
         assert triangle_count(compile_scene(load(public_scenes / name))) == count
 
 
-@pytest.mark.parametrize("transform", [np.eye(4), np.diag([-1.0, 2, 1, 1])], ids=["as it is", "mirrored"])
+@pytest.mark.parametrize("transform", [np.eye(4), np.diag([-1.0, 2, 1, 1])], ids=["identity", "mirrored"])
 def test_vertex_normals_agree_with_mitsuba(transform, tmp_path):
     mitsuba = pytest.importorskip("mitsuba")
     mitsuba.set_variant("scalar_rgb")
@@ -351,7 +351,7 @@ def test_vertex_normals_agree_with_mitsuba(transform, tmp_path):
     obj.write_text(obj_text(vertices, faces))
     ply = tmp_path / "b.ply"
     ply.write_bytes(ply_bytes(vertices, faces))
-    seams = tmp_path / "c.obj"  # texture seams part smooth normals
+    seams = tmp_path / "c.obj"  # normals are not smoothed across uv seams
     lines = [f"vt {u:.3f} 0" for u in range(3)] + [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in vertices]
     lines += [
         "f " + " ".join(f"{i + 1}/{t}" for i in f) for f, t in zip(faces, rng.integers(1, 4, len(faces)), strict=True)
@@ -360,7 +360,7 @@ def test_vertex_normals_agree_with_mitsuba(transform, tmp_path):
     for path in (obj, ply, seams):
         shape = {"type": path.suffix[1:], "filename": str(path)}
         theirs = mitsuba.traverse(mitsuba.load_dict({**shape, "to_world": mitsuba.ScalarTransform4f(transform)}))
-        scene = shape_of(path, to_world=transform)
+        scene = compile_mesh(path, to_world=transform)
         corners = np.array(theirs["faces"]).reshape(-1, 3)
         for name, ours in (("vertex_positions", scene.vertices), ("vertex_normals", scene.vertex_normals)):
             np.testing.assert_allclose(np.array(theirs[name]).reshape(-1, 3)[corners], ours[scene.faces], atol=2e-6)

@@ -1,4 +1,4 @@
-"""Shapes and cameras in world space: against closed forms, and against Mitsuba where it is installed."""
+"""Shapes and cameras in world space, against closed forms and against Mitsuba."""
 
 import itertools
 
@@ -8,18 +8,18 @@ import pytest
 from isonoise.scene import compile_scene, load, structs
 
 SHEAR = np.array([[1.2, 0.3, 0, 1], [0, 0.7, 0.2, 2], [0.1, 0, 1.5, 3], [0, 0, 0, 1.0]])
-SPIN = np.array([[0, -2, 0, 1], [2, 0, 0, -1], [0, 0, 2, 0.5], [0, 0, 0, 1.0]])  # a turn by 90 degrees, twice as large
+ROTATION_AND_SCALE = np.array([[0, -2, 0, 1], [2, 0, 0, -1], [0, 0, 2, 0.5], [0, 0, 0, 1.0]])  # 90 degrees, factor 2
 TRANSFORMS = {
-    "as it is": np.eye(4),
+    "identity": np.eye(4),
     "mirrored in x": np.diag([-1.0, 1, 1, 1]),
     "mirrored in z": np.diag([1.0, 1, -1, 1]),
-    "turned and scaled": SPIN,
-    "turned and mirrored": SPIN @ np.diag([1.0, -1, 1, 1]),
+    "rotated and scaled": ROTATION_AND_SCALE,
+    "rotated and mirrored": ROTATION_AND_SCALE @ np.diag([1.0, -1, 1, 1]),
 }
 ANY_AFFINE = {**TRANSFORMS, "sheared": SHEAR, "sheared and mirrored": SHEAR @ np.diag([1.0, 1, -1, 1])}
 
 
-def compiled(**shape):
+def compile_shape(**shape):
     return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "it": shape}))
 
 
@@ -30,7 +30,7 @@ def face_normals(scene) -> np.ndarray:
 
 
 def test_rectangle_faces_plus_z():
-    scene = compiled(type="rectangle")
+    scene = compile_shape(type="rectangle")
     assert scene.bounds.tolist() == [[-1, -1, 0], [1, 1, 0]]
     np.testing.assert_array_equal(face_normals(scene), [[0, 0, 1]] * 2)
     assert len(scene.vertex_normals) == 0
@@ -38,34 +38,36 @@ def test_rectangle_faces_plus_z():
 
 @pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize("to_world", ANY_AFFINE.values(), ids=ANY_AFFINE)
-def test_cube_faces_outwards_however_it_is_transformed(to_world, flip):
-    scene = compiled(type="cube", to_world=to_world, flip_normals=flip)
+def test_cube_faces_outwards_under_any_transform(to_world, flip):
+    scene = compile_shape(type="cube", to_world=to_world, flip_normals=flip)
     centers = scene.vertices[scene.faces].mean(axis=1) - scene.vertices.mean(axis=0)
     outward = np.einsum("ij,ij->i", face_normals(scene), centers)
     assert len(scene.faces) == 12
     assert np.all(outward < 0 if flip else outward > 0)
 
 
-def test_sphere_takes_center_radius_and_transform_together():
+def test_sphere_combines_center_radius_and_transform():
     # Mitsuba 3.9.1: center [3, 0, 5], radius 6
     to_world = np.array([[3, 0, 0, 0], [0, 3, 0, 0], [0, 0, 3, 5], [0, 0, 0, 1.0]])
-    sphere = compiled(type="sphere", center=[1, 0, 0], radius=2, to_world=to_world).analytics[0]
+    sphere = compile_shape(type="sphere", center=[1, 0, 0], radius=2, to_world=to_world).analytics[0]
     assert sphere["center"].tolist() == [3, 0, 5]
     assert sphere["radius"] == 6
-    # Mitsuba turns a mirrored sphere inside out.
-    assert compiled(type="sphere", to_world=np.diag([-1, 1, 1, 1])).shapes["flags"][0] == structs.SHAPE_FLIP_NORMALS
+    # In Mitsuba a mirrored sphere is inside out.
+    assert (
+        compile_shape(type="sphere", to_world=np.diag([-1, 1, 1, 1])).shapes["flags"][0] == structs.SHAPE_FLIP_NORMALS
+    )
 
 
-def test_uneven_scales_of_spheres_and_cylinders_warn_and_keep_the_first_axis():
+def test_non_uniform_scales_of_spheres_and_cylinders_use_the_first_axis():
     with pytest.warns(UserWarning, match="shape 'it': non-uniform scale"):
-        scene = compiled(type="sphere", to_world=np.diag([1, 2, 3, 1]))
+        scene = compile_shape(type="sphere", to_world=np.diag([1, 2, 3, 1]))
     assert scene.bounds.tolist() == [[-1] * 3, [1] * 3]  # as Mitsuba 3.9.1
     with pytest.warns(UserWarning, match="non-uniform scale"):
-        compiled(type="cylinder", to_world=np.diag([1, 2, 1, 1]))
+        compile_shape(type="cylinder", to_world=np.diag([1, 2, 1, 1]))
 
 
 def test_cylinder_from_point_to_point():
-    scene = compiled(type="cylinder", p0=[1, 2, 3], p1=[1, 2, 7], radius=0.5, emitter={"type": "area"})
+    scene = compile_shape(type="cylinder", p0=[1, 2, 3], p1=[1, 2, 7], radius=0.5, emitter={"type": "area"})
     assert scene.bounds.tolist() == [[0.5, 1.5, 3], [1.5, 2.5, 7]]
     assert scene.lights["area"][0] == pytest.approx(2 * np.pi * 0.5 * 4)
     to_world = scene.analytics["to_world"][0].reshape(3, 4)
@@ -73,17 +75,20 @@ def test_cylinder_from_point_to_point():
     np.testing.assert_allclose(to_world @ [0, 0, 1, 1], [1, 2, 7], atol=1e-6)
 
 
-@pytest.mark.parametrize(("shape", "to_world"), [("disk", SHEAR), ("disk", SPIN), ("cylinder", SPIN), ("sphere", SPIN)])
-def test_analytic_transforms_are_inverse_to_each_other(shape, to_world):
-    record = compiled(type=shape, to_world=to_world).analytics[0]
+@pytest.mark.parametrize(
+    ("shape", "to_world"),
+    [("disk", SHEAR), ("disk", ROTATION_AND_SCALE), ("cylinder", ROTATION_AND_SCALE), ("sphere", ROTATION_AND_SCALE)],
+)
+def test_analytic_transforms_are_inverses(shape, to_world):
+    record = compile_shape(type=shape, to_world=to_world).analytics[0]
     product = np.vstack([record["to_world"].reshape(3, 4), [0, 0, 0, 1]]) @ np.vstack(
         [record["to_object"].reshape(3, 4), [0, 0, 0, 1]]
     )
     np.testing.assert_allclose(product, np.eye(4), atol=1e-6)
 
 
-def nearest_normals(scene, points: np.ndarray) -> np.ndarray:
-    """Front-side unit normals of a compiled scene with one shape, at points of its surface; asserts that they are."""
+def front_normals(scene, points: np.ndarray) -> np.ndarray:
+    """Unit normals of the front side of the only shape of a scene, at points that have to be on its surface."""
     if not len(scene.analytics):
         a, b, c = (scene.vertices[scene.faces[:, i]].astype(float) for i in range(3))
         normals = face_normals(scene)
@@ -131,8 +136,10 @@ SHAPES += [(name, t) for name in ("rectangle", "cube", "disk") for t in ANY_AFFI
 @pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize(("name", "transform"), SHAPES)
 def test_surfaces_and_front_sides_agree_with_mitsuba(name, transform, flip, mitsuba):
-    """Points that Mitsuba samples lie on our surface, its shading normals there (the side that shines) are ours, and so
-    are area and bounds. Normals from its rays: those of its samples are off on spheres that are turned (3.9.1)."""
+    """Points sampled by Mitsuba are on the surface, and shading normals (the emissive side), area and bounds agree.
+
+    Mitsuba's normals are those of ray hits: those of its samples are wrong on rotated spheres (3.9.1).
+    """
     shape = {"type": name, "flip_normals": flip}
     if name == "cylinder":
         shape |= {"p0": [0.1, 0.2, 0.3], "p1": [0.5, -0.4, 1.3], "radius": 0.7}
@@ -142,8 +149,8 @@ def test_surfaces_and_front_sides_agree_with_mitsuba(name, transform, flip, mits
     theirs = mitsuba.load_dict({**shape, "to_world": mitsuba.ScalarTransform4f(matrix)})
     samples = [theirs.sample_position(0.0, point) for point in itertools.product((0.15, 0.4, 0.85), repeat=2)]
     points = np.array([np.array(sample.p) for sample in samples], float)
-    scene = compiled(**shape, to_world=matrix, emitter={"type": "area"})
-    normals = nearest_normals(scene, points)
+    scene = compile_shape(**shape, to_world=matrix, emitter={"type": "area"})
+    normals = front_normals(scene, points)
     world = mitsuba.load_dict({"type": "scene", "it": theirs})
     for point, normal in zip(points, normals, strict=True):
         hit = world.ray_intersect(mitsuba.Ray3f(point + 0.01 * normal, -normal))
@@ -175,7 +182,7 @@ VIEW = [[0.8, 0, 0.6, 1], [0, 1, 0, 2], [-0.6, 0, 0.8, 3], [0, 0, 0, 1]]
 @pytest.mark.parametrize("film", FILMS)
 @pytest.mark.parametrize("sensor", CAMERAS)
 def test_camera_rays_agree_with_mitsuba(sensor, film, mitsuba):
-    """Rays through points of the image, from the camera record by the projection that structs.CAMERA describes."""
+    """Rays through points of the image, computed from structs.CAMERA."""
     description = {"type": "perspective", **sensor, "film": {"type": "hdrfilm", **film, "rfilter": {"type": "box"}}}
     theirs = mitsuba.load_dict({**description, "to_world": mitsuba.ScalarTransform4f(np.array(VIEW))})
     camera = compile_scene(load({"type": "scene", "sensor": {**description, "to_world": np.array(VIEW)}})).camera[0]
@@ -184,8 +191,8 @@ def test_camera_rays_agree_with_mitsuba(sensor, film, mitsuba):
         ray, _ = theirs.sample_ray(0.0, 0.0, image, (0.0, 0.0))
         pixel = camera["crop_offset"] + np.array(image) * camera["crop_size"]
         slope = camera["tan_half_fov"] * (1 - 2 * (pixel / camera["film_size"] + camera["principal_point"]))
-        ahead = np.array([*slope, 1.0])
-        direction = to_world[:, :3] @ ahead
+        forward = np.array([*slope, 1.0])
+        direction = to_world[:, :3] @ forward
         np.testing.assert_allclose(np.array(ray.d), direction / np.linalg.norm(direction), atol=2e-6)
         origin = to_world[:, 3] + camera["near_clip"] * direction
         np.testing.assert_allclose(np.array(ray.o), origin, atol=2e-6)

@@ -1,4 +1,4 @@
-"""Colours as Mitsuba 3's rgb variants make them. Numbers in the tables were printed by Mitsuba 3.9.1, scalar_rgb."""
+"""Colours equal those of Mitsuba 3's rgb variants. The expected values were printed by Mitsuba 3.9.1, scalar_rgb."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from isonoise.scene import compile_scene, load
 from isonoise.scene.material.presets import conductors, refractive_indices
 from isonoise.scene.spectra import MITSUBA_LUMINANCE, constant_to_rgb, spectrum_to_rgb
 
-# Mitsuba computes in float32 and prints six digits: 1000 terms round to some 1e-6.
+# Mitsuba computes in float32 and prints six digits; the error of 1000 terms is about 1e-6.
 TOLERANCE = {"rtol": 5e-6, "atol": 2e-6}
 
 RADIANCE = [
@@ -42,7 +42,7 @@ def test_spectrum_to_rgb_agrees_with_mitsuba(kind, pairs, expected):
     np.testing.assert_allclose(spectrum_to_rgb(*np.transpose(pairs), kind), expected, **TOLERANCE)
 
 
-def test_flat_spectra():
+def test_constant_spectra():
     np.testing.assert_allclose(constant_to_rgb(2.5, "radiance"), (3.01198, 2.37073, 2.27229), **TOLERANCE)
     assert constant_to_rgb(0.3, "reflectance").tolist() == [0.3, 0.3, 0.3]
     assert constant_to_rgb(1.0, "radiance") @ MITSUBA_LUMINANCE == pytest.approx(1.0, abs=1e-5)  # Y of equal energy
@@ -67,7 +67,7 @@ def test_emission_of_a_scene(xml, expected, scene_of):
 
 
 @pytest.mark.parametrize("kind", ["point", "directional", "constant"])
-def test_every_emitter_reads_its_colour_as_emission(kind):
+def test_every_emitter_converts_its_spectrum_as_emission(kind):
     name = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}[kind]
     emitter = {"type": kind, name: {"type": "spectrum", "value": [(400, 1.0), (700, 1.0)]}}
     scene = compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "light": emitter}))
@@ -113,7 +113,7 @@ def test_dielectric_indices(scene_of):
     assert refractive_indices()["water ice"] == 1.31
 
 
-def test_every_named_material_agrees_with_mitsuba():
+def test_named_materials_agree_with_mitsuba():
     mitsuba = pytest.importorskip("mitsuba")
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)

@@ -1,4 +1,4 @@
-"""Texture coordinates and attributes of meshes: by rule, and as Mitsuba has them."""
+"""Texture coordinates and attributes of meshes, against the rules and against Mitsuba."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def write(tmp_path):
 
 
 def corner_values(mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (t, 3, 3) and texture coordinates (t, 3, 2) of the corners of all triangles."""
+    """Positions (t, 3, 3) and uvs (t, 3, 2) of the corners of all triangles."""
     return mesh.vertices[mesh.faces], mesh.uvs[mesh.faces]
 
 
@@ -65,7 +65,7 @@ def test_obj_against_mitsuba(faces, flip, write, mitsuba):
     np.testing.assert_array_equal(uvs, theirs["vertex_texcoords"][corners])
 
 
-def test_obj_flips_unless_told(write):
+def test_obj_flips_v_by_default(write):
     path = write("a.obj", TRIANGLES + "f 1/1 2/2 3/3\n")
     shape = {"type": "obj", "filename": str(path)}
     for flip, v in ((True, [0.25, 0.875, -999]), (False, [0.75, 0.125, 1000])):
@@ -76,7 +76,7 @@ def test_obj_flips_unless_told(write):
 
 def test_obj_vertices_split_where_their_coordinates_differ(write):
     mesh = read_obj(write("a.obj", TRIANGLES + "f 1/1 2/2 3/3\nf 2/1 4/1 3/3\nf 2/2 4/1 3/3\n")).mesh
-    assert mesh.vertices.shape == (5, 3)  # 2/1 and 2/2 are two
+    assert mesh.vertices.shape == (5, 3)  # 2/1 and 2/2 are different
     np.testing.assert_array_equal(mesh.uvs[mesh.faces[:, 0]], [[0.25, 0.25], [0.25, 0.25], [0.5, 0.875]])
 
 
@@ -84,7 +84,7 @@ def test_obj_corners_without_coordinates_have_zero(write):
     mesh = read_obj(write("a.obj", TRIANGLES + "f 1/1 2/2 3/3\nf 1 2 4\n")).mesh
     np.testing.assert_array_equal(mesh.uvs[mesh.faces[1]], np.zeros((3, 2)))
     assert read_obj(write("a.obj", TRIANGLES + "f 1//1 2//1 3//1\n")).mesh.uvs.shape == (0, 2)
-    # Coordinates that no face names are not even read.
+    # Coordinates that no face uses are not parsed.
     assert read_obj(write("a.obj", TRIANGLES + "vt x\nf 1 2 3\n")).mesh.uvs.shape == (0, 2)
 
 
@@ -94,15 +94,15 @@ def test_obj_coordinates_are_two_numbers(line, write):
         read_obj(write("a.obj", TRIANGLES + line + "\nf 1/1 2/2 3/3\n"))
 
 
-def test_coordinates_that_are_no_numbers_become_zero(write):
+def test_uvs_that_are_not_finite_become_zero(write):
     path = write("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt nan 0\nvt inf -inf\nvt 1e300 .25\nf 1/1 2/2 3/3\n")
     np.testing.assert_array_equal(read_obj(path, False).mesh.uvs, [[0, 0], [0, 0], [0, 0.25]])
     path = write("a.ply", ply(["float u", "float v"], [], "nan 1e300", ""))
     np.testing.assert_array_equal(read_ply(path).uvs, np.zeros((3, 2)))
 
 
-def test_obj_keys_of_millions_of_corners_do_not_overflow():
-    """Corners whose plain keys differ by 2^64: 2^22 coordinates and normals each, and vertices 2^20 apart."""
+def test_obj_corner_keys_do_not_overflow():
+    """Corners whose keys would differ by 2^64: 2^22 uvs and normals each, and vertices 2^20 apart."""
     last = 2**22 - 2
     vertices = np.broadcast_to(np.arange(2**20 + 1.0)[:, None], (2**20 + 1, 3))
     normals = np.broadcast_to(1.0, (last + 1, 3))
@@ -113,7 +113,7 @@ def test_obj_keys_of_millions_of_corners_do_not_overflow():
 
 
 def ply(vertex: list[str], face: list[str], vertex_row: str, face_row: str) -> str:
-    """A triangle in ASCII whose vertices have the same further values each."""
+    """An ASCII file of one triangle whose vertices all have the same additional values."""
     properties = ["float x", "float y", "float z", *vertex]
     header = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property {name}\n" for name in properties)
     header += "element face 1\nproperty list uchar int vertex_indices\n"
@@ -165,7 +165,7 @@ def test_ply_against_mitsuba(case, write, mitsuba):
         np.testing.assert_allclose(values, theirs[name].reshape(rows, -1), rtol=2e-6)
 
 
-def test_ply_flips_when_told(write, mitsuba):
+def test_ply_flips_v_on_request(write, mitsuba):
     path = write("a.ply", ply(["float u", "float v"], [], ".25 .125", ""))
     theirs = parameters_of(mitsuba, type="ply", filename=str(path), flip_tex_coords=True)
     mesh = load_mesh({"type": "ply", "filename": str(path), "flip_tex_coords": True})
@@ -174,8 +174,8 @@ def test_ply_flips_when_told(write, mitsuba):
 
 
 @pytest.mark.parametrize("order", ["ascii", "<", ">"])
-def test_bytes_of_colour_are_srgb(order, write):
-    """255 is 1 and 128 is 0.2158605 linear (IEC 61966-2-1); Mitsuba does so with whole numbers of every other size."""
+def test_byte_colours_are_srgb(order, write):
+    """255 is 1 and 128 is 0.2158605 linear (IEC 61966-2-1). Mitsuba decodes integers of every other size so."""
     name = {"ascii": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}[order]
     text = ply([f"uchar {c}" for c in (*RGB, "alpha")], ["uchar it_x"], "255 128 10 0", "128").replace("ascii", name)
     if order != "ascii":
@@ -189,7 +189,7 @@ def test_bytes_of_colour_are_srgb(order, write):
     np.testing.assert_allclose(attributes["face_it"], [[0.2158605]], rtol=1e-6)
 
 
-def test_values_of_polygons_go_to_all_their_triangles(write):
+def test_face_values_apply_to_all_triangles_of_a_polygon(write):
     header = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
     header += "element face 4\nproperty float heat_x\nproperty list uchar int vertex_index\nproperty float r\n"
     header += "property list uchar float ignored\nproperty float g\nproperty float b\nend_header\n"
@@ -202,10 +202,10 @@ def test_values_of_polygons_go_to_all_their_triangles(write):
     np.testing.assert_array_equal(mesh.attributes["face_color"], np.float32(expected))
 
 
-def test_grouping_of_names():
+def test_attribute_names():
     names = ["", "a_x", "a_y", "a_z", "a_x", "b_1", "r", "c_r", "c_g", "c_b", "g", "b", "color_x"]
     expected = {"face_color": [6, 10, 11], "face_b": [5], "face_c_color": [7, 8, 9]}
-    assert find_attributes(names, "face") == expected  # a has four in a row that form no scheme
+    assert find_attributes(names, "face") == expected  # the four a_... in a row match no suffixes
 
 
 def test_rectangle(mitsuba):
@@ -218,13 +218,13 @@ def test_rectangle(mitsuba):
 
 
 def interpolated(mesh, point: np.ndarray) -> np.ndarray:
-    """Texture coordinates at a point that lies on some triangle."""
+    """Texture coordinates at a point of the mesh."""
     for face in mesh.faces:
         a, b, c = mesh.vertices[face]
         weights, residuals, _, _ = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), point - a, rcond=None)
         if np.allclose(residuals, 0, atol=1e-12) and weights.min() >= 0 and weights.sum() <= 1:
             return np.array([1 - weights.sum(), *weights]) @ mesh.uvs[face]
-    raise AssertionError("no triangle holds the point")
+    raise AssertionError("the point is not on the mesh")
 
 
 def test_cube(mitsuba):
@@ -238,14 +238,14 @@ def test_cube(mitsuba):
 @pytest.mark.usefixtures("one_lane")
 @pytest.mark.parametrize("normals", ["", "0 0 1", "0 0 -1"])
 @pytest.mark.parametrize("flip", [False, True])
-def test_without_coordinates_they_are_barycentric(flip, normals, write):
-    """As if a triangle's corners, in the file's order, had (0, 0), (1, 0) and (0, 1): so it is in Mitsuba 3.9.1.
+def test_without_uvs_they_are_barycentric(flip, normals, write):
+    """The corners of a triangle, in file order, have uvs (0, 0), (1, 0) and (0, 1), as in Mitsuba 3.9.1.
 
-    The floor is stretched along u and chequered. Its normals may be against the order of its corners, which turns it.
+    The floor has an anisotropic bsdf with a checkerboard. Normals that oppose the winding reverse it.
     """
     corners = ["-1 -1 0", "1.2 -1 0", "-1 1 0", "1.1 1 0", "-1 1.1 0", "1.2 -1 0"]
 
-    def picture(uvs):
+    def render(uvs):
         rows = [" ".join(filter(None, row)) for row in zip(corners, [normals] * 6, uvs, strict=True)]
         names = ["x", "y", "z", *(("nx", "ny", "nz") if normals else ()), *(("u", "v") if uvs[0] else ())]
         head = ["ply", "format ascii 1.0", "element vertex 6", *(f"property float {name}" for name in names)]
@@ -257,6 +257,6 @@ def test_without_coordinates_they_are_barycentric(flip, normals, write):
         scene = lamp_over_floor() | {"floor": floor | {"bsdf": {"type": "twosided", "bsdf": metal}}}
         return isonoise.render(scene, spp=16).statistics.rgb
 
-    without, told = picture([""] * 6), picture(["0 0", "1 0", "0 1"] * 2)
-    assert without.mean() > 0.01
-    np.testing.assert_allclose(without, told, rtol=1e-4, atol=1e-6)
+    without_uvs, with_uvs = render([""] * 6), render(["0 0", "1 0", "0 1"] * 2)
+    assert without_uvs.mean() > 0.01
+    np.testing.assert_allclose(without_uvs, with_uvs, rtol=1e-4, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Files of Mitsuba 0.x: each rename, a published scene against its successor, and all against Mitsuba's parser."""
+"""Files of Mitsuba 0.x: renamed parameters, a published scene against its upgraded file, and Mitsuba's parser."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ from isonoise.scene.parse.xml_upgrade import snake_case
 
 @pytest.fixture
 def read(tmp_path):
-    """Elements of a scene from the inside of its <scene> element."""
+    """A function that reads a scene, given the content of its <scene> element."""
 
     def make(inside: str, version: str = "0.6.0", name: str = "scene.xml", parameters=()) -> Element:
         path = tmp_path / name
@@ -40,15 +40,15 @@ def first(scene: Element) -> Element:
         *(("toWorld", "to_world"), ("maxDepth", "max_depth"), ("intIOR", "int_ior"), ("sigmaS", "sigma_s")),
         *(("alphaU", "alpha_u"), ("shapeIndex", "shape_index"), ("flipTexCoords", "flip_tex_coords")),
         *(("fov", "fov"), ("high_quality_edges", "high_quality_edges"), ("color0", "color0"), ("", "")),
-        # No parameter was called so; what Mitsuba 3.9.1 makes of them.
+        # Not names of parameters; the results are Mitsuba 3.9.1's.
         *(("toWORLDAbc", "to_worldabc"), ("aBc1D", "a_bc1D"), ("ABc", "ABc"), ("x_Yy", "x_Yy"), ("a1B", "a1B")),
     ],
 )
-def test_names(old, new):
+def test_snake_case(old, new):
     assert snake_case(old) == new
 
 
-def test_names_of_all_kinds_of_parameters(read):
+def test_parameter_names(read):
     scene = read(
         '<bsdf type="roughplastic" id="myPaint"><float name="intIOR" value="1.5"/>'
         '<rgb name="specularReflectance" value="1 .5 .2"/><ref name="diffuseReflectance" id="myWood"/></bsdf>'
@@ -60,7 +60,7 @@ def test_names_of_all_kinds_of_parameters(read):
     assert (paint.id, values(paint)["int_ior"], set(values(sphere))) == ("myPaint", 1.5, {"to_world", "my_bsdf"})
     assert values(paint)["specular_reflectance"] == {"type": "rgb", "value": [1, 0.5, 0.2]}
     assert values(paint)["diffuse_reflectance"] == Reference("myWood")
-    assert values(wood) == {"filter_type": "nearestSome"}  # values stay as they are
+    assert values(wood) == {"filter_type": "nearestSome"}  # values do not change
 
 
 def test_reflectance_of_diffuse(read):
@@ -71,7 +71,7 @@ def test_reflectance_of_diffuse(read):
 
 @pytest.mark.parametrize(
     ("given", "matrix"),
-    [  # Mitsuba 3 moves before it scales
+    [  # Mitsuba 3 translates before it scales
         ({"uscale": 2, "vscale": 4}, [[2, 0, 0], [0, 4, 0]]),
         ({"uoffset": 0.5}, [[1, 0, 0.5], [0, 1, 0]]),
         ({"uoffset": 0.5, "voffset": 3, "uscale": 2}, [[2, 0, 1], [0, 1, 3]]),
@@ -91,7 +91,7 @@ def test_offsets_and_scales_of_textures(given, matrix, tag, read):
     np.testing.assert_array_equal(result["to_uv"], expected)
 
 
-def test_parameters_count_after_their_substitution(read):
+def test_uv_parameters_after_substitution(read):
     inside = '<default name="tilesPerSide" value="4"/><texture type="bitmap"><float name="{}" value="$tilesPerSide"/>'
     scene = read(inside.format("uscale") + "</texture>", parameters={"tilesPerSide": "8"})
     assert values(first(scene))["to_uv"][0, 0] == 8
@@ -105,7 +105,7 @@ def test_look_at(read):
     np.testing.assert_array_equal(old, new)
 
 
-def test_each_file_has_a_version_of_its_own(read, tmp_path):
+def test_each_included_file_has_its_own_version(read, tmp_path):
     (tmp_path / "old.xml").write_text('<bsdf version="0.5.0" type="plastic"><float name="intIOR" value="2"/></bsdf>')
     include = '<include filename="old.xml"/><bsdf type="plastic"><float name="extIOR" value="1"/></bsdf>'
     for version, name in (("2.1.0", "extIOR"), ("3.0.0", "extIOR"), ("0.4.0", "ext_ior")):
@@ -159,19 +159,19 @@ def test_errors(inside, message, tmp_path):
         load(path)
 
 
-def flat(scene: Element) -> list[Element]:
-    """All elements in the order of the file."""
-    nested = [flat(value) for _, value, _ in scene.entries if isinstance(value, Element)]
+def flatten(scene: Element) -> list[Element]:
+    """All elements in file order."""
+    nested = [flatten(value) for _, value, _ in scene.entries if isinstance(value, Element)]
     return [scene, *(element for elements in nested for element in elements)]
 
 
-def test_a_published_scene_against_its_successor(public_scenes):
-    """staircase2 as it was published, and as edited since: the same but for what says how to render it."""
+def test_published_scene_equals_its_upgraded_file(public_scenes):
+    """The published file of staircase2 and the upgraded one differ only in render settings."""
     folder = public_scenes / "staircase2"
-    old, new = (flat(read_xml(folder / name, {})) for name in ("scene-v0.5.xml", "scene.xml"))
-    kept = [[e for e in side if e.kind not in ("scene", "film", "integrator", "rfilter")] for side in (old, new)]
-    assert len(kept[0]) == len(kept[1]) == 91
-    for a, b in zip(*kept, strict=True):
+    old, new = (flatten(read_xml(folder / name, {})) for name in ("scene-v0.5.xml", "scene.xml"))
+    compared = [[e for e in side if e.kind not in ("scene", "film", "integrator", "rfilter")] for side in (old, new)]
+    assert len(compared[0]) == len(compared[1]) == 91
+    for a, b in zip(*compared, strict=True):
         assert (a.kind, a.type, a.id) == (b.kind, b.type, b.id)
         if a.kind == "sensor":
             continue
@@ -214,21 +214,21 @@ SNIPPETS = """
         *("0.4.0", "0.5.0", "0.6.0", "2.1.0", "3.0.0"),
     ],
 )
-def test_against_mitsuba_s_parser(source, request, tmp_path):
-    """Every object of a file with every parameter, by name and value, as Mitsuba 3 has it after its upgrade."""
+def test_against_mitsubas_parser(source, request, tmp_path):
+    """All objects and parameters of a file are those of Mitsuba 3 after its upgrade."""
     mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
     if not hasattr(mitsuba, "parser"):
-        pytest.skip("this Mitsuba does not show its parser")
+        pytest.skip("needs a Mitsuba version with a public parser")
     path = tmp_path / "scene.xml"
     if source.endswith(".xml"):
         path = request.getfixturevalue("public_scenes") / source
     else:
         path.write_text(f'<scene version="{source}">{SNIPPETS}</scene>')
-    mitsuba.set_variant("scalar_rgb")  # else there are no types for transforms and colours
+    mitsuba.set_variant("scalar_rgb")  # needed for the types of transforms and colours
     config = mitsuba.parser.ParserConfig("scalar_rgb")
     state = mitsuba.parser.parse_file(config, str(path))
     mitsuba.parser.transform_upgrade(config, state)
-    ours = flat(read_xml(path, {}))
+    ours = flatten(read_xml(path, {}))
     assert len(ours) == len(state.nodes)
     for element, node in zip(ours, state.nodes, strict=True):
         assert (element.type, element.id) == (node.props.plugin_name(), node.props.id())
@@ -257,13 +257,13 @@ def assert_same(ours, theirs, state):
     elif isinstance(ours, tuple):
         np.testing.assert_array_equal(ours, np.array(theirs, float))
     elif isinstance(theirs, str) and ours != theirs:
-        assert Path(ours).parts[-len(Path(theirs).parts) :] == Path(theirs).parts  # file names are resolved already
+        assert Path(ours).parts[-len(Path(theirs).parts) :] == Path(theirs).parts  # isonoise has resolved file names
     else:
         assert (type(ours), ours) == (type(theirs), theirs)
 
 
-def test_mitsuba_takes_the_snippets(tmp_path):
-    """Mitsuba 3 instantiates what the comparison above reads: no name in it is left over."""
+def test_mitsuba_loads_the_snippets(tmp_path):
+    """Mitsuba 3 accepts every parameter of the snippets."""
     mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
     mitsuba.set_variant("scalar_rgb")
     scene = mitsuba.load_string(f'<scene version="0.6.0">{SNIPPETS}</scene>')

@@ -1,4 +1,4 @@
-"""What scene files and dicts mean: parameters, references, includes, transforms, defaults."""
+"""Scene files and dicts: parameters, references, includes, transforms and defaults."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_look_at(scene_of):
     ]
     result = transform_of(scene_of, '<lookat origin="1, 2, 3" target="4 6 5" up="0,1,0"/>')
     np.testing.assert_allclose(result, expected, atol=5e-7)
-    # Without up, as load_string gives it: the first axis of Duff et al.'s basis takes its place.
+    # Without up, Mitsuba uses the first axis of Duff et al.'s basis (result of load_string).
     expected = [
         [0.0934435, 0.252452, 0.963087, 1],
         [-0.98832, -0.0934435, 0.120386, 2],
@@ -50,8 +50,8 @@ def test_matrices_are_row_major_with_16_or_9_numbers(scene_of):
     assert small.tolist() == [[1, 2, 3, 0], [4, 5, 6, 0], [7, 8, 10, 0], [0, 0, 0, 1]]
 
 
-def test_rotation_axes_are_used_as_they_are(scene_of):
-    # Mitsuba 3.9.1 does not normalise the axis either: this is its matrix.
+def test_rotation_axes_are_not_normalised(scene_of):
+    # Mitsuba 3.9.1 does not normalise the axis either; this is its matrix.
     expected = [[1, -1.46045, 1.98744], [2.39627, 1.70187, 0.760946], [-0.583708, 2.04652, 2.87164]]
     result = transform_of(scene_of, '<rotate x="1" y="2" z="3" angle="40"/>')
     np.testing.assert_allclose(result[:3, :3], expected, atol=5e-6)
@@ -131,7 +131,7 @@ def test_defaults_are_those_of_mitsuba(scene_of):
 
 
 @pytest.mark.parametrize(
-    ("integrator", "depth", "roulette"),
+    ("integrator", "depth", "rr_depth"),
     [
         ('<integrator type="path"><integer name="max_depth" value="7"/><integer name="rr_depth" value="3"/>', 7, 3),
         ('<integrator type="direct"><integer name="shading_samples" value="2"/>', 2, 5),
@@ -140,10 +140,10 @@ def test_defaults_are_those_of_mitsuba(scene_of):
         ('<integrator type="moment"><integrator type="aov"><integrator type="path"/></integrator>', -1, 5),
     ],
 )
-def test_integrators(integrator, depth, roulette, scene_of):
+def test_integrators(integrator, depth, rr_depth, scene_of):
     description = scene_of(f"{integrator}</integrator>")
     scene = compile_scene(description)
-    assert (scene.max_depth, scene.rr_depth) == (depth, roulette)
+    assert (scene.max_depth, scene.rr_depth) == (depth, rr_depth)
     assert compile_scene(description, max_depth=9).max_depth == 9
 
 
@@ -154,7 +154,7 @@ def test_every_sampler_is_accepted(sampler, scene_of):
     assert compile_scene(scene).sample_count == 36
 
 
-def test_film_keys_that_do_not_change_the_image_are_read_over(scene_of):
+def test_film_parameters_that_do_not_change_the_image_are_ignored(scene_of):
     keys = '<string name="pixel_format" value="rgba"/><string name="component_format" value="float32"/>'
     keys += '<boolean name="sample_border" value="true"/><boolean name="compensate" value="true"/>'
     film = f'<film type="hdrfilm">{keys}<integer name="width" value="8"/><integer name="height" value="4"/></film>'
@@ -215,7 +215,7 @@ def test_dict_references_by_id_and_by_keys():
         assert scene["disk"]["bsdf"]["reflectance"] == 0.2
 
 
-def test_the_hash_changes_when_the_picture_may(scene_of):
+def test_hash_changes_with_the_image_but_not_with_names(scene_of):
     hashes = [
         compile_scene(
             scene_of(f'<shape type="sphere" id="{name}"><float name="radius" value="{radius}"/></shape>')
