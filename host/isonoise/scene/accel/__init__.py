@@ -1,1 +1,1 @@
-"""The bounding volume hierarchy."""
+"""The bounding volume hierarchy (BVH)."""

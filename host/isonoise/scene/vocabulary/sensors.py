@@ -15,13 +15,7 @@ _SRF = P("srf", "any", status=UNSUPPORTED, meaning="isonoise renders RGB")
 _PINHOLE = (
     P("fov", "float", interval="(0, 180)", meaning="angle of view along fov_axis, degrees", unset="by focal_length"),
     P("focal_length", "string", meaning="of a 35 mm camera, as in 50mm", unset="50mm"),
-    P(
-        "fov_axis",
-        "string",
-        "x",
-        choices=("x", "y", "diagonal", "smaller", "larger"),
-        meaning="side of the image that fov spans",
-    ),
+    P("fov_axis", "string", "x", choices=("x", "y", "diagonal", "smaller", "larger"), meaning="side that fov spans"),
     *_CLIP,
     *TO_WORLD,
     *_SHUTTER,
@@ -36,13 +30,7 @@ _BLOCKS = (
 )
 _HIDE = P("hide_emitters", "boolean", False, meaning="emitters are not directly visible")
 _PATH = (
-    P(
-        "max_depth",
-        "integer",
-        -1,
-        _DEPTH,
-        meaning="1 is emitters only, 2 is direct light, -1 is unlimited",
-    ),
+    P("max_depth", "integer", -1, _DEPTH, meaning="1 is emitters only, 2 is direct light, -1 is unlimited"),
     P("rr_depth", "integer", 5, "[1, 2147483647]", meaning="depth from which Russian roulette may end a path"),
     _HIDE,
     *_BLOCKS,
@@ -115,12 +103,7 @@ FILMS = (
         meaning="size and crop window of the image",
     ),
     Plugin("rfilter", "box", meaning="mean over the pixel"),
-    Plugin(
-        "rfilter",
-        "tent",
-        (P("radius", "float", 1.0, "(0, inf)", meaning="pixels"),),
-        meaning="linear falloff to zero",
-    ),
+    Plugin("rfilter", "tent", (P("radius", "float", 1.0, "(0, inf)", meaning="pixels"),), meaning="linear falloff"),
     Plugin(
         "rfilter",
         "gaussian",
@@ -143,12 +126,7 @@ SAMPLERS = tuple(
 
 INTEGRATORS = (
     Plugin("integrator", "path", _PATH, meaning="path tracing; the default"),
-    Plugin(
-        "integrator",
-        "volpath",
-        _PATH,
-        meaning="path tracing with media and pass-through surfaces (null, masks, thin dielectric)",
-    ),
+    Plugin("integrator", "volpath", _PATH, meaning="path tracing with media and pass-through surfaces"),
     Plugin(
         "integrator",
         "volpathmis",
