@@ -1,8 +1,7 @@
 """The texts below the options in `isonoise COMMAND --help`. `cli` imports this only when such a help is printed."""
 
-import textwrap
-
 from isonoise.errors import UserError
+from isonoise.tables import label_lines
 
 
 def render_epilog() -> str:
@@ -18,10 +17,7 @@ def render_epilog() -> str:
             lines.append(f"  {name}: {error}")
     lines += ["  module:Class for your own", ""]
     lines.append("columns of --log (those with the prefix true_ only with --reference):")
-    meanings = columns(true_errors=True)
-    width = max(map(len, meanings))
-    for name, meaning in meanings.items():
-        lines += textwrap.wrap(meaning, 110, initial_indent=f"  {name:{width}}  ", subsequent_indent=" " * (width + 4))
+    lines.append(label_lines(columns(true_errors=True).items(), indent="  ", wrap=110))
     lines += ["", "exit codes: 0 done; 1 --error not reached within the other limits; 2 bad input; 130 after Ctrl-C"]
     return "\n".join(lines)
 

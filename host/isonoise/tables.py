@@ -87,10 +87,12 @@ def text_table(table: Table, *, heads: bool = True, indent: str = " ", wrap: int
     return "\n".join(line.rstrip() for line in lines)
 
 
-def label_lines(rows: Iterable[tuple[str, str]], *, indent: str = "", min_width: int = 0) -> str:
-    """Lines of a label and its value each; an empty label continues the value above."""
+def label_lines(
+    rows: Iterable[tuple[str, str]], *, indent: str = "", min_width: int = 0, wrap: int | None = None
+) -> str:
+    """Lines of a label and its value each; an empty label continues the value above. Options as of `text_table`."""
     pairs = Table([Column("", LEFT, min_width), Column("", LEFT)], list(rows))
-    return text_table(pairs, heads=False, indent=indent)
+    return text_table(pairs, heads=False, indent=indent, wrap=wrap)
 
 
 def markdown_table(table: Table) -> str:

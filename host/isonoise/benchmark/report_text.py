@@ -1,6 +1,5 @@
 """Measurements as text for a terminal; every function takes the content of a JSON file, or a part of it."""
 
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 
 from isonoise.benchmark.baseline import Comparison, SpeedRatio
@@ -9,8 +8,8 @@ from isonoise.benchmark.spread import spread
 from isonoise.progress import format_count, format_duration
 from isonoise.tables import Table, columns, label_lines, text_table
 
-WIDTH = 100
-"""Characters of a wrapped line."""
+WIDTH = 110
+"""Characters of a line; longer values are wrapped."""
 LABEL_WIDTH = 9
 MAX_BOUNCES = 8
 MAX_BUFFERS = 5
@@ -172,7 +171,6 @@ def _scene_lines(scene: Mapping) -> str:
     counts = [(scene["triangles"], "triangle"), (scene["analytic_shapes"], "analytic shape")]
     counts += [(scene["instances"], "instance"), (scene["lights"], "light")]
     contents = ", ".join(_plural(*count) for count in counts if count[0])
-    features = textwrap.wrap(", ".join(scene["features"]), WIDTH)
     cached, uncached = scene["startup"]["cached"], scene["startup"]["uncached"]
     spp = scene["samples"] / (scene["width"] * scene["height"])
     phases = [
@@ -185,7 +183,7 @@ def _scene_lines(scene: Mapping) -> str:
         [
             ("scene", scene["scene"]),
             ("", f"{scene['width']}x{scene['height']}, {depth}, roulette from depth {scene['rr_depth']}; {contents}"),
-            *zip(("features", *[""] * len(features)), features, strict=False),
+            ("features", ", ".join(scene["features"])),
             ("samples/s", speed),
             ("start", f"{_spread(cached['process_s'], format_duration)} to the first image"),
             ("", f"{format_duration(uncached['process_s'])} with empty program caches; with full / empty caches:"),
@@ -261,7 +259,7 @@ def _verdict(ratio: SpeedRatio, is_slower: bool, is_below_threshold: bool) -> st
 
 
 def _labels(lines: Sequence[tuple[str, str]]) -> str:
-    return label_lines(lines, min_width=LABEL_WIDTH)
+    return label_lines(lines, min_width=LABEL_WIDTH, wrap=WIDTH)
 
 
 def _spread(figure: Mapping[str, float], form: Callable[[float], str]) -> str:
