@@ -26,7 +26,9 @@ class RandomLights(RandomShapes):
         self.area_light((0, 3.0, 0)) if self.in_room else self.r.choice(far)()
         for _ in range(self.r.choice((0, 1, 1, 2))):
             self.r.choice(near)()
-        if self.extra_light == "sky":
+        environments = {name for name, kind in KIND_OF_PLUGIN.items() if kind.is_environment}
+        has_environment = any(emitter.get("type") in environments for emitter in self.root.iter("emitter"))
+        if self.extra_light == "sky" and not has_environment:
             emitter = self.tag(self.root, "emitter", "constant")
             self.tag(emitter, "rgb", name="radiance", value=0.4)
         elif self.extra_light == "lamp":

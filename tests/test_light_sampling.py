@@ -16,7 +16,7 @@ from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.light.light_kinds import light_bits
+from isonoise.scene.light.light_kinds import KINDS, light_bits
 from isonoise.scene.material import textures
 from isonoise.scene.mesh.triangle_records import triangle_records
 from isonoise.scene.spectra import srgb_to_linear
@@ -166,9 +166,9 @@ class Lit:
 @pytest.fixture(scope="module")
 def lit():
     device, source = Device(), program.kernel_source
-    on = {"AREA_LIGHTS", "TRIANGLE_LIGHTS", "SPHERE_LIGHTS", "DISK_LIGHTS", "CYLINDER_LIGHTS", "POINT_LIGHTS"}
-    on |= {"SPOT_LIGHTS", "DIRECTIONAL_LIGHTS", "CONSTANT_LIGHT", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS"}
-    on |= {"CYLINDERS", "TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS", "MANY_LIGHTS", "NEXT_EVENT"}
+    on = {kind.feature for kind in KINDS.values()} - {"ENVIRONMENT_MAP"}
+    on |= {"AREA_LIGHTS", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"}
+    on |= {"TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS", "MANY_LIGHTS", "NEXT_EVENT"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
         constants, features = CONSTANTS, {name: name in on for name in FEATURES}

@@ -73,7 +73,7 @@ TORCH_ROW = """    LightKind(
         *("torch", "TORCH_LIGHTS", "torches", "torch", "intensity"),
         power_factor=lambda lights, radius: np.pi,
         bounds=light_bounds.point_bounds,
-        record=lambda emitter: {"position": emitter["to_world"][:3, 3], "axis": _unit(emitter["to_world"][:3, 2])},
+        record=lambda emitter: {"position": _to_world(emitter)[:3, 3], "axis": _unit(_to_world(emitter)[:3, 2])},
     ),
 """
 TORCH_PLUGIN = """    Plugin(
