@@ -1,4 +1,4 @@
-"""Tiny renders by Mitsuba 3's scalar_rgb, within the process: it needs no LLVM, which OpenCL drivers bring too."""
+"""Renders small scenes with Mitsuba's scalar_rgb in this process: it needs no LLVM, which may conflict with drivers."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import isonoise
 
 
 def import_mitsuba():
-    """The module, quiet, or a skipped test."""
+    """Returns the quiet module; skips the test without Mitsuba."""
     mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
@@ -16,7 +16,7 @@ def import_mitsuba():
 
 
 def as_mitsuba(mitsuba, scene: dict) -> dict:
-    """A dict for isonoise as one for `mitsuba.load_dict`."""
+    """Converts a scene for isonoise to one for `mitsuba.load_dict`."""
     result = {}
     for name, value in scene.items():
         if isinstance(value, dict):
@@ -28,7 +28,7 @@ def as_mitsuba(mitsuba, scene: dict) -> dict:
 
 
 def assert_same_picture(scene: dict, folder, spp: int = 64, batches: int = 16, share: float = 0.9975) -> None:
-    """Pixels, and image means, of isonoise and Mitsuba agree (tests/references.py says what that means)."""
+    """Asserts that pixels and image means of isonoise and Mitsuba agree, as defined in tests/references.py."""
     mitsuba = import_mitsuba()
     loaded = mitsuba.load_dict(as_mitsuba(mitsuba, scene))
     theirs = np.stack([np.array(mitsuba.render(loaded, spp=spp, seed=seed))[..., :3] for seed in range(batches)])

@@ -1,4 +1,4 @@
-"""Pixel filters: the table against the closed distribution, and renders of an edge that show it."""
+"""Pixel filters: the table against the closed distribution, and renders of an edge."""
 
 import math
 
@@ -14,7 +14,7 @@ def box(x: float) -> float:
 
 
 def tent(radius: float):
-    """Cumulative distribution of 1 - |x| / radius."""
+    """Returns the cumulative distribution of 1 - |x| / radius."""
 
     def cumulative(x: float) -> float:
         x = min(max(x / radius, -1.0), 1.0)
@@ -24,7 +24,7 @@ def tent(radius: float):
 
 
 def gaussian(stddev: float):
-    """Cumulative distribution of exp(-x^2 / 2 s^2) less its value at 4 s, by Simpson's rule."""
+    """Returns the cumulative distribution of exp(-x^2 / 2 s^2) minus its value at 4 s, by Simpson's rule."""
     radius = 4 * stddev
     x = np.linspace(-radius, radius, 8001)
     density = np.exp(-0.5 * (x / stddev) ** 2) - math.exp(-8.0)
@@ -44,8 +44,8 @@ TABLES = {
 
 @pytest.mark.parametrize("name", TABLES)
 def test_the_table_inverts_the_distribution(name):
-    """At its nodes to 1e-6: interpolation over 16 points a cell, and float32. An offset is uniform within a cell, so in
-    between the distribution is off by less than a cell's share, 1 / 4096."""
+    """At its nodes to 1e-6: interpolation over 16 points a cell, and float32. An offset is uniform within a cell, so
+    between nodes the distribution is off by less than a cell's share, 1 / 4096."""
     (kind, radius, stddev), cumulative = TABLES[name]
     table = inverse_cdf(kind, radius, stddev)
     assert table.shape == (CELLS + 1,)
@@ -61,7 +61,7 @@ def test_the_table_inverts_the_distribution(name):
 
 
 def test_moments():
-    """Of the piecewise uniform distribution that the kernels sample.
+    """Moments of the piecewise uniform distribution that the kernels sample.
 
     A tent of radius r has the variance r^2 / 6. The two end cells hold 1 / 2048 and are 0.022 r wide; there the mean of
     |x| is off by a sixth of the width, and so the variance by 2 x 0.022 / 6 / 2048 x r^2, which is 2e-5 of it.
@@ -74,7 +74,7 @@ def test_moments():
 
 COLUMNS = 9
 SPP = 16384
-EDGE = 4.3  # pixels from the left: bright on the right of it
+EDGE = 4.3  # in pixels from the left; the light is right of it
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ EDGE = 4.3  # pixels from the left: bright on the right of it
     ids=["box", "tent", "gaussian"],
 )
 def test_an_edge_seen_through_the_filter(rfilter, cumulative):
-    """A light fills the picture to the right of an edge: pixel i, its centre at i + 1/2, sees the share
+    """A light fills the image to the right of an edge: pixel i, its centre at i + 1/2, sees the share
     F(i + 1/2 - EDGE) of it.
 
     Binomial noise: within 5 standard deviations, false alarms 6e-7 for each of 81 pixels, and float32's 1e-5.

@@ -1,8 +1,8 @@
-"""The random numbers of kernels/util/random.h: the published generator, uniform, and unrelated where their names are.
+"""Random numbers of kernels/util/random.h: the published generator, uniform, independent for different counters.
 
-The statistical tests look at one fixed set of numbers: as long as the generator is what the first test says, they give
-the same verdict. Their bounds are at z standard deviations; false alarms of a good generator are 6e-7 for each of the
-about 150 comparisons at z = 5, 1e-4 for the file.
+The statistical tests use one fixed set of numbers: as long as the generator passes the first test, they give the same
+verdict. Their bounds are at z standard deviations; false alarms of a good generator are 6e-7 for each of the about 150
+comparisons at z = 5, 1e-4 for the file.
 """
 
 import numpy as np
@@ -15,28 +15,28 @@ Z = 5.0
 MASK = 2**32 - 1
 
 KERNEL = """
-__kernel void blocks(__global const uint* name, __global const uint2* key, __global float* numbers, uint n)
+__kernel void blocks(__global const uint* counter, __global const uint2* key, __global float* numbers, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const Vec4 number = random_block(key[i], name[3 * i], name[3 * i + 1], name[3 * i + 2]);
+    const Vec4 number = random_block(key[i], counter[3 * i], counter[3 * i + 1], counter[3 * i + 2]);
     STORE3(xyz(number), 0, numbers + 4 * i);
     numbers[4 * i + 3] = number.w;
 }
 
-__kernel void names(__global uint* name, uint depths)
+__kernel void counters(__global uint* counter, uint depths)
 {
     const uint depth = get_global_id(0);
     if (depth >= depths) return;
-    name[3 * depth] = BLOCK_CAMERA;
-    name[3 * depth + 1] = BLOCK_BSDF(depth);
-    name[3 * depth + 2] = BLOCK_LIGHT(depth);
+    counter[3 * depth] = BLOCK_CAMERA;
+    counter[3 * depth + 1] = BLOCK_BSDF(depth);
+    counter[3 * depth + 2] = BLOCK_LIGHT(depth);
 }
 """
 
 
 def philox_4x32(counter, key, rounds: int = 7) -> tuple[int, int, int, int]:
-    """In Python's integers, from the paper: Salmon, Moraes, Dror, Shaw, SC 2011, section 3.3."""
+    """Philox in Python integers, from the paper: Salmon, Moraes, Dror, Shaw, SC 2011, section 3.3."""
     (a, b, c, d), (k0, k1) = map(int, counter), map(int, key)
     for _ in range(rounds):
         first, second = 0xD2511F53 * a, 0xCD9E8D57 * c
@@ -47,16 +47,18 @@ def philox_4x32(counter, key, rounds: int = 7) -> tuple[int, int, int, int]:
 
 @pytest.fixture(scope="module")
 def generate():
-    """Numbers (n, 4) of the device for names (n, 3), which are pixel, index and block, and keys (n, 2)."""
+    """Returns numbers (n, 4) of the device for counters (n, 3), which are pixel, sample and block, and keys (n, 2)."""
     device = Device()
     kernel = device.build(flatten("util/random.h") + KERNEL, ("-cl-std=CL1.2",))["blocks"]
 
-    def run(names, keys) -> np.ndarray:
-        names, keys = np.ascontiguousarray(names, np.uint32), np.asarray(keys, np.uint32)
-        keys = np.ascontiguousarray(np.broadcast_to(keys, (len(names), 2)))
-        n = len(names)
+    def run(counters, keys) -> np.ndarray:
+        counters, keys = np.ascontiguousarray(counters, np.uint32), np.asarray(keys, np.uint32)
+        keys = np.ascontiguousarray(np.broadcast_to(keys, (len(counters), 2)))
+        n = len(counters)
         numbers = device.buffer(16 * n, "numbers")
-        device.launch(kernel, n, (device.buffer(names, "names"), device.buffer(keys, "keys"), numbers, np.uint32(n)))
+        device.launch(
+            kernel, n, (device.buffer(counters, "counters"), device.buffer(keys, "keys"), numbers, np.uint32(n))
+        )
         return device.read(numbers, np.float32, 4 * n).reshape(n, 4)
 
     return run
@@ -83,16 +85,16 @@ KNOWN = [  # Random123, tests/kat_vectors: philox4x32 with 7 rounds
 
 @pytest.mark.parametrize(("counter", "key", "expected"), KNOWN)
 def test_known_answers(counter, key, expected):
-    """Of the function that the device is compared with: there the last word of the counter is always 0."""
+    """Of the Python function; on the device the last word of the counter is always 0."""
     assert list(philox_4x32(counter, key)) == expected
 
 
 def test_the_device_computes_philox(generate):
-    """Random counters and keys, and those whose products overflow most: the upper 24 bits of every word."""
+    """Random counters and keys, and extreme ones whose products overflow: the upper 24 bits of every word."""
     random = np.random.default_rng(1)
     words = random.integers(0, 2**32, (2000, 5), dtype=np.uint64)
     words[:200] = random.choice([0, 1, 2**31, MASK], (200, 5))
-    words[0] = 0  # the known answer that a path can have
+    words[0] = 0  # a known answer that a path can have
     blocks = [philox_4x32([*w[:3], 0], w[3:]) for w in words]
     expected = [[(word >> 8) / 2**24 for word in block] for block in blocks]
     assert generate(words[:, :3], words[:, 3:]).tolist() == expected
@@ -100,8 +102,8 @@ def test_the_device_computes_philox(generate):
 
 def test_every_use_has_its_own_block():
     device = Device()
-    kernel = device.build(flatten("util/random.h") + KERNEL, ("-cl-std=CL1.2",))["names"]
-    buffer = device.buffer(12 * 100, "names")
+    kernel = device.build(flatten("util/random.h") + KERNEL, ("-cl-std=CL1.2",))["counters"]
+    buffer = device.buffer(12 * 100, "counters")
     device.launch(kernel, 100, (buffer, np.uint32(100)))
     camera, bsdf, light = device.read(buffer, np.uint32, 300).reshape(100, 3).T.tolist()
     assert len(set(camera)) == 1
@@ -110,14 +112,14 @@ def test_every_use_has_its_own_block():
 
 @pytest.fixture(scope="module")
 def lattice(generate) -> np.ndarray:
-    """Numbers of 64x64 pixels in a row, 16 samples and 4 dimension blocks each: (4096, 16, 4, 4) float64."""
+    """Returns numbers of 64x64 pixels, 16 samples and 4 dimension blocks each: (4096, 16, 4, 4) float64."""
     pixel, index, block = np.meshgrid(np.arange(4096), np.arange(16), np.arange(4), indexing="ij")
-    names = np.stack([pixel, index, block], axis=-1).reshape(-1, 3)
-    return generate(names, [12, 0]).astype(np.float64).reshape(4096, 16, 4, 4)
+    counters = np.stack([pixel, index, block], axis=-1).reshape(-1, 3)
+    return generate(counters, [12, 0]).astype(np.float64).reshape(4096, 16, 4, 4)
 
 
 def chi_square_z(counts: np.ndarray, expected: float) -> float:
-    """Standard normal deviate of a chi-square statistic (Wilson and Hilferty 1931)."""
+    """Returns the standard normal deviate of a chi-square statistic (Wilson and Hilferty 1931)."""
     freedom = counts.size - 1
     chi = ((counts - expected) ** 2).sum() / expected
     return ((chi / freedom) ** (1 / 3) - 1 + 2 / (9 * freedom)) / np.sqrt(2 / (9 * freedom))
@@ -126,7 +128,7 @@ def chi_square_z(counts: np.ndarray, expected: float) -> float:
 def test_numbers_are_uniform_in_the_unit_interval(lattice):
     assert lattice.min() >= 0
     assert lattice.max() < 1
-    assert lattice.min() < 1e-5  # of a million numbers; e^-10 is the chance of the contrary
+    assert lattice.min() < 1e-5  # of a million numbers; fails with a probability of e^-10
     assert lattice.max() > 1 - 1e-5
     for block in range(4):
         for dimension in range(4):
@@ -138,20 +140,20 @@ def test_numbers_are_uniform_in_the_unit_interval(lattice):
 
 
 def pairs(lattice: np.ndarray):
-    """Numbers whose names are neighbours: by pixel, row, sample, block and dimension."""
+    """Yields numbers of neighbouring counters: by pixel, row, sample, block and dimension."""
     u = lattice
     for component in range(4):
         yield "pixel", u[:-1, :, :, component], u[1:, :, :, component]
         yield "row", u[:-64, :, :, component], u[64:, :, :, component]
-        yield "index", u[:, :-1, :, component], u[:, 1:, :, component]
+        yield "sample", u[:, :-1, :, component], u[:, 1:, :, component]
         yield "block", u[:, :, :-1, component], u[:, :, 1:, component]
     for one in range(4):
         for other in range(one):
             yield "dimension", u[..., one], u[..., other]
 
 
-def test_neighbours_have_nothing_to_do_with_each_other(lattice):
-    """Correlation, and the chi-square of 16x16 cells of the unit square."""
+def test_neighbours_are_independent(lattice):
+    """By correlation, and the chi-square of 16x16 cells of the unit square."""
     for name, a, b in pairs(lattice):
         a, b = a.ravel(), b.ravel()
         correlation = 12 * np.mean((a - 0.5) * (b - 0.5))
@@ -160,12 +162,12 @@ def test_neighbours_have_nothing_to_do_with_each_other(lattice):
         assert abs(chi_square_z(cells, a.size / 256)) < Z, name
 
 
-def test_seeds_have_nothing_to_do_with_each_other(generate, lattice):
-    names = np.zeros((4096, 3), np.uint32)
-    names[:, 0] = np.arange(4096)
+def test_seeds_are_independent(generate, lattice):
+    counters = np.zeros((4096, 3), np.uint32)
+    counters[:, 0] = np.arange(4096)
     base = lattice[:, 0, 0]
     for seed in ([13, 0], [12, 1], [13, 2**31]):
-        other = generate(names, seed).astype(np.float64)
+        other = generate(counters, seed).astype(np.float64)
         assert (other != base).mean() > 0.999
         correlation = 12 * np.mean((base - 0.5) * (other - 0.5), axis=0)
         assert (np.abs(correlation) * np.sqrt(4096) < Z).all()

@@ -1,4 +1,4 @@
-"""Camera rays of every sensor: the stage `generate` against Mitsuba's sensors for the same numbers, and pictures."""
+"""Camera rays of every sensor: the kernel `generate` against Mitsuba's sensors for the same random numbers; images."""
 
 import numpy as np
 import pytest
@@ -39,8 +39,8 @@ def scene_with(sensor: dict, film: dict) -> dict:
     return {"type": "scene", "sensor": {**sensor, "film": {"type": "hdrfilm", **film, "rfilter": {"type": "box"}}}}
 
 
-def generated(description: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Origins with lengths, and directions, both (pixels, SAMPLES, 4), as the stage leaves them."""
+def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Returns origins with lengths, and directions, both (pixels, SAMPLES, 4), as the kernel writes them."""
     scene = compile_scene(load(description))
     device = Device()
     constants = structs.CONSTANTS | {"LANES": device.lanes}
@@ -71,15 +71,15 @@ def generated(description: dict) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("film", FILMS)
 @pytest.mark.parametrize("name", SENSORS)
-def test_rays_are_mitsubas_for_the_same_numbers(name, film):
-    """Both map the square to the disk alike (Shirley and Chiu), so that lens samples can be compared one by one.
+def test_rays_equal_mitsubas(name, film):
+    """Both map the square to the disk in the same way (Shirley and Chiu), so lens samples can be compared one by one.
 
-    Directions to a few roundings of float32; origins to as many of the lengths that add up to them.
+    Directions agree to a few roundings of float32, origins to a few roundings of their terms.
     """
     mitsuba = import_mitsuba()
     description = scene_with(SENSORS[name], film)
     theirs = mitsuba.load_dict(as_mitsuba(mitsuba, description["sensor"]))
-    origins, directions = generated(description)
+    origins, directions = generate_rays(description)
     width, height = film.get("crop_width", film["width"]), film.get("crop_height", film["height"])
     for pixel, index in np.ndindex(len(origins), SAMPLES):
         u = np.array([word >> 8 for word in philox_4x32((pixel, index, 0, 0), SEED)]) / 2**24
@@ -93,10 +93,10 @@ def test_rays_are_mitsubas_for_the_same_numbers(name, film):
         assert origins[pixel, index, 3] == pytest.approx(ray.maxt, rel=1e-4)
 
 
-def test_a_lens_is_filled_evenly():
+def test_a_lens_is_sampled_uniformly():
     """Mean 0, variance radius^2 / 4 along each axis, and all within the radius: 5 standard deviations, false alarms
-    6e-7 for each of four comparisons. Near 0 the origin is on the lens."""
-    origins, _ = generated(scene_with({**LENS, "near_clip": 1e-6}, {"width": 40, "height": 30}))
+    6e-7 for each of four comparisons. With a near_clip of nearly 0 the origin is on the lens."""
+    origins, _ = generate_rays(scene_with({**LENS, "near_clip": 1e-6}, {"width": 40, "height": 30}))
     at = origins[..., :2].reshape(-1, 2).astype(float) / LENS["aperture_radius"]
     assert (at**2).sum(axis=1).max() < 1 + 1e-5
     noise = 5 / np.sqrt(len(at))
@@ -104,19 +104,19 @@ def test_a_lens_is_filled_evenly():
     assert at.var(axis=0) == pytest.approx(0.25, abs=0.25 * noise)  # the fourth moment is 1/8
 
 
-def test_rays_through_a_lens_meet_in_the_plane_in_focus():
-    origins, directions = generated(scene_with(LENS, {"width": 1, "height": 1}))
-    pinhole, ahead = generated(scene_with({**LENS, "aperture_radius": 0.0}, {"width": 1, "height": 1}))
+def test_rays_through_a_lens_meet_in_the_focal_plane():
+    origins, directions = generate_rays(scene_with(LENS, {"width": 1, "height": 1}))
+    pinhole, pinhole_directions = generate_rays(scene_with({**LENS, "aperture_radius": 0.0}, {"width": 1, "height": 1}))
     reach = (LENS["focus_distance"] - origins[..., 2:3]) / directions[..., 2:3]
-    expected = (LENS["focus_distance"] - pinhole[..., 2:3]) / ahead[..., 2:3]
-    met = origins[..., :3] + reach * directions[..., :3]
-    np.testing.assert_allclose(met, pinhole[..., :3] + expected * ahead[..., :3], atol=1e-5)
+    expected = (LENS["focus_distance"] - pinhole[..., 2:3]) / pinhole_directions[..., 2:3]
+    focal_points = origins[..., :3] + reach * directions[..., :3]
+    np.testing.assert_allclose(focal_points, pinhole[..., :3] + expected * pinhole_directions[..., :3], atol=1e-5)
 
 
 def test_no_aperture_is_a_pinhole():
     film = {"width": 9, "height": 5}
-    lens = generated(scene_with({**LENS, "aperture_radius": 0.0, "to_world": VIEW}, film))
-    pinhole = generated(scene_with({"type": "perspective", "fov": 40.0, "to_world": VIEW}, film))
+    lens = generate_rays(scene_with({**LENS, "aperture_radius": 0.0, "to_world": VIEW}, film))
+    pinhole = generate_rays(scene_with({"type": "perspective", "fov": 40.0, "to_world": VIEW}, film))
     for one, other in zip(lens, pinhole, strict=True):
         assert one.tobytes() == other.tobytes()
 
@@ -125,28 +125,28 @@ def test_no_aperture_is_a_pinhole():
 @pytest.mark.parametrize("focus", [1e-4, 1.0, 1e6])
 def test_rays_stay_finite(radius, focus):
     sensor = {**LENS, "aperture_radius": radius, "focus_distance": focus, "to_world": VIEW}
-    origins, directions = generated(scene_with(sensor, {"width": 16, "height": 16}))
+    origins, directions = generate_rays(scene_with(sensor, {"width": 16, "height": 16}))
     assert np.isfinite(origins).all()
     assert np.linalg.norm(directions[..., :3], axis=-1) == pytest.approx(1, abs=1e-6)
-    statistics = render({**room(sensor), "integrator": {"type": "path", "max_depth": 3}}, spp=4).statistics
+    statistics = render({**balls_and_wall(sensor), "integrator": {"type": "path", "max_depth": 3}}, spp=4).statistics
     assert not statistics.rejected.any()
     assert np.isfinite(statistics.rgb).all()
 
 
-def room(sensor: dict) -> dict:
-    """Balls at several depths before a wall, under a lamp; -z is ahead."""
+def balls_and_wall(sensor: dict) -> dict:
+    """Balls at several distances in front of a wall, under a lamp; the camera looks along -z."""
 
-    def placed(x, y, z, size=1.0):
+    def transform(x, y, z, size=1.0):
         matrix = np.diag([size, size, size, 1.0])
         matrix[:3, 3] = x, y, z
         return matrix
 
-    lamp = placed(0, 2.5, -2, 0.8) @ np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    lamp = transform(0, 2.5, -2, 0.8) @ np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     balls = {
         f"ball{i}": {
             "type": "sphere",
             "radius": 0.4,
-            "to_world": placed(x, -0.3, z),
+            "to_world": transform(x, -0.3, z),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}},
         }
         for i, (x, z, colour) in enumerate(
@@ -157,7 +157,7 @@ def room(sensor: dict) -> dict:
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 4, "rr_depth": 5},
         "sensor": {**sensor, "film": {"type": "hdrfilm", "width": 24, "height": 18, "rfilter": {"type": "box"}}},
-        "wall": {"type": "rectangle", "to_world": placed(0, 0, -5, 4.0)},
+        "wall": {"type": "rectangle", "to_world": transform(0, 0, -5, 4.0)},
         "lamp": {
             "type": "rectangle",
             "to_world": lamp,
@@ -167,17 +167,17 @@ def room(sensor: dict) -> dict:
     }
 
 
-LOOKING_BACK = np.diag([-1.0, 1.0, -1.0, 1.0])  # along -z, x to the right
+LOOK_ALONG_MINUS_Z = np.diag([-1.0, 1.0, -1.0, 1.0])  # along -z, x to the right
 
 
 @pytest.mark.parametrize(
     "sensor",
     [
-        {**LENS, "fov": 50.0, "aperture_radius": 0.15, "to_world": LOOKING_BACK},
-        {"type": "orthographic", "to_world": LOOKING_BACK @ np.diag([1.8, 1.8, 1.0, 1.0])},
+        {**LENS, "fov": 50.0, "aperture_radius": 0.15, "to_world": LOOK_ALONG_MINUS_Z},
+        {"type": "orthographic", "to_world": LOOK_ALONG_MINUS_Z @ np.diag([1.8, 1.8, 1.0, 1.0])},
     ],
     ids=["lens", "parallel"],
 )
-def test_pictures_are_mitsubas(sensor, tmp_path):
+def test_images_equal_mitsubas(sensor, tmp_path):
     """False alarms: below 1 % for the pixels, at most 0.8 % for the means."""
-    assert_same_picture(room(sensor), tmp_path, spp=32)
+    assert_same_picture(balls_and_wall(sensor), tmp_path, spp=32)
