@@ -54,7 +54,7 @@ RECORDS = set(STRUCTS) | {f"{name}_at" for name in STRUCTS}  # declared with the
 ONE_BY_ONE = {"bsdf_eval", "bsdf_sample", "sample_light", "select_from_list", "null_bsdf_sample"}
 """What only work-items that take one path call."""
 READERS = {"lookup_rgb", "lookup_float", "bsdf_rgb", "bsdf_float"}
-READERS |= {"texture_rgb", "texture_rgb_vec4", "texture_float", "texture_luminance"}
+READERS |= {"texture_rgb", "texture_rgb_vec4", "texture_float"}
 """Read a material's parameter; which of them its kind asks for is nobody's feature."""
 
 

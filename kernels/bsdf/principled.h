@@ -60,11 +60,11 @@ INLINE float schlick_at_interface(float cosine, float eta)
     return schlick_weight(eta > 1.0f ? cosine : SQRT(MAX(1.0f - (1.0f - cosine * cosine) / (eta * eta), 0.0f)));
 }
 
-// Blend by `tint` from white to the colour divided by its luminance (Rec. 709 weights, as in Mitsuba).
+// Blend by `tint` from white to the colour divided by its luminance.
 INLINE Vec3 tint_color(Vec3 colour, float tint)
 {
-    const float luminance = dot3(colour, vec3(0.212671f, 0.715160f, 0.072169f));
-    const Vec3 pure = luminance > 0.0f ? div_scalar3(colour, luminance) : splat3(1.0f);
+    const float y = mitsuba_luminance(colour);
+    const Vec3 pure = y > 0.0f ? div_scalar3(colour, y) : splat3(1.0f);
     return add3(splat3(1.0f), scale3(sub3(pure, splat3(1.0f)), tint));
 }
 

@@ -21,12 +21,6 @@ typedef struct {
     Vec2 barycentric;    // weights of its second and third corner
 } TexturePoint;
 
-// Luminance with the weights of Mitsuba 3, so that a number read from a coloured image is the same.
-INLINE float texture_luminance(Vec3 rgb)
-{
-    return dot3(rgb, vec3(0.212671f, 0.715160f, 0.072169f));
-}
-
 #if FEATURE_BITMAPS || FEATURE_CHECKERBOARDS
 INLINE Vec2 texture_uv(__global const Texture* t, Vec2 uv)
 {
@@ -113,7 +107,7 @@ INLINE Vec2 bitmap_gradient(const Textures* textures, __global const Texture* t,
     const Vec2 w = texel_neighbourhood(textures, t, texture_uv(t, uv), &v00, &v10, &v01, &v11);
     const Vec3 across = add3(scale3(sub3(v10, v00), 1.0f - w.y), scale3(sub3(v11, v01), w.y));
     const Vec3 down = add3(scale3(sub3(v01, v00), 1.0f - w.x), scale3(sub3(v11, v10), w.x));
-    const float dx = texture_luminance(across) * (float)t->size[0], dy = texture_luminance(down) * (float)t->size[1];
+    const float dx = mitsuba_luminance(across) * (float)t->size[0], dy = mitsuba_luminance(down) * (float)t->size[1];
     return vec2(t->to_uv[0] * dx + t->to_uv[3] * dy, t->to_uv[1] * dx + t->to_uv[4] * dy);
 }
 #endif
@@ -184,10 +178,10 @@ TEXTURE_FUNCTION float texture_float(const Textures* textures, uint texture, con
 {
     __global const Texture* t = resolve_texture(textures, texture, at->uv, true);
 #if FEATURE_BITMAPS
-    if (t->kind == TEXTURE_BITMAP) return texture_luminance(bitmap_rgb(textures, t, at->uv));
+    if (t->kind == TEXTURE_BITMAP) return mitsuba_luminance(bitmap_rgb(textures, t, at->uv));
 #endif
 #if FEATURE_MESH_ATTRIBUTES
-    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return texture_luminance(mesh_attribute_rgb(textures, t, at));
+    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return mitsuba_luminance(mesh_attribute_rgb(textures, t, at));
 #endif
     return (t->colour[0] + t->colour[1] + t->colour[2]) * (1.0f / 3.0f);
 }

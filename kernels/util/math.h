@@ -2,9 +2,16 @@
 #pragma once
 #include "util/vec.h"
 
+// Rec. 709, the digits of the standard: statistics and environment maps. On the host: isonoise/luminance.py.
 INLINE float luminance(Vec3 rgb)
 {
-    return dot3(rgb, vec3(0.2126f, 0.7152f, 0.0722f));  // Rec. 709
+    return dot3(rgb, vec3(0.2126f, 0.7152f, 0.0722f));
+}
+
+// Rec. 709, Mitsuba's digits: textures and tints, which have to match Mitsuba. On the host: isonoise/scene/spectra.py.
+INLINE float mitsuba_luminance(Vec3 rgb)
+{
+    return dot3(rgb, vec3(0.212671f, 0.715160f, 0.072169f));
 }
 
 INLINE Vec3 cross3(Vec3 a, Vec3 b)

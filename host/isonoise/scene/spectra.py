@@ -18,7 +18,7 @@ _XYZ_TO_RGB = np.array(  # ITU-R Rec. BT.709
     [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
 )
 MITSUBA_LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
-"""Weights of linear R, G, B in Mitsuba 3 (`luminance()` of its color.h), for spectra and light powers.
+"""Weights of linear R, G, B in Mitsuba 3 (`luminance()` of its color.h), for spectra, textures and light powers.
 
 Statistics and errors use the digits of the standard: `isonoise.luminance.REC709_LUMINANCE`.
 """

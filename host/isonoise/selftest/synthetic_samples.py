@@ -7,6 +7,7 @@ from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.features import statistics_features
 from isonoise.integrator.kernel_table import KERNELS
 from isonoise.integrator.stages import Stages
+from isonoise.luminance import REC709_LUMINANCE
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 
@@ -47,8 +48,8 @@ def luminance32(samples: np.ndarray) -> np.ndarray:
     """Returns the luminance as the kernel computes it: float32, left to right."""
     v = samples.astype(np.float32)
     r, g, b = (v, v, v) if v.ndim == 1 else v.T
-    f = np.float32
-    return (r * f(0.2126) + g * f(0.7152) + b * f(0.0722)).astype(np.float64)
+    weight_r, weight_g, weight_b = np.float32(REC709_LUMINANCE)
+    return (r * weight_r + g * weight_g + b * weight_b).astype(np.float64)
 
 
 def chunk_median_mean(x: np.ndarray, needs: Needs) -> float:
