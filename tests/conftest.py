@@ -43,6 +43,26 @@ def public_scenes() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def mitsuba():
+    """The module Mitsuba 3 with the variant scalar_rgb; skips the test if it is not installed."""
+    from scalar_mitsuba import import_mitsuba
+
+    return import_mitsuba()
+
+
+@pytest.fixture
+def write_file(tmp_path):
+    """Writes a file of this name and content to `tmp_path`; returns its path."""
+
+    def write(name: str, content: str | bytes) -> Path:
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
 @pytest.fixture
 def scene_of(tmp_path):
     """Loads a scene from the content of its <scene> element; adds a sensor if it has none."""

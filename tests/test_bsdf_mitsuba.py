@@ -23,13 +23,6 @@ from bsdf_lobe import (
 from isonoise.scene.material.presets import conductors
 
 
-@pytest.fixture(scope="module")
-def mitsuba():
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
-    return mi
-
-
 def mitsuba_eval_pdf(mi, bsdf: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     material, context, si = mi.load_dict(bsdf), mi.BSDFContext(), mi.SurfaceInteraction3f()
     values, pdfs = np.zeros((len(wi), 3)), np.zeros(len(wi))

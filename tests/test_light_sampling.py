@@ -307,13 +307,6 @@ def places(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=(count, 3)) * 3
 
 
-@pytest.fixture(scope="module")
-def mitsuba():
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
-    return mi
-
-
 SPOTS = [
     {},
     {"cutoff_angle": 60.0, "beam_width": 10.0},

@@ -12,13 +12,6 @@ from isonoise.errors import SceneError
 from isonoise.scene.image.image import read_image
 
 
-@pytest.fixture(scope="module")
-def mi():
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("scalar_rgb")
-    return mitsuba
-
-
 def random_pixels(shape, seed: int = 1, dtype=np.uint8) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max + 1, shape, dtype=dtype)
 
@@ -45,12 +38,12 @@ IMAGES = {  # file name -> (image, options of pillow's save)
 
 
 @pytest.mark.parametrize("name", IMAGES)
-def test_8_bit_images_equal_mitsubas(mi, tmp_path, name):
+def test_8_bit_images_equal_mitsubas(mitsuba, tmp_path, name):
     """Without alpha. JPEG decoders may differ by one step in the transform and one in the colour conversion."""
     make, options = IMAGES[name]
     make().save(tmp_path / name, **options)
     image = read_image(tmp_path / name)
-    theirs = np.atleast_3d(np.array(mi.Bitmap(str(tmp_path / name))))
+    theirs = np.atleast_3d(np.array(mitsuba.Bitmap(str(tmp_path / name))))
     assert image.pixels.dtype != np.float32
     assert image.pixels.dtype == np.uint8
     assert theirs.dtype == np.uint8
@@ -187,7 +180,7 @@ def encode_repeated_pixels(pixels: np.ndarray) -> bytes:
 
 @pytest.mark.parametrize("width", [1, 7, 8, 129, 400])
 @pytest.mark.parametrize("encoding", ["plain", "repeats", "packed"])
-def test_radiance_pictures(mi, tmp_path, width, encoding):
+def test_radiance_pictures(mitsuba, tmp_path, width, encoding):
     """Equal to the written pixels and to Mitsuba's, which does not support repeats."""
     pixels = random_rgbe((6, width))
     if encoding == "packed":
@@ -205,7 +198,7 @@ def test_radiance_pictures(mi, tmp_path, width, encoding):
     assert image.pixels.dtype == np.float32
     assert (image.pixels == decode_rgbe(pixels)).all()
     if encoding != "repeats":
-        assert (image.pixels == np.array(mi.Bitmap(str(path)))).all()
+        assert (image.pixels == np.array(mitsuba.Bitmap(str(path)))).all()
 
 
 def test_radiance_pictures_of_many_chunks(tmp_path, monkeypatch):

@@ -21,16 +21,6 @@ def compile_mesh(path, **extra):
     return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "it": shape}))
 
 
-@pytest.fixture
-def write(tmp_path):
-    def make(name: str, content: str | bytes):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return make
-
-
 def icosphere(levels: int) -> tuple[np.ndarray, np.ndarray]:
     import trimesh
 
@@ -69,39 +59,39 @@ FACES = {
 
 
 @pytest.mark.parametrize("face", FACES.values(), ids=FACES)
-def test_obj_face_forms(face, write):
+def test_obj_face_forms(face, write_file):
     text = f"# a\nmtllib a.mtl\no it\nv 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1 0\nvt 0 0\nvt 1 1 0\nvn 0 0 2\ns 1\n{face}\n"
-    scene = compile_mesh(write("a.obj", text))
+    scene = compile_mesh(write_file("a.obj", text))
     assert len(scene.faces) == 1
     np.testing.assert_array_equal(scene.vertices[scene.faces[0]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(scene.vertex_normals, [[0, 0, 1]] * 3)
 
 
-def test_obj_with_mixed_polygons_and_face_forms(write):
+def test_obj_with_mixed_polygons_and_face_forms(write_file):
     text = (
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv -1 .5 0\nvt 0 0\nvn 0 0 1\n"
         "f 1 2 3 4\nf 1/1 2/1 3/1\nl 1 2\nf 1//1 2//1 3//1 4//1 5//1\nv 5 5 5\nf -1 1 2\n"
     )
-    scene = compile_mesh(write("a.obj", text), face_normals=True)
+    scene = compile_mesh(write_file("a.obj", text), face_normals=True)
     triangles = scene.vertices[scene.faces][:, :, :2].tolist()
     a, b, c, d, e = [0, 0], [1, 0], [1, 1], [0, 1], [-1, 0.5]
     assert triangles == [[a, b, c], [a, c, d], [a, b, c], [a, b, c], [a, c, d], [a, d, e], [[5, 5], a, b]]
 
 
-def test_shading_normals(write):
+def test_shading_normals(write_file):
     """Normals of the file, else smooth angle-weighted normals; none with face_normals."""
     tent = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\n"
-    smooth = compile_mesh(write("a.obj", tent))
+    smooth = compile_mesh(write_file("a.obj", tent))
     assert smooth.shapes["flags"][0] == structs.SHAPE_VERTEX_NORMALS
     # At vertex 1 the faces +z and +x meet, both with right angles; 2 and 4 belong to one face each.
     half = np.sqrt(0.5)
     np.testing.assert_allclose(smooth.vertex_normals[[0, 1, 3]], [[half, 0, half], [0, 0, 1], [1, 0, 0]], atol=1e-6)
-    flat = compile_mesh(write("a.obj", tent), face_normals=True)
+    flat = compile_mesh(write_file("a.obj", tent), face_normals=True)
     assert flat.shapes["flags"][0] == 0
     assert flat.vertex_normals.shape == (0, 3)
-    given = compile_mesh(write("b.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3//1\n"))
+    given = compile_mesh(write_file("b.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3//1\n"))
     np.testing.assert_allclose(given.vertex_normals, [[0, 0.6, 0.8]] * 3, atol=1e-6)
-    partly = compile_mesh(write("c.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3\n"))
+    partly = compile_mesh(write_file("c.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 3 4\nf 1//1 2//1 3\n"))
     np.testing.assert_allclose(partly.vertex_normals[-1], [0, 0, 1], atol=1e-6)
 
 
@@ -120,16 +110,16 @@ def test_shading_normals(write):
         (None, {"flip_normals": True, "to_world": MIRROR}, 1),
     ],
 )
-def test_front_sides(normal, extra, front, write):
+def test_front_sides(normal, extra, front, write_file):
     corner = "//1" if normal else ""
     text = f"v -1 -1 0\nv 1 -1 0\nv 0 1 0\n{f'vn {normal}' if normal else ''}\nf 1{corner} 2{corner} 3{corner}\n"
-    scene = compile_mesh(write("a.obj", text), **extra)
+    scene = compile_mesh(write_file("a.obj", text), **extra)
     a, b, c = scene.vertices[scene.faces[0]]
     assert np.sign(np.cross(b - a, c - a)[2]) == front
     assert np.all(np.sign(scene.vertex_normals[:, 2]) == front)
 
 
-def test_ply_forms_agree(write):
+def test_ply_forms_agree(write_file):
     vertices, faces = icosphere(2)
     header = (
         f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -139,10 +129,10 @@ def test_ply_forms_agree(write):
         f"3 {a} {b} {c}\n" for a, b, c in faces
     )
     scenes = [
-        compile_mesh(write("a.ply", header + body)),
-        compile_mesh(write("l.ply", ply_bytes(vertices, faces))),
-        compile_mesh(write("b.ply", ply_bytes(vertices, faces, ">"))),
-        compile_mesh(write("o.obj", obj_text(vertices.astype(np.float32), faces))),
+        compile_mesh(write_file("a.ply", header + body)),
+        compile_mesh(write_file("l.ply", ply_bytes(vertices, faces))),
+        compile_mesh(write_file("b.ply", ply_bytes(vertices, faces, ">"))),
+        compile_mesh(write_file("o.obj", obj_text(vertices.astype(np.float32), faces))),
     ]
     for scene in scenes:
         np.testing.assert_array_equal(scene.faces, faces)
@@ -151,7 +141,7 @@ def test_ply_forms_agree(write):
     assert scenes[1].hash == scenes[2].hash
 
 
-def test_ply_with_mixed_polygons_and_other_elements(write):
+def test_ply_with_mixed_polygons_and_other_elements(write_file):
     header = (
         "ply\nformat binary_little_endian 1.0\nelement material 2\nproperty list uchar float weights\nproperty int id\n"
         "element vertex 5\nproperty double x\nproperty double y\nproperty double z\nproperty uchar red\n"
@@ -165,7 +155,7 @@ def test_ply_with_mixed_polygons_and_other_elements(write):
     body += b"".join(struct.pack("<dddB5f", x, y, 0, 255, 0, 0, 1, 0, 0) for x, y in corners)
     for polygon, texture in (((0, 1, 2, 3), (1, 2)), ((0, 1, 4), ()), ((0, 1, 2, 3), (3,))):
         body += struct.pack(f"<BB{len(polygon)}IB{len(texture)}f", 0, len(polygon), *polygon, len(texture), *texture)
-    scene = compile_mesh(write("a.ply", header.encode() + body + struct.pack("<i", 3)))
+    scene = compile_mesh(write_file("a.ply", header.encode() + body + struct.pack("<i", 3)))
     assert scene.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 4], [0, 1, 2], [0, 2, 3]]
     np.testing.assert_array_equal(scene.vertex_normals, [[0, 0, 1]] * 5)
 
@@ -221,8 +211,8 @@ INVALID_MESHES = [
 
 
 @pytest.mark.parametrize(("name", "content", "message"), INVALID_MESHES)
-def test_invalid_meshes_are_rejected_in_bounded_memory(name, content, message, write):
-    path = write(name, content)
+def test_invalid_meshes_are_rejected_in_bounded_memory(name, content, message, write_file):
+    path = write_file(name, content)
     tracemalloc.start()
     for read in (compile_mesh, load):
         with pytest.raises(SceneError, match=message) as error:
@@ -246,8 +236,8 @@ def test_pipes_are_rejected(kind, tmp_path):
 
 @pytest.mark.parametrize("suffix", ["stl", "glb"])
 @pytest.mark.parametrize("content", [b"", b"solid x", b"glTF" + bytes(50), bytes(range(256)) * 4, bytes(84)])
-def test_invalid_files_of_trimesh_are_rejected(suffix, content, write):
-    path = write(f"a.{suffix}", content)
+def test_invalid_files_of_trimesh_are_rejected(suffix, content, write_file):
+    path = write_file(f"a.{suffix}", content)
     with pytest.raises(SceneError, match=r"not a readable|no triangles"):
         load(path)
 
@@ -287,12 +277,12 @@ def assert_framed(scene, points):
     assert 0.5 < np.abs(image).max() < 1
 
 
-def test_bare_obj_uses_colours_and_emission_of_its_mtl(write):
-    write("it.mtl", "newmtl red\nKd 0.8 0.1 0.1 # red\nnewmtl lamp\nKd 0 0 0\nKe 17 12 4\n")
+def test_bare_obj_uses_colours_and_emission_of_its_mtl(write_file):
+    write_file("it.mtl", "newmtl red\nKd 0.8 0.1 0.1 # red\nnewmtl lamp\nKd 0 0 0\nKe 17 12 4\n")
     quad = "v {0} 0 0\nv {0} 1 0\nv {0} 1 1\nv {0} 0 1\n"
     quads = quad.format(0) + quad.format(1) + quad.format(2)
     text = f"mtllib folder/it.mtl\n{quads}f 1 2 3 4\nusemtl red\nf 5 6 7 8\nusemtl lamp\nf -4 -3 -2 -1\n"
-    scene = compile_scene(load(write("it.obj", text)))
+    scene = compile_scene(load(write_file("it.obj", text)))
     assert scene.environment_light == -1
     colours = slot(scene.bsdfs, "reflectance")[scene.shapes["bsdf"]]
     np.testing.assert_allclose(colours, [[0.5] * 3, [0.8, 0.1, 0.1], [0] * 3], rtol=1e-6)
@@ -341,9 +331,7 @@ def test_public_meshes(public_scenes):
 
 
 @pytest.mark.parametrize("transform", [np.eye(4), np.diag([-1.0, 2, 1, 1])], ids=["identity", "mirrored"])
-def test_vertex_normals_agree_with_mitsuba(transform, tmp_path):
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("scalar_rgb")
+def test_vertex_normals_agree_with_mitsuba(transform, tmp_path, mitsuba):
     vertices, faces = icosphere(2)
     vertices = vertices * (1, 2, 0.5)
     rng = np.random.default_rng(5)

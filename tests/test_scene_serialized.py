@@ -8,6 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
+from scalar_mitsuba import import_mitsuba
 
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load
@@ -42,13 +43,8 @@ def serialized_file(*bodies: bytes, version: int = 4) -> bytes:
 
 
 @pytest.fixture
-def write(tmp_path):
-    def make(content: bytes):
-        path = tmp_path / "a.serialized"
-        path.write_bytes(content)
-        return path
-
-    return make
+def write(write_file):
+    return lambda content: write_file("a.serialized", content)
 
 
 @pytest.mark.parametrize("version", [3, 4])
@@ -107,8 +103,7 @@ def test_in_a_scene(write, scene_of):
 
 
 def mitsuba_mesh(**shape) -> dict[str, np.ndarray]:
-    mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
-    mitsuba.set_variant("scalar_rgb")
+    mitsuba = import_mitsuba()
     parameters = mitsuba.traverse(mitsuba.load_dict({"type": "serialized", **shape}))
     sizes = {"vertex_positions": 3, "vertex_normals": 3, "vertex_texcoords": 2, "faces": 3}
     return {name: np.array(parameters[name]).reshape(-1, size) for name, size in sizes.items()}

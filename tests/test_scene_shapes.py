@@ -121,14 +121,6 @@ def front_normals(scene, points: np.ndarray) -> np.ndarray:
     return -normals if flip else normals
 
 
-@pytest.fixture(scope="module")
-def mitsuba():
-    module = pytest.importorskip("mitsuba")
-    module.set_variant("scalar_rgb")
-    module.set_log_level(module.LogLevel.Error)
-    return module
-
-
 SHAPES = [(name, t) for name in ("sphere", "cylinder") for t in TRANSFORMS]
 SHAPES += [(name, t) for name in ("rectangle", "cube", "disk") for t in ANY_AFFINE]
 

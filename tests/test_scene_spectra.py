@@ -113,10 +113,7 @@ def test_dielectric_indices(scene_of):
     assert refractive_indices()["water ice"] == 1.31
 
 
-def test_named_materials_agree_with_mitsuba():
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("scalar_rgb")
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+def test_named_materials_agree_with_mitsuba(mitsuba):
     for name, expected in conductors().items():
         values = mitsuba.traverse(mitsuba.load_dict({"type": "conductor", "material": name}))
         theirs = [np.broadcast_to(np.array(values[key]), 3) for key in ("eta.value", "k.value")]

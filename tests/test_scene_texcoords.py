@@ -14,26 +14,9 @@ from isonoise.scene.mesh.ply_attributes import find_attributes
 TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt .25 .75\nvt .5 .125 9\nvt -3 1e3\nvn 0 0 1\nvn 0 0.6 0.8\n"
 
 
-@pytest.fixture
-def write(tmp_path):
-    def make(name: str, content: str | bytes):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return make
-
-
 def corner_values(mesh) -> tuple[np.ndarray, np.ndarray]:
     """Positions (t, 3, 3) and uvs (t, 3, 2) of the corners of all triangles."""
     return mesh.vertices[mesh.faces], mesh.uvs[mesh.faces]
-
-
-@pytest.fixture
-def mitsuba():
-    module = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
-    module.set_variant("scalar_rgb")
-    return module
 
 
 def parameters_of(mitsuba, **shape) -> dict[str, np.ndarray]:
@@ -56,8 +39,8 @@ OBJ = {
 
 @pytest.mark.parametrize("flip", [True, False])
 @pytest.mark.parametrize("faces", OBJ.values(), ids=OBJ)
-def test_obj_against_mitsuba(faces, flip, write, mitsuba):
-    path = write("a.obj", TRIANGLES + faces + "\n")
+def test_obj_against_mitsuba(faces, flip, write_file, mitsuba):
+    path = write_file("a.obj", TRIANGLES + faces + "\n")
     theirs = parameters_of(mitsuba, type="obj", filename=str(path), flip_tex_coords=flip)
     positions, uvs = corner_values(read_obj(path, flip).mesh)
     corners = theirs["faces"]
@@ -65,8 +48,8 @@ def test_obj_against_mitsuba(faces, flip, write, mitsuba):
     np.testing.assert_array_equal(uvs, theirs["vertex_texcoords"][corners])
 
 
-def test_obj_flips_v_by_default(write):
-    path = write("a.obj", TRIANGLES + "f 1/1 2/2 3/3\n")
+def test_obj_flips_v_by_default(write_file):
+    path = write_file("a.obj", TRIANGLES + "f 1/1 2/2 3/3\n")
     shape = {"type": "obj", "filename": str(path)}
     for flip, v in ((True, [0.25, 0.875, -999]), (False, [0.75, 0.125, 1000])):
         mesh = load_mesh({**shape, "flip_tex_coords": flip})
@@ -74,30 +57,30 @@ def test_obj_flips_v_by_default(write):
         np.testing.assert_array_equal(mesh.uvs, np.stack([[0.25, 0.5, -3], v], axis=1))
 
 
-def test_obj_vertices_split_where_their_coordinates_differ(write):
-    mesh = read_obj(write("a.obj", TRIANGLES + "f 1/1 2/2 3/3\nf 2/1 4/1 3/3\nf 2/2 4/1 3/3\n")).mesh
+def test_obj_vertices_split_where_their_coordinates_differ(write_file):
+    mesh = read_obj(write_file("a.obj", TRIANGLES + "f 1/1 2/2 3/3\nf 2/1 4/1 3/3\nf 2/2 4/1 3/3\n")).mesh
     assert mesh.vertices.shape == (5, 3)  # 2/1 and 2/2 are different
     np.testing.assert_array_equal(mesh.uvs[mesh.faces[:, 0]], [[0.25, 0.25], [0.25, 0.25], [0.5, 0.875]])
 
 
-def test_obj_corners_without_coordinates_have_zero(write):
-    mesh = read_obj(write("a.obj", TRIANGLES + "f 1/1 2/2 3/3\nf 1 2 4\n")).mesh
+def test_obj_corners_without_coordinates_have_zero(write_file):
+    mesh = read_obj(write_file("a.obj", TRIANGLES + "f 1/1 2/2 3/3\nf 1 2 4\n")).mesh
     np.testing.assert_array_equal(mesh.uvs[mesh.faces[1]], np.zeros((3, 2)))
-    assert read_obj(write("a.obj", TRIANGLES + "f 1//1 2//1 3//1\n")).mesh.uvs.shape == (0, 2)
+    assert read_obj(write_file("a.obj", TRIANGLES + "f 1//1 2//1 3//1\n")).mesh.uvs.shape == (0, 2)
     # Coordinates that no face uses are not parsed.
-    assert read_obj(write("a.obj", TRIANGLES + "vt x\nf 1 2 3\n")).mesh.uvs.shape == (0, 2)
+    assert read_obj(write_file("a.obj", TRIANGLES + "vt x\nf 1 2 3\n")).mesh.uvs.shape == (0, 2)
 
 
 @pytest.mark.parametrize("line", ["vt .5", "vt a b", "vt .5 x"])
-def test_obj_coordinates_are_two_numbers(line, write):
+def test_obj_coordinates_are_two_numbers(line, write_file):
     with pytest.raises(SceneError, match="a line that begins with 'vt' needs two numbers"):
-        read_obj(write("a.obj", TRIANGLES + line + "\nf 1/1 2/2 3/3\n"))
+        read_obj(write_file("a.obj", TRIANGLES + line + "\nf 1/1 2/2 3/3\n"))
 
 
-def test_uvs_that_are_not_finite_become_zero(write):
-    path = write("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt nan 0\nvt inf -inf\nvt 1e300 .25\nf 1/1 2/2 3/3\n")
+def test_uvs_that_are_not_finite_become_zero(write_file):
+    path = write_file("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt nan 0\nvt inf -inf\nvt 1e300 .25\nf 1/1 2/2 3/3\n")
     np.testing.assert_array_equal(read_obj(path, False).mesh.uvs, [[0, 0], [0, 0], [0, 0.25]])
-    path = write("a.ply", ply(["float u", "float v"], [], "nan 1e300", ""))
+    path = write_file("a.ply", ply(["float u", "float v"], [], "nan 1e300", ""))
     np.testing.assert_array_equal(read_ply(path).uvs, np.zeros((3, 2)))
 
 
@@ -150,8 +133,8 @@ PLY = {
 
 
 @pytest.mark.parametrize("case", PLY.values(), ids=PLY)
-def test_ply_against_mitsuba(case, write, mitsuba):
-    path = write("a.ply", ply(*case))
+def test_ply_against_mitsuba(case, write_file, mitsuba):
+    path = write_file("a.ply", ply(*case))
     theirs = parameters_of(mitsuba, type="ply", filename=str(path))
     mesh = read_ply(path)
     uvs = theirs.pop("vertex_texcoords")
@@ -165,8 +148,8 @@ def test_ply_against_mitsuba(case, write, mitsuba):
         np.testing.assert_allclose(values, theirs[name].reshape(rows, -1), rtol=2e-6)
 
 
-def test_ply_flips_v_on_request(write, mitsuba):
-    path = write("a.ply", ply(["float u", "float v"], [], ".25 .125", ""))
+def test_ply_flips_v_on_request(write_file, mitsuba):
+    path = write_file("a.ply", ply(["float u", "float v"], [], ".25 .125", ""))
     theirs = parameters_of(mitsuba, type="ply", filename=str(path), flip_tex_coords=True)
     mesh = load_mesh({"type": "ply", "filename": str(path), "flip_tex_coords": True})
     np.testing.assert_array_equal(mesh.uvs, theirs["vertex_texcoords"])
@@ -174,7 +157,7 @@ def test_ply_flips_v_on_request(write, mitsuba):
 
 
 @pytest.mark.parametrize("order", ["ascii", "<", ">"])
-def test_byte_colours_are_srgb(order, write):
+def test_byte_colours_are_srgb(order, write_file):
     """255 is 1 and 128 is 0.2158605 linear (IEC 61966-2-1). Mitsuba decodes integers of every other size so."""
     name = {"ascii": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}[order]
     text = ply([f"uchar {c}" for c in (*RGB, "alpha")], ["uchar it_x"], "255 128 10 0", "128").replace("ascii", name)
@@ -184,18 +167,18 @@ def test_byte_colours_are_srgb(order, write):
         vertices["p"], vertices["c"] = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [255, 128, 10, 0]
         face = np.array([(3, [0, 1, 2], 128)], np.dtype([("n", "u1"), ("i", order + "i4", 3), ("it", "u1")]))
         text = head + vertices.tobytes() + face.tobytes()
-    attributes = read_ply(write("a.ply", text)).attributes
+    attributes = read_ply(write_file("a.ply", text)).attributes
     np.testing.assert_allclose(attributes["vertex_color"], [[1, 0.2158605, 0.0030352698, 0]] * 3, rtol=1e-6)
     np.testing.assert_allclose(attributes["face_it"], [[0.2158605]], rtol=1e-6)
 
 
-def test_face_values_apply_to_all_triangles_of_a_polygon(write):
+def test_face_values_apply_to_all_triangles_of_a_polygon(write_file):
     header = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
     header += "element face 4\nproperty float heat_x\nproperty list uchar int vertex_index\nproperty float r\n"
     header += "property list uchar float ignored\nproperty float g\nproperty float b\nend_header\n"
     rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n-1 .5 0\n"
     rows += "10 3 0 1 2 .1 0 .2 .3\n20 4 0 1 2 3 .4 2 9 9 .5 .6\n30 5 0 1 2 3 4 .7 1 9 .8 .9\n40 3 1 2 3 1 0 0 0\n"
-    mesh = read_ply(write("a.ply", header + rows))
+    mesh = read_ply(write_file("a.ply", header + rows))
     assert len(mesh.faces) == 7
     assert mesh.attributes["face_heat"].tolist() == [[10], [20], [20], [30], [30], [30], [40]]
     expected = [[0.1, 0.2, 0.3]] + [[0.4, 0.5, 0.6]] * 2 + [[0.7, 0.8, 0.9]] * 3 + [[1, 0, 0]]
@@ -238,7 +221,7 @@ def test_cube(mitsuba):
 @pytest.mark.usefixtures("one_lane")
 @pytest.mark.parametrize("normals", ["", "0 0 1", "0 0 -1"])
 @pytest.mark.parametrize("flip", [False, True])
-def test_without_uvs_they_are_barycentric(flip, normals, write):
+def test_without_uvs_they_are_barycentric(flip, normals, write_file):
     """The corners of a triangle, in file order, have uvs (0, 0), (1, 0) and (0, 1), as in Mitsuba 3.9.1.
 
     The floor has an anisotropic bsdf with a checkerboard. Normals that oppose the winding reverse it.
@@ -250,7 +233,7 @@ def test_without_uvs_they_are_barycentric(flip, normals, write):
         names = ["x", "y", "z", *(("nx", "ny", "nz") if normals else ()), *(("u", "v") if uvs[0] else ())]
         head = ["ply", "format ascii 1.0", "element vertex 6", *(f"property float {name}" for name in names)]
         head += ["element face 2", "property list uchar int vertex_indices", "end_header"]
-        path = write("floor.ply", "\n".join([*head, *rows, "3 0 1 2", "3 3 4 5", ""]))
+        path = write_file("floor.ply", "\n".join([*head, *rows, "3 0 1 2", "3 3 4 5", ""]))
         checks = {"type": "checkerboard", "to_uv": np.diag([4.0, 3.0, 1.0, 1.0])}
         metal = {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.5, "specular_reflectance": checks}
         floor = {"type": "ply", "filename": str(path), "flip_normals": flip}

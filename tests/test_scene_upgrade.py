@@ -214,9 +214,8 @@ SNIPPETS = """
         *("0.4.0", "0.5.0", "0.6.0", "2.1.0", "3.0.0"),
     ],
 )
-def test_against_mitsubas_parser(source, request, tmp_path):
+def test_against_mitsubas_parser(source, request, tmp_path, mitsuba):
     """All objects and parameters of a file are those of Mitsuba 3 after its upgrade."""
-    mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
     if not hasattr(mitsuba, "parser"):
         pytest.skip("needs a Mitsuba version with a public parser")
     path = tmp_path / "scene.xml"
@@ -224,7 +223,6 @@ def test_against_mitsubas_parser(source, request, tmp_path):
         path = request.getfixturevalue("public_scenes") / source
     else:
         path.write_text(f'<scene version="{source}">{SNIPPETS}</scene>')
-    mitsuba.set_variant("scalar_rgb")  # needed for the types of transforms and colours
     config = mitsuba.parser.ParserConfig("scalar_rgb")
     state = mitsuba.parser.parse_file(config, str(path))
     mitsuba.parser.transform_upgrade(config, state)
@@ -262,10 +260,8 @@ def assert_same(ours, theirs, state):
         assert (type(ours), ours) == (type(theirs), theirs)
 
 
-def test_mitsuba_loads_the_snippets(tmp_path):
+def test_mitsuba_loads_the_snippets(mitsuba):
     """Mitsuba 3 accepts every parameter of the snippets."""
-    mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
-    mitsuba.set_variant("scalar_rgb")
     scene = mitsuba.load_string(f'<scene version="0.6.0">{SNIPPETS}</scene>')
     parameters = mitsuba.traverse(scene)
     found = [np.array(parameters[key].matrix, float) for key in parameters.keys() if key.endswith("to_uv")]  # noqa: SIM118

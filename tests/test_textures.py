@@ -84,13 +84,6 @@ def lookup(device):
 
 
 @pytest.fixture(scope="module")
-def mi():
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("scalar_rgb")
-    return mitsuba
-
-
-@pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """A folder of images of 7 x 5 texels."""
     folder, random = tmp_path_factory.mktemp("images"), np.random.default_rng(4)
@@ -112,12 +105,12 @@ def random_uv(count: int, seed: int, size=(7, 5), margin: float = 0.0) -> np.nda
     return uv[(np.abs(position - np.round(position)) > margin).all(axis=1)]
 
 
-def evaluate_in_mitsuba(mi, texture: dict, uv: np.ndarray, gradient: bool = True):
+def evaluate_in_mitsuba(mitsuba, texture: dict, uv: np.ndarray, gradient: bool = True):
     """Colour, number and gradient by Mitsuba 3."""
-    loaded, rows = mi.load_dict(texture), []
+    loaded, rows = mitsuba.load_dict(texture), []
     for u, v in uv:
-        si = mi.SurfaceInteraction3f()
-        si.uv = mi.Point2f(float(u), float(v))
+        si = mitsuba.SurfaceInteraction3f()
+        si.uv = mitsuba.Point2f(float(u), float(v))
         slope = np.array(loaded.eval_1_grad(si)) if gradient else np.zeros(2)
         rows.append([*np.array(loaded.eval(si)), loaded.eval_1(si), *slope])
     rows = np.array(rows, np.float64)
@@ -157,12 +150,12 @@ WRAP_AND_FILTER_MODES = list(itertools.product(("repeat", "mirror", "clamp"), ("
 
 @pytest.mark.parametrize(("wrap_mode", "filter_type"), WRAP_AND_FILTER_MODES)
 @pytest.mark.parametrize("raw", [False, True])
-def test_bitmaps_equal_mitsubas(lookup, mi, files, wrap_mode, filter_type, raw):
+def test_bitmaps_equal_mitsubas(lookup, mitsuba, files, wrap_mode, filter_type, raw):
     for name in ("rgb.png", "grey.png", "deep.png", "linear.exr"):
         texture = {"type": "bitmap", "filename": str(files / name), "raw": raw}
         texture |= {"wrap_mode": wrap_mode, "filter_type": filter_type}
         uv = random_uv(60, 5, margin=1e-3)
-        assert_close(lookup(texture, uv), evaluate_in_mitsuba(mi, texture | {"format": "variant"}, uv))
+        assert_close(lookup(texture, uv), evaluate_in_mitsuba(mitsuba, texture | {"format": "variant"}, uv))
 
 
 @pytest.mark.parametrize(("wrap_mode", "filter_type"), WRAP_AND_FILTER_MODES)
@@ -181,12 +174,12 @@ def test_bitmaps_in_float64(lookup, tmp_path, wrap_mode, filter_type, size):
     np.testing.assert_allclose(number, expected @ LUMINANCE_WEIGHTS, rtol=0, atol=MAX_ERROR)
 
 
-def test_half_precision_bitmaps_of_mitsuba(lookup, mi, files):
+def test_half_precision_bitmaps_of_mitsuba(lookup, mitsuba, files):
     """By default Mitsuba rounds images of 8 and 16 bits to half floats, with errors up to 2^-11; isonoise does not."""
     texture = {"type": "bitmap", "filename": str(files / "rgb.png")}
     uv = random_uv(100, 8)
     np.testing.assert_allclose(
-        lookup(texture, uv)[0], evaluate_in_mitsuba(mi, texture, uv)[0], rtol=2**-11, atol=MAX_ERROR
+        lookup(texture, uv)[0], evaluate_in_mitsuba(mitsuba, texture, uv)[0], rtol=2**-11, atol=MAX_ERROR
     )
 
 
@@ -198,13 +191,13 @@ def rotation_and_shift(degrees: float) -> np.ndarray:
 @pytest.mark.parametrize(
     "matrix", [np.diag([2.0, -1.5, 7.0, 1.0]), rotation_and_shift(25.0) @ np.diag([2.0, 1.5, 1.0, 1.0])]
 )
-def test_to_uv(lookup, mi, files, matrix):
+def test_to_uv(lookup, mitsuba, files, matrix):
     """The third row and column of a 4x4 matrix are ignored; a 3x3 matrix lacks them."""
     uv = random_uv(100, 9)
     texture = {"type": "bitmap", "filename": str(files / "rgb.png")}
     flat = matrix[np.ix_([0, 1, 3], [0, 1, 3])]
     expected = evaluate_in_mitsuba(
-        mi, texture | {"format": "variant", "to_uv": mi.ScalarTransform4f(matrix)}, uv, gradient=False
+        mitsuba, texture | {"format": "variant", "to_uv": mitsuba.ScalarTransform4f(matrix)}, uv, gradient=False
     )
     for inputs in (matrix, flat):
         ours = lookup(texture | {"to_uv": inputs}, uv)
@@ -212,7 +205,7 @@ def test_to_uv(lookup, mi, files, matrix):
             np.testing.assert_allclose(values, theirs, rtol=0, atol=3 * MAX_ERROR)
 
 
-def test_gradients(lookup, mi, files):
+def test_gradients(lookup, mitsuba, files):
     """Without rotation, equal to Mitsuba's eval_1_grad; with rotation, equal to differences in float64.
 
     Mitsuba's eval_1_grad (3.9.1) multiplies by the image's size after the rotation instead of before it, which is wrong
@@ -223,7 +216,8 @@ def test_gradients(lookup, mi, files):
     scaling = np.diag([2.0, -1.5, 1.0, 1.0])
     ours = lookup(texture | {"to_uv": scaling}, uv)
     assert_close(
-        ours, evaluate_in_mitsuba(mi, texture | {"format": "variant", "to_uv": mi.ScalarTransform4f(scaling)}, uv)
+        ours,
+        evaluate_in_mitsuba(mitsuba, texture | {"format": "variant", "to_uv": mitsuba.ScalarTransform4f(scaling)}, uv),
     )
 
     matrix = rotation_and_shift(25.0) @ scaling
@@ -253,17 +247,17 @@ def test_invalid_uvs(lookup, files):
         assert np.isfinite(gradient).all()
 
 
-def test_checkerboards(lookup, mi, files):
+def test_checkerboards(lookup, mitsuba, files):
     """Colours and numbers equal Mitsuba's, also with a nested texture."""
     checkerboard = {"type": "checkerboard", "to_uv": rotation_and_shift(10.0) @ np.diag([3.0, 2.0, 1.0, 1.0])}
     checkerboard |= {"color0": {"type": "rgb", "value": [0.1, 0.2, 0.9]}}
     checkerboard |= {"color1": {"type": "bitmap", "filename": str(files / "rgb.png")}}
     theirs = checkerboard | {
-        "to_uv": mi.ScalarTransform4f(checkerboard["to_uv"]),
+        "to_uv": mitsuba.ScalarTransform4f(checkerboard["to_uv"]),
         "color1": checkerboard["color1"] | {"format": "variant"},
     }
     uv = random_uv(300, 11)
-    ours, expected = lookup(checkerboard, uv), evaluate_in_mitsuba(mi, theirs, uv, gradient=False)
+    ours, expected = lookup(checkerboard, uv), evaluate_in_mitsuba(mitsuba, theirs, uv, gradient=False)
     position = uv @ checkerboard["to_uv"][:2, :2].T + checkerboard["to_uv"][:2, 3]
     is_inside_square = (np.abs(2 * position - np.round(2 * position)) > 1e-4).all(axis=1)
     assert is_inside_square.sum() > 250
@@ -272,22 +266,22 @@ def test_checkerboards(lookup, mi, files):
     assert (ours[2] != 0).any()  # in the squares of the bitmap
 
 
-def test_constant_colours(lookup, mi):
+def test_constant_colours(lookup, mitsuba):
     uv = np.zeros((1, 2))
     for texture in (
         {"type": "rgb", "value": [0.1, 0.2, 0.6]},
         {"type": "uniform", "value": 0.3},
         {"type": "srgb", "color": {"type": "rgb", "value": [0.5, 0.25, 0.125]}},
     ):
-        loaded = mi.load_dict(texture if texture["type"] != "srgb" else texture["color"])
-        si = mi.SurfaceInteraction3f()
+        loaded = mitsuba.load_dict(texture if texture["type"] != "srgb" else texture["color"])
+        si = mitsuba.SurfaceInteraction3f()
         rgb, number, gradient = lookup(texture, uv)
         np.testing.assert_allclose(rgb[0], np.array(loaded.eval(si)), rtol=1e-6)
         np.testing.assert_allclose(number[0], loaded.eval_1(si), rtol=1e-6)
         assert (gradient == 0).all()
 
 
-def test_mesh_attributes(lookup, mi):
+def test_mesh_attributes(lookup, mitsuba):
     """Vertex and face attributes with one and three channels; the meshes before and after have none."""
     random = np.random.default_rng(12)
     values = {
@@ -295,17 +289,18 @@ def test_mesh_attributes(lookup, mi):
         "face_tint": random.random((2, 3)),
         "vertex_wear": random.random((4, 1)),
     }
-    mesh = mi.Mesh("mesh", 4, 2)
-    parameters = mi.traverse(mesh)
+    mesh = mitsuba.Mesh("mesh", 4, 2)
+    parameters = mitsuba.traverse(mesh)
     parameters["vertex_positions"] = [0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0]
     parameters["faces"] = [0, 1, 2, 2, 3, 0]
     parameters.update()
     for name, table in values.items():
         mesh.add_attribute(name, table.shape[1], table.ravel())
-    scene = mi.load_dict({"type": "scene", "mesh": mesh})
+    scene = mitsuba.load_dict({"type": "scene", "mesh": mesh})
 
     hits = [
-        scene.ray_intersect(mi.Ray3f([*position, 1.0], [0, 0, -1])) for position in random.uniform(0.1, 0.9, (20, 2))
+        scene.ray_intersect(mitsuba.Ray3f([*position, 1.0], [0, 0, -1]))
+        for position in random.uniform(0.1, 0.9, (20, 2))
     ]
     triangles = np.array([hit.prim_index for hit in hits])
     faces = np.array([[0, 1, 2], [2, 3, 0]])
@@ -321,7 +316,7 @@ def test_mesh_attributes(lookup, mi):
         texture = {"type": "mesh_attribute", "name": name, "scale": 2.0}
         inputs = {"meshes": meshes, "faces": scene_faces, "triangles": triangles + 1, "barycentric": barycentric}
         rgb, number, _ = lookup(texture, np.zeros((20, 2)), **inputs)
-        loaded = mi.load_dict(texture)
+        loaded = mitsuba.load_dict(texture)
         np.testing.assert_allclose(rgb, [np.array(loaded.eval(hit)) for hit in hits], rtol=1e-5)
         if name == "vertex_wear":
             np.testing.assert_allclose(number, [loaded.eval_1(hit) for hit in hits], rtol=1e-5)

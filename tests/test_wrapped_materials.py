@@ -223,13 +223,6 @@ def scatter():
     return run
 
 
-@pytest.fixture(scope="module")
-def mitsuba():
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
-    return mi
-
-
 def in_mitsuba(mi, bsdf: dict, surface: np.ndarray, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values (n, 3) and pdfs (n,); bitmaps in full precision, not in half."""
 
