@@ -14,7 +14,7 @@ from isonoise.benchmark.bvh_stats import bvh_statistics
 from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene, Run
 from isonoise.benchmark.spread import spread
 from isonoise.benchmark.startup import startup_times
-from isonoise.device.opencl import LOCAL_SIZE, Device
+from isonoise.device.opencl import LOCAL_SIZE, Device, driver_fields
 from isonoise.progress import ProgressBar
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
@@ -64,16 +64,12 @@ def report_header(schema: str, schema_version: int, settings: Settings, device: 
 
 
 def _device_fields(device: Device) -> dict[str, object]:
-    opencl_device = device.device
     return {
-        "name": opencl_device.name.strip(),
-        "platform": opencl_device.platform.name.strip(),
-        "opencl_version": opencl_device.version.strip(),
-        "driver_version": opencl_device.driver_version.strip(),
+        **driver_fields(device.device),
         "is_cpu": device.is_cpu,
-        "compute_units": opencl_device.max_compute_units,
-        "clock_mhz": opencl_device.max_clock_frequency,
-        "memory_bytes": opencl_device.global_mem_size,
+        "compute_units": device.device.max_compute_units,
+        "clock_mhz": device.device.max_clock_frequency,
+        "memory_bytes": device.device.global_mem_size,
         "local_size": LOCAL_SIZE,
     }
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from isonoise.commands import EXIT_DONE
-from isonoise.device.opencl import Device
+from isonoise.device.opencl import Device, driver_fields
 from isonoise.film.files import check_writable, write_atomically
 from isonoise.selftest.cases import Case, Context
 from isonoise.selftest.runner import GROUPS, GroupResult, run_groups
@@ -42,12 +42,7 @@ def to_json(device: Device, results: Iterable[GroupResult]) -> dict:
     results = list(results)
     case_count, failed_count = _counts(results)
     return SCHEMA | {
-        "device": {
-            "name": device.device.name.strip(),
-            "platform": device.device.platform.name.strip(),
-            "opencl_version": device.device.version.strip(),
-            "driver_version": device.device.driver_version.strip(),
-        },
+        "device": driver_fields(device.device),
         "case_count": case_count,
         "failed_count": failed_count,
         "groups": [

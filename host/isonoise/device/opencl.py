@@ -109,6 +109,16 @@ def driver_identity(device) -> tuple[str, ...]:
     return platform.name, platform.version, device.name, device.version, device.driver_version
 
 
+def driver_fields(device) -> dict[str, str]:
+    """Names and versions of a device and its driver, as in all JSON reports."""
+    return {
+        "name": device.name.strip(),
+        "platform": device.platform.name.strip(),
+        "opencl_version": device.version.strip(),
+        "driver_version": device.driver_version.strip(),
+    }
+
+
 @functools.cache
 def _context(device):
     """One context per device and process: programs belong to a context, and successive renders share them."""
