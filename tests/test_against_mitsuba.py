@@ -1,4 +1,4 @@
-"""Renders against Mitsuba 3's: every pixel, blocks of pixels, image means, and the stated variance.
+"""Renders against Mitsuba 3: every pixel, blocks of pixels, image means, and the stated variance.
 
 Seeds are fixed. False-alarm rates, the chance that a correct program fails under other seeds: below 1 % for each
 comparison by values (references.assert_agree), at most 0.8 % for each comparison of three image means, 6e-5 for each
@@ -15,17 +15,17 @@ import isonoise
 from isonoise.scene.builtin import find_scene
 
 BATCHES = 16
-"""Independent renders of a scene. 15 degrees of freedom: a firefly that only one batch has seen cannot pass for
-certainty, and Student's t still has a usable tail."""
+"""Independent renders of a scene. With 15 degrees of freedom a firefly in one batch does not look certain, and
+Student's t still has a usable tail."""
 
 BLOCKS = {"cornell": (1, 8), "penumbra": (1, 8), "bright-spots": (8,)}
-"""Sides of the blocks whose means are compared. Single pixels of bright-spots are left out: in most of them no batch
-has seen the rare bright paths, so that their standard errors say nothing about these."""
+"""Sides of the blocks whose means are compared. Single pixels of bright-spots are not compared: in most of them no
+batch has one of the rare bright paths, so their standard errors are too small."""
 
 
 @pytest.fixture(scope="session")
 def mitsuba_folder(pytestconfig, tmp_path_factory) -> Path:
-    """Where Mitsuba's images are kept from run to run: ISONOISE_REFERENCE_CACHE, or pytest's cache."""
+    """Cache of Mitsuba's images: ISONOISE_REFERENCE_CACHE, or pytest's cache."""
     pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
     return references.cache_folder(getattr(pytestconfig, "cache", None)) or tmp_path_factory.mktemp("mitsuba")
 
@@ -38,7 +38,7 @@ def render_batches(path: Path, spp: int) -> list[isonoise.Statistics]:
 
 
 def compare(ours: np.ndarray, theirs: np.ndarray, blocks: tuple[int, ...], folder: Path) -> None:
-    """Batches of images against batches of images."""
+    """Asserts that two batches of images agree."""
     for size in blocks:
         image, reference = (references.from_batches(references.block_means(b, size)) for b in (ours, theirs))
         references.assert_agree(image, reference, folder)
@@ -81,10 +81,10 @@ def test_public_cornell_box(public_scenes, tmp_path):
 
 
 def assert_variances_agree(stated: np.ndarray, measured: np.ndarray, weights: np.ndarray) -> None:
-    """The variance that the samples state is the variance that the batches have.
+    """Asserts that the stated variance equals the variance between batches.
 
-    Both are unbiased estimates of the same, so the differences of independent pixels, weighted by anything that the
-    samples do not know, have mean 0: their sum over its own standard error is a standard normal deviate.
+    Both are unbiased estimates of the same value. So the differences of independent pixels have mean 0, with any
+    weights that do not depend on the samples: their sum over its standard error is a standard normal deviate.
     """
     differences = ((measured - stated) * weights).ravel()
     deviate = differences.sum() / np.sqrt((differences**2).sum())

@@ -1,6 +1,6 @@
-"""Pictures of materials and emitters in all their kinds against Mitsuba 3's: that `shade` has at hand what they need.
+"""Images of all kinds of materials and emitters against Mitsuba 3: `shade` has the data that they need.
 
-What each of them does is tested without pictures. False alarms are below 2 % for each picture under other seeds
+Other files test each of them without images. False alarms are below 2 % for each image under other seeds
 (tests/references.py).
 """
 
@@ -10,20 +10,16 @@ from PIL import Image
 from scalar_mitsuba import assert_same_picture
 
 from isonoise.film.exr import write_exr
+from isonoise.selftest.scenes import look_at, rgb
 
-
-def rgb(*value: float) -> dict:
-    return {"type": "rgb", "value": list(value)}
-
-
-RED = {"type": "diffuse", "reflectance": rgb(0.8, 0.3, 0.2)}
+RED = {"type": "diffuse", "reflectance": rgb((0.8, 0.3, 0.2))}
 GOLD = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx", "material": "Au"}
 CHECKS = {"type": "checkerboard", "color0": 0.1, "color1": 0.8, "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
 
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory):
-    """Bitmaps of 8 x 8 texels: colours, and normals."""
+    """Returns bitmaps of 8 x 8 texels: colours, and normals."""
     folder, random = tmp_path_factory.mktemp("images"), np.random.default_rng(21)
     pixels = {
         "colours": random.integers(0, 256, (8, 8, 3)),
@@ -35,16 +31,8 @@ def images(tmp_path_factory):
     return {name: bitmap | {"filename": str(folder / f"{name}.png"), "raw": name == "normals"} for name in pixels}
 
 
-def looking(origin, target) -> np.ndarray:
-    ahead = np.subtract(target, origin) / np.linalg.norm(np.subtract(target, origin))
-    left = np.cross([0, 0, 1], ahead) / np.linalg.norm(np.cross([0, 0, 1], ahead))
-    matrix = np.eye(4)
-    matrix[:3] = np.stack([left, np.cross(ahead, left), ahead, origin], axis=1)
-    return matrix
-
-
-def placed(scale: float, offset, turn: float = 0.4) -> np.ndarray:
-    c, s = np.cos(turn), np.sin(turn)
+def transform(scale: float, offset, angle_rad: float = 0.4) -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
     matrix = np.eye(4)
     matrix[:3, :3] = scale * np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     matrix[:3, 3] = offset
@@ -52,32 +40,32 @@ def placed(scale: float, offset, turn: float = 0.4) -> np.ndarray:
 
 
 def gallery(materials: list[dict], columns: int, size: tuple[int, int]) -> dict:
-    """Balls of these materials in rows before a floor, under a lamp and a sky."""
+    """Balls of these materials in rows in front of a floor, under a lamp and a sky."""
     rows = -(-len(materials) // columns)
     film = {"type": "hdrfilm", "width": size[0], "height": size[1], "rfilter": {"type": "box"}}
-    lamp = {"type": "area", "radiance": rgb(12.0, 11.0, 9.0)}
+    lamp = {"type": "area", "radiance": rgb((12.0, 11.0, 9.0))}
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 6, "rr_depth": 100},
         "sensor": {
             "type": "perspective",
             "fov": 9.0 * columns,
-            "to_world": looking((0, -14, 6), (0, 0, 0)),
+            "to_world": look_at((0, -14, 6), (0, 0, 0)),
             "film": film,
         },
-        "sky": {"type": "constant", "radiance": rgb(0.3, 0.35, 0.4)},
+        "sky": {"type": "constant", "radiance": rgb((0.3, 0.35, 0.4))},
         "lamp": {"type": "sphere", "center": [4.0, -5.0, 8.0], "radius": 1.5, "emitter": lamp},
-        "floor": {"type": "rectangle", "to_world": placed(9.0, (0, 0, -2.6), 0.0), "bsdf": {"type": "diffuse"}},
+        "floor": {"type": "rectangle", "to_world": transform(9.0, (0, 0, -2.6), 0.0), "bsdf": {"type": "diffuse"}},
     }
-    for number, material in enumerate(materials):
-        x, y = number % columns - (columns - 1) / 2, number // columns - (rows - 1) / 2
-        to_world = placed(0.85, (1.9 * x, 0.95 * y, 1.71 * y))
-        scene[f"ball_{number}"] = {"type": "sphere", "to_world": to_world, "bsdf": material}
+    for index, material in enumerate(materials):
+        x, y = index % columns - (columns - 1) / 2, index // columns - (rows - 1) / 2
+        to_world = transform(0.85, (1.9 * x, 0.95 * y, 1.71 * y))
+        scene[f"ball_{index}"] = {"type": "sphere", "to_world": to_world, "bsdf": material}
     return scene
 
 
 def test_plastics_and_bumps(images, tmp_path):
-    """Materials that need more than their record: tables, textures, frames."""
+    """Materials that need more data than their record: tables, textures, frames."""
     materials = [
         {"type": "roughplastic", "diffuse_reflectance": images["colours"], "alpha": 0.2},
         {"type": "bumpmap", "height": images["colours"], "inner": GOLD, "scale": 0.1},
@@ -98,9 +86,15 @@ def test_all_materials(images, tmp_path):
         {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.4, "material": "Al"},
         {"type": "roughdielectric", "alpha": 0.2, "distribution": "ggx"},
         {"type": "plastic", "diffuse_reflectance": colours, "nonlinear": True},
-        {"type": "roughplastic", "diffuse_reflectance": rgb(0.2, 0.6, 0.3), "alpha": 0.2},
-        {"type": "principled", "base_color": rgb(0.8, 0.5, 0.2), "metallic": 0.7, "anisotropic": 0.6, "clearcoat": 0.8},
-        {"type": "principled", "base_color": rgb(0.9, 0.8, 0.7), "spec_trans": 0.9, "roughness": 0.3},
+        {"type": "roughplastic", "diffuse_reflectance": rgb((0.2, 0.6, 0.3)), "alpha": 0.2},
+        {
+            "type": "principled",
+            "base_color": rgb((0.8, 0.5, 0.2)),
+            "metallic": 0.7,
+            "anisotropic": 0.6,
+            "clearcoat": 0.8,
+        },
+        {"type": "principled", "base_color": rgb((0.9, 0.8, 0.7)), "spec_trans": 0.9, "roughness": 0.3},
         {"type": "twosided", "inner": RED},
         {"type": "twosided", "front": RED, "back": GOLD},
         {"type": "mask", "opacity": CHECKS, "inner": {"type": "twosided", "inner": RED}},
@@ -115,7 +109,7 @@ def test_all_materials(images, tmp_path):
     assert_same_picture(gallery(materials, 5, (50, 40)), tmp_path)
 
 
-SMOOTH_LAMP = """
+LAMP_OBJ = """
 v 1 0 0
 v 0 1 0
 v -1 0 0
@@ -139,48 +133,54 @@ f 4/4/4 1/1/1 5/5/5
 
 
 def test_all_emitters(images, tmp_path):
-    """A floor in the light of everything that shines, textured where it may be."""
-    shining = {"emitter": {"type": "area", "radiance": images["colours"]}}
-    (tmp_path / "lamp.obj").write_text(SMOOTH_LAMP)
-    down = placed(0.6, (0, 0, 1.2)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    """A floor lit by all kinds of emitters, textured if the kind allows it."""
+    textured_emitter = {"emitter": {"type": "area", "radiance": images["colours"]}}
+    (tmp_path / "lamp.obj").write_text(LAMP_OBJ)
+    down = transform(0.6, (0, 0, 1.2)) @ np.diag([1.0, -1.0, -1.0, 1.0])
     film = {"type": "hdrfilm", "width": 24, "height": 20, "rfilter": {"type": "box"}}
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 3, "rr_depth": 100},
-        "sensor": {"type": "perspective", "fov": 40.0, "to_world": looking((0, -9, 5), (0, 0, 0.3)), "film": film},
-        "floor": {"type": "rectangle", "to_world": placed(5.0, (0, 0, 0)), "bsdf": {"type": "diffuse"}},
-        "plate": {"type": "rectangle", "to_world": down, **shining},
-        "disk": {"type": "disk", "to_world": placed(1.0, (2, 0, 1)) @ down, **shining},
-        "ball": {"type": "sphere", "center": [-2.0, 1.0, 0.8], "radius": 0.4, **shining},
-        "bowl": {"type": "sphere", "center": [2.0, 1.5, 0.0], "radius": 0.7, "flip_normals": True, **shining},
-        "tube": {"type": "cylinder", "p0": [-3.0, -1.0, 0.2], "p1": [-1.0, -1.5, 0.6], "radius": 0.15, **shining},
+        "sensor": {"type": "perspective", "fov": 40.0, "to_world": look_at((0, -9, 5), (0, 0, 0.3)), "film": film},
+        "floor": {"type": "rectangle", "to_world": transform(5.0, (0, 0, 0)), "bsdf": {"type": "diffuse"}},
+        "plate": {"type": "rectangle", "to_world": down, **textured_emitter},
+        "disk": {"type": "disk", "to_world": transform(1.0, (2, 0, 1)) @ down, **textured_emitter},
+        "ball": {"type": "sphere", "center": [-2.0, 1.0, 0.8], "radius": 0.4, **textured_emitter},
+        "bowl": {"type": "sphere", "center": [2.0, 1.5, 0.0], "radius": 0.7, "flip_normals": True, **textured_emitter},
+        "tube": {
+            "type": "cylinder",
+            "p0": [-3.0, -1.0, 0.2],
+            "p1": [-1.0, -1.5, 0.6],
+            "radius": 0.15,
+            **textured_emitter,
+        },
         "mesh": {
             "type": "obj",
             "filename": str(tmp_path / "lamp.obj"),
-            "to_world": placed(0.6, (0.8, -2.0, 0.3)),
-            **shining,
+            "to_world": transform(0.6, (0.8, -2.0, 0.3)),
+            **textured_emitter,
         },
-        "point": {"type": "point", "position": [-1.5, 2.5, 1.0], "intensity": rgb(0.5, 1.0, 0.8)},
-        "spot": {"type": "spot", "to_world": looking((3, -3, 3), (1, -2, 0)), "intensity": rgb(9.0, 3.0, 2.0)},
-        "sun": {"type": "directional", "direction": [1.0, 0.4, -0.6], "irradiance": rgb(0.2, 0.2, 0.1)},
-        "sky": {"type": "constant", "radiance": rgb(0.02, 0.03, 0.05)},
+        "point": {"type": "point", "position": [-1.5, 2.5, 1.0], "intensity": rgb((0.5, 1.0, 0.8))},
+        "spot": {"type": "spot", "to_world": look_at((3, -3, 3), (1, -2, 0)), "intensity": rgb((9.0, 3.0, 2.0))},
+        "sun": {"type": "directional", "direction": [1.0, 0.4, -0.6], "irradiance": rgb((0.2, 0.2, 0.1))},
+        "sky": {"type": "constant", "radiance": rgb((0.02, 0.03, 0.05))},
     }
     assert_same_picture(scene, tmp_path)
 
 
 def test_an_environment_map_with_a_sun(tmp_path):
-    """10^5 times as bright as the rest in one texel, turned; a ball of rough metal sees it by both techniques."""
+    """10^5 times as bright as the rest in one texel, to_world; a ball of rough metal sees it by both techniques."""
     pixels = np.random.default_rng(22).uniform(0.2, 1.0, (33, 64, 3)).astype(np.float32)
     pixels[9, 20] = 6e4
     write_exr(tmp_path / "sky.exr", {"": pixels}, {})
-    turned = np.eye(4)[[0, 2, 1, 3]] * [1, -1, 1, 1]  # y, the axis of the map, goes up: along z
+    to_world = np.eye(4)[[0, 2, 1, 3]] * [1, -1, 1, 1]  # y, the axis of the map, points up: along z
     film = {"type": "hdrfilm", "width": 24, "height": 20, "rfilter": {"type": "box"}}
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 4, "rr_depth": 100},
-        "sensor": {"type": "perspective", "fov": 30.0, "to_world": looking((0, -6, 2), (0, 0, 0.4)), "film": film},
-        "sky": {"type": "envmap", "filename": str(tmp_path / "sky.exr"), "scale": 0.5, "to_world": turned},
-        "floor": {"type": "rectangle", "to_world": placed(5.0, (0, 0, -1)), "bsdf": {"type": "diffuse"}},
+        "sensor": {"type": "perspective", "fov": 30.0, "to_world": look_at((0, -6, 2), (0, 0, 0.4)), "film": film},
+        "sky": {"type": "envmap", "filename": str(tmp_path / "sky.exr"), "scale": 0.5, "to_world": to_world},
+        "floor": {"type": "rectangle", "to_world": transform(5.0, (0, 0, -1)), "bsdf": {"type": "diffuse"}},
         "ball": {"type": "sphere", "bsdf": GOLD},
     }
     assert_same_picture(scene, tmp_path)
