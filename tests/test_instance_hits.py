@@ -37,7 +37,7 @@ PROBE = """
 #include "path/path_state.h"
 #include "geometry/surface.h"
 
-__kernel void probe(uint n, __global const float* triangles, __global const uint* faces,
+__kernel void probe(uint n, __global const Triangle* triangles, __global const uint* faces,
                     __global const float* corner_normals, __global const Analytic* analytics,
                     __global const Shape* shapes, __global const Instance* instances, __global const uint* instance,
                     __global const float* ray_origin, __global const float* ray_direction, __global const float* hits,

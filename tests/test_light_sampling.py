@@ -23,7 +23,7 @@ from isonoise.scene.spectra import srgb_to_linear
 
 Z = 5.0
 SAMPLES, BINS, GRID = 2**16, 12, 240
-GEOMETRY = """__global const float* triangles, __global const uint* faces, __global const float* uvs,
+GEOMETRY = """__global const Triangle* triangles, __global const uint* faces, __global const float* uvs,
                       __global const Analytic* analytics, __global const Shape* shapes,
                       __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
                       __global const Light* lights"""

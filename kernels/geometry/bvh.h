@@ -4,7 +4,7 @@
 #include "geometry/instance.h"
 #include "util/math.h"
 
-#define NODE_ROWS 7u
+#define NODE_ROWS 7u  // float8: lower x, y, z and upper x, y, z of the 8 children, then their references
 
 // Traversal is not vectorised across rays, so it uses OpenCL vectors. They have 4 components, all initialised.
 INLINE float4 to_float4(Vec3 v)

@@ -55,7 +55,7 @@ INLINE TexturePoint texture_point(const Surface* s)
 
 // Buffers and counts of the scene. Members that depend on a feature are absent without it.
 typedef struct {
-    __global const float* triangles;  // records of TRIANGLE_FLOATS: host/isonoise/scene/structs.py
+    __global const Triangle* triangles;
     __global const uint* faces;
     __global const float* corner_normals;  // three per triangle
     __global const float* uvs;
@@ -90,8 +90,6 @@ typedef struct {
 #endif
 } SceneView;
 
-#define TRIANGLE_FLOATS 16u
-
 #if FEATURE_UVS && FEATURE_TRIANGLES
 // Texture coordinates of a triangle, dp_du and dp_dv. A mesh without UVs gets barycentric coordinates, in the corner
 // order of the mesh. Degenerate UVs give an arbitrary dp_du and dp_dv. As in Mitsuba 3 (3.9.1).
@@ -123,23 +121,21 @@ INLINE void triangle_uv(const SceneView* scene, uint triangle, float u, float v,
 #if FEATURE_TRIANGLES
 INLINE Surface triangle_surface(const SceneView* scene, uint triangle, float u, float v)
 {
-    const int record = (int)TRIANGLE_FLOATS * (int)triangle;
-    const Vec3 corner = LOAD3_AT(record, scene->triangles), edge1 = LOAD3_AT(record + 4, scene->triangles);
-    const Vec3 edge2 = LOAD3_AT(record + 8, scene->triangles);
+    const Triangle record = Triangle_at(scene->triangles, triangle);
+    const Vec3 corner = LOAD3(0, record.corner), edge1 = LOAD3(0, record.edge1), edge2 = LOAD3(0, record.edge2);
     const Vec3 along1 = scale3(edge1, u), along2 = scale3(edge2, v);
-    const uint flags = as_uint(scene->triangles[record + 11]);
     Surface s = empty_surface();
     s.position = add3(corner, add3(along1, along2));
     // an edge is the difference of two corners, with a rounding error of at most GAMMA(1) of itself
     s.error = scale3(add3(add3(abs3(corner), abs3(along1)), abs3(along2)), GAMMA(5));
-    s.geometric_normal = s.normal = LOAD3_AT(record + 12, scene->triangles);
-    s.bsdf = as_uint(scene->triangles[record + 3]);
-    s.light = as_uint(scene->triangles[record + 7]);
+    s.geometric_normal = s.normal = LOAD3(0, record.normal);
+    s.bsdf = record.bsdf;
+    s.light = record.light;
 #if FEATURE_MEDIA
-    s.media = as_uint(scene->triangles[record + 15]);
+    s.media = record.media;
 #endif
 #if FEATURE_VERTEX_NORMALS
-    if (flags & SHAPE_VERTEX_NORMALS) {
+    if (record.flags & SHAPE_VERTEX_NORMALS) {
         const int first = 3 * (int)triangle;
         const Vec3 interpolated = normalize3(weighted_sum3(
             1.0f - u - v, LOAD3(first, scene->corner_normals), u, LOAD3(first + 1, scene->corner_normals), v,
@@ -148,7 +144,7 @@ INLINE Surface triangle_surface(const SceneView* scene, uint triangle, float u, 
     }
 #endif
 #if FEATURE_UVS
-    triangle_uv(scene, triangle, u, v, edge1, edge2, flags, &s);
+    triangle_uv(scene, triangle, u, v, edge1, edge2, record.flags, &s);
 #endif
     return s;
 }

@@ -7,6 +7,9 @@
 #include "util/math.h"
 
 #if FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST
+// Rows of a node, each a float8 with one lane a child: 0-2 center and 3 radius of the bounding sphere, 4 fraction of
+// the power, 5-7 axis of the cone of normals, 8 cosine and 9 sine of its half angle, 10 cosine of the angle to a normal
+// up to which light is emitted, 11 child (int bits): > 0 a node, else ~light.
 #define LIGHT_NODE_ROWS 12
 #define DEFENSIVE_FRACTION 0x1p-10f  // of the selections go by power alone, in case rounding makes an importance 0
 #define MIN_TOTAL_IMPORTANCE 1e-30f  // its inverse is finite; below it selections go by power alone
@@ -82,10 +85,7 @@ INLINE float child_pmf(float importance, float total, float power_fraction)
 // Index of the last lane that is set in a mask, from the exponent of its bits as a float; 0 if none is set.
 INLINE uint last_set_lane(int8 mask)
 {
-    const int8 lanes = mask & (int8)(1, 2, 4, 8, 16, 32, 64, 128);
-    const int4 half_lanes = lanes.lo | lanes.hi;
-    const int2 quarter_lanes = half_lanes.lo | half_lanes.hi;
-    return (as_uint((float)(quarter_lanes.x | quarter_lanes.y | 1)) >> 23) - 127u;
+    return (as_uint((float)(mask_bits(mask) | 1u)) >> 23) - 127u;
 }
 
 // Selects a light by the random number u + 2^-24 u_low, in [0, 1). `pmf` receives its probability. At every node the

@@ -94,7 +94,8 @@ INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* pat
     const bool both_in_world = !(p->start_primitive & ANALYTIC_BIT);
 #endif
     if (both_in_world) {
-        const Vec3 normal = LOAD3_AT((int)TRIANGLE_FLOATS * (int)p->start_primitive + 12, scene->triangles);
+        const Triangle start = Triangle_at(scene->triangles, p->start_primitive);
+        const Vec3 normal = LOAD3(0, start.normal);
         return abs_float(dot3(normal, s->geometric_normal)) > 0.999f;
     }
     return abs_float(dot3(p->direction, s->geometric_normal)) < 0.5f;

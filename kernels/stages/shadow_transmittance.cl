@@ -89,8 +89,7 @@ INLINE bool attenuate_block(ShadowState* shadow, const SceneView* scene, const T
         intersect_triangle_block(block, &traversal->ray, traversal->skip, t_max, &t.vector, &u.vector, &v.vector);
     for (; hits; hits &= hits - 1u) {
         const uint lane = lowest_set_bit(hits), primitive = ((__global const uint*)(block + 9))[lane];
-        const uint flags = as_uint(scene->triangles[TRIANGLE_FLOATS * primitive + 11u]);
-        if (!(flags & SHAPE_PASS_THROUGH)) return false;
+        if (!(Triangle_at(scene->triangles, primitive).flags & SHAPE_PASS_THROUGH)) return false;
 #if FEATURE_INSTANCES
         const Surface s = instanced_surface_of_hit(scene, traversal->instance, primitive, origin, direction,
                                                    t.lane[lane], u.lane[lane], v.lane[lane]);

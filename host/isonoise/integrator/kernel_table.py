@@ -15,6 +15,7 @@ from isonoise.scene.material.bsdf_kinds import bsdf_macros
 
 STRUCTS = {
     "Camera": structs.CAMERA,
+    "Triangle": structs.TRIANGLE,
     "Shape": structs.SHAPE,
     "Analytic": structs.ANALYTIC,
     "Instance": structs.INSTANCE,
@@ -82,7 +83,14 @@ ELEMENT_TYPES = {
     **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected"), "uint"),
     **dict.fromkeys(("alive", "block_alive", "total_alive"), "uint"),
     **{"tests": "uint2", "texel_bytes": "uchar"},
-    **{"camera": "Camera", "analytics": "Analytic", "shapes": "Shape", "instances": "Instance", "bsdfs": "Bsdf"},
+    **{
+        "camera": "Camera",
+        "triangles": "Triangle",
+        "analytics": "Analytic",
+        "shapes": "Shape",
+        "instances": "Instance",
+        "bsdfs": "Bsdf",
+    },
     **{"textures": "Texture", "lights": "Light", "light_alias": "Alias", "light_bounds": "LightBound"},
     **{"environment": "Environment", "media": "Medium"},
 }

@@ -74,7 +74,7 @@ TRIANGLE = np.dtype(
         ("media", "u4"),  # of the shape
     ]
 )
-"""All that shading asks of a triangle, in one cache line; the kernels read it as four float4."""
+"""What shading reads of a triangle, in one cache line."""
 
 ANALYTIC = np.dtype(
     [
