@@ -168,12 +168,12 @@ def _share_slots(left_cost: np.ndarray, right_cost: np.ndarray) -> tuple[list, n
     costs: list = [None, None]
     left_slots = np.zeros((left.shape[1], BVH_WIDTH + 1), np.uint8)
     for budget in range(2, BVH_WIDTH + 1):
-        least, left_budget = left[0] + right[budget - 2], np.ones(left.shape[1], np.uint8)
+        min_cost, left_budget = left[0] + right[budget - 2], np.ones(left.shape[1], np.uint8)
         for k in range(2, budget):
             other = left[k - 1] + right[budget - k - 1]
-            np.copyto(left_budget, np.uint8(k), where=other < least)
-            np.minimum(least, other, out=least)
-        costs.append(least)
+            np.copyto(left_budget, np.uint8(k), where=other < min_cost)
+            np.minimum(min_cost, other, out=min_cost)
+        costs.append(min_cost)
         left_slots[:, budget] = left_budget
     return costs, left_slots
 

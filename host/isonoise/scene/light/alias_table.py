@@ -19,18 +19,18 @@ def alias_tables(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     rows, count = weights.shape
     total = weights.sum(axis=1, keepdims=True)
-    share = np.where(total > 0, weights * (count / np.where(total > 0, total, 1.0)), 1.0)  # mean 1
-    is_above = (share >= np.minimum(1.0, share.max(axis=1, keepdims=True))).ravel()
-    share, row_length = share.ravel(), 2.0 * count
+    scaled = np.where(total > 0, weights * (count / np.where(total > 0, total, 1.0)), 1.0)  # mean 1
+    is_above = (scaled >= np.minimum(1.0, scaled.max(axis=1, keepdims=True))).ravel()
+    scaled, row_length = scaled.ravel(), 2.0 * count
     low, high = np.flatnonzero(~is_above), np.flatnonzero(is_above)
     row_of_low, row_of_high = low // count, high // count
-    deficit_end = _prefix_sums_by_row(1.0 - share[low], row_of_low, row_length)
-    surplus_end = _prefix_sums_by_row(share[high] - 1.0, row_of_high, row_length)
+    deficit_end = _prefix_sums_by_row(1.0 - scaled[low], row_of_low, row_length)
+    surplus_end = _prefix_sums_by_row(scaled[high] - 1.0, row_of_high, row_length)
     last_of_row = np.flatnonzero(np.append(np.diff(row_of_high) > 0, True))
     padded_end = surplus_end.copy()
     padded_end[last_of_row] = row_length * (np.arange(rows) + 1.0)  # deficits exceed surpluses only by rounding
     deficit_begin = np.maximum(np.append(0.0, deficit_end)[: len(low)], row_length * row_of_low)
-    threshold, alias = share.copy(), np.arange(rows * count)
+    threshold, alias = scaled.copy(), np.arange(rows * count)
     alias[low] = high[np.searchsorted(padded_end, deficit_begin, side="right")]
     overdrawing = np.searchsorted(deficit_end, surplus_end, side="left")  # the deficit that ends at or after it
     high_threshold = np.ones(len(high))

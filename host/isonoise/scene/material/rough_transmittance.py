@@ -102,8 +102,8 @@ def _square_to_disk(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarra
     is_wide = np.abs(x) > np.abs(y)
     radius = np.where(is_wide, x, y)
     angle = np.pi / 4.0 * np.where(is_wide, y, x) / radius
-    along, across = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-    return np.where(is_wide.ravel(), along, across), np.where(is_wide.ravel(), across, along)
+    major, minor = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    return np.where(is_wide.ravel(), major, minor), np.where(is_wide.ravel(), minor, major)
 
 
 def _beckmann_slopes(sine: float, cosine: float, u: np.ndarray) -> np.ndarray:

@@ -103,9 +103,9 @@ def _check_colour(kind: str, value, location: SourceLocation):
     if isinstance(value, dict) and value["type"] == "spectrum":
         return {"type": "spectrum", "value": _check_spectrum(kind, value, location)}
     if isinstance(value, dict):
-        given = value.get("value")
-        given = tuple(np.atleast_1d(np.asarray(given, dtype=object)).tolist()) if given is not None else ()
-        channels = given * 3 if len(given) == 1 else given
+        values = value.get("value")
+        values = tuple(np.atleast_1d(np.asarray(values, dtype=object)).tolist()) if values is not None else ()
+        channels = values * 3 if len(values) == 1 else values
         if _to_vector(channels) is None:
             location.raise_error(f"an rgb colour is one or three finite numbers, got {_shortened(value.get('value'))}")
         _check_colour_range(kind, channels, location)
@@ -118,15 +118,15 @@ def _check_colour(kind: str, value, location: SourceLocation):
 
 
 def _check_spectrum(kind: str, value: dict, location: SourceLocation):
-    given = value.get("value")
-    number = _to_float(given)
+    values = value.get("value")
+    number = _to_float(values)
     if number is not None:
         _check_colour_range(kind, (number,), location)
         return number
     try:
-        pairs = [(float(wavelength), float(v)) for wavelength, v in given]
+        pairs = [(float(wavelength), float(v)) for wavelength, v in values]
     except (TypeError, ValueError):
-        location.raise_error(f"a spectrum is one number or pairs of wavelength and value, got {_shortened(given)}")
+        location.raise_error(f"a spectrum is one number or pairs of wavelength and value, got {_shortened(values)}")
     if len(pairs) < 2 or not np.isfinite(pairs).all():
         location.raise_error("a spectrum needs at least two pairs of finite numbers")
     if any(b[0] <= a[0] for a, b in pairwise(pairs)):

@@ -42,10 +42,10 @@ def parse_vector(tag: Tag, default: float | None, *others: str) -> tuple[float, 
     """A vector from `value` (one or three numbers) or from x, y, z, whose default is `default` (None: required)."""
     if "value" in tag.attributes:
         check_attributes(tag, ("value", *others))
-        given = parse_numbers(tag, tag.attributes["value"])
-        if len(given) not in (1, 3):
-            tag.location.raise_error(f"'value' has to be one or three numbers, got {len(given)}")
-        return tuple(given * 3 if len(given) == 1 else given)
+        values = parse_numbers(tag, tag.attributes["value"])
+        if len(values) not in (1, 3):
+            tag.location.raise_error(f"'value' has to be one or three numbers, got {len(values)}")
+        return tuple(values * 3 if len(values) == 1 else values)
     axes = ("x", "y", "z")
     check_attributes(tag, (*others, *axes) if default is None else others, axes)
     return tuple(parse_number(tag, tag.attributes[axis]) if axis in tag.attributes else default for axis in axes)
@@ -66,10 +66,10 @@ def _parse_boolean(tag: Tag) -> bool:
 
 
 def _parse_rgb(tag: Tag) -> dict:
-    given = parse_numbers(tag, tag.attributes["value"])
-    if len(given) not in (1, 3):
-        tag.location.raise_error(f"an rgb colour is one or three numbers, got {len(given)}")
-    return {"type": "rgb", "value": given}
+    values = parse_numbers(tag, tag.attributes["value"])
+    if len(values) not in (1, 3):
+        tag.location.raise_error(f"an rgb colour is one or three numbers, got {len(values)}")
+    return {"type": "rgb", "value": values}
 
 
 def _parse_spectrum(tag: Tag) -> dict:
@@ -78,10 +78,10 @@ def _parse_spectrum(tag: Tag) -> dict:
         tag.location.raise_error("spectra from files are not supported; give pairs of wavelength and value in 'value'")
     text = tag.attributes["value"]
     if ":" not in text:
-        given = parse_numbers(tag, text)
-        if len(given) != 1:
+        values = parse_numbers(tag, text)
+        if len(values) != 1:
             tag.location.raise_error("a spectrum is one number or pairs such as 400:0.3, 500:0.7")
-        return {"type": "spectrum", "value": given[0]}
+        return {"type": "spectrum", "value": values[0]}
     pairs = []
     for part in re.split(r"[\s,]+", text.strip()):
         wavelength, separator, value = part.partition(":")
@@ -107,12 +107,12 @@ def transform_matrix(tag: Tag) -> np.ndarray:
         return _parse_look_at(tag)
     if tag.name == "matrix":
         check_attributes(tag, ("value",))
-        given = parse_numbers(tag, tag.attributes["value"])
-        if len(given) not in (9, 16):
-            tag.location.raise_error(f"a matrix has 16 or 9 numbers, got {len(given)}")
-        size = 4 if len(given) == 16 else 3
+        values = parse_numbers(tag, tag.attributes["value"])
+        if len(values) not in (9, 16):
+            tag.location.raise_error(f"a matrix has 16 or 9 numbers, got {len(values)}")
+        size = 4 if len(values) == 16 else 3
         matrix = np.eye(4)
-        matrix[:size, :size] = np.reshape(given, (size, size))
+        matrix[:size, :size] = np.reshape(values, (size, size))
         return matrix
     tag.location.raise_error(f"unknown operation; a transform consists of {', '.join(TRANSFORM_OPERATIONS)}")
 
