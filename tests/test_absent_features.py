@@ -15,6 +15,7 @@ from feature_sets import all_but, needs_of, only, scene_with
 
 from isonoise.device.opencl import Device
 from isonoise.device.program import flatten, stage_source
+from isonoise.integrator import stages
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.feature_costs import cost, features_in, stages_with
@@ -264,6 +265,7 @@ def allocated(
 ) -> tuple[dict[str, int], Wavefront]:
     """Bytes of every buffer that a scene's kernels get, by the names of the arguments; nothing is compiled for it."""
     with monkeypatch.context() as patch:
+        patch.setattr(stages, "stage_source", lambda *arguments: ("", ()))
         patch.setattr(Device, "build", lambda self, text, options: {})
         wavefront = Wavefront(
             Device(), scene, build_scene_bvh(scene), needs, pool_size=256, feature_override=feature_override

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from isonoise.device.opencl import Device
+from isonoise.integrator import stages
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import KERNELS
 from isonoise.renderer import Renderer
@@ -179,6 +180,7 @@ def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, foggy, instanced, lit, need
     strategy = Uniform()
     strategy.needs = needs
     # this is about buffers alone: no kernel is built
+    monkeypatch.setattr(stages, "stage_source", lambda *arguments: ("", ()))
     monkeypatch.setattr(Device, "build", lambda self, text, options: {})
 
     def allocated(pool: int, size: tuple[int, int]) -> int:

@@ -167,6 +167,7 @@ def lamp_over_ball(integrator: str, **more) -> dict:
     }
 
 
+@pytest.mark.usefixtures("one_lane")
 @pytest.mark.parametrize("boundary", [0.1, 0.5, 1.1])
 def test_weights_hold_across_boundaries(boundary):
     """Boundaries around a lamp, however far away, change nothing: the density of a light's point is that from the last

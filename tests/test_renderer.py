@@ -41,9 +41,9 @@ def test_the_pool_size_changes_no_bit(thirty_spp, pool_size):
 
 
 def many_kinds() -> dict:
-    """Surfaces, a texture, materials and lights of several kinds, so that neighbouring paths differ in kind."""
+    """Several kinds of surfaces and materials, a texture and a sky, so that neighbouring paths differ in kind."""
     board = {"type": "checkerboard", "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
-    tiles = {"type": "blendbsdf", "weight": board, "first": {"type": "dielectric"}, "second": {"type": "diffuse"}}
+    tiles = {"type": "diffuse", "reflectance": board}
     transform = np.eye(4)
     transform[:3, 3] = 0.3, 0.5, 0.2
     return lamp_over_floor(width=32, height=24, max_depth=8) | {
@@ -52,13 +52,12 @@ def many_kinds() -> dict:
         "net": {"type": "disk", "to_world": transform, "bsdf": {"type": "mask", "opacity": board, "inner": tiles}},
         "group": {"type": "shapegroup", "box": {"type": "cube", "to_world": np.diag([0.1, 0.1, 0.1, 1.0])}},
         "box": {"type": "instance", "to_world": transform, "group": {"type": "ref", "id": "group"}},
-        "spot": {"type": "spot", "to_world": transform, "intensity": 3.0},
         "sky": {"type": "constant", "radiance": 0.2},
     }
 
 
 def many_materials() -> dict:
-    """The same with rough materials, whose kernels take long to compile."""
+    """The same with more lights and with rough materials, whose kernels take long to compile."""
     board = {"type": "checkerboard", "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
     glossy = {"type": "roughconductor", "alpha": board, "distribution": "ggx"}
     tiles = {"type": "blendbsdf", "weight": board, "first": {"type": "roughplastic"}, "second": glossy}
@@ -66,7 +65,8 @@ def many_materials() -> dict:
     scene = many_kinds()
     scene["floor"]["bsdf"] = {"type": "twosided", "inner": tiles}
     scene["net"]["bsdf"]["inner"] = glossy
-    return scene | {"ball": {"type": "sphere", "radius": 0.3, "bsdf": clear}}
+    spot = {"type": "spot", "to_world": scene["net"]["to_world"], "intensity": 3.0}
+    return scene | {"ball": {"type": "sphere", "radius": 0.3, "bsdf": clear}, "spot": spot}
 
 
 @pytest.mark.parametrize("scene", [lamp_over_floor, many_kinds, pytest.param(many_materials, marks=pytest.mark.long)])
