@@ -59,14 +59,14 @@ def _description(kind: str, name: str) -> list[str]:
         lines.append(_text_table(("parameter", "type", "values", "default", "meaning"), rows))
     for child in facts["children"]:
         types = f" ({', '.join(child['types'])})" if child["types"] else ""
-        lines.append(f"  children: {_format_range(child['least'], child['most'])} {child['kind']}{types}")
+        lines.append(f"  children: {_format_range(child['min_count'], child['max_count'])} {child['kind']}{types}")
     return lines
 
 
-def _format_range(least: int, most: int) -> str:
-    if most >= 1 << 16:
-        return f"{least} or more"
-    return str(most) if least == most else f"{least} to {most}"
+def _format_range(min_count: int, max_count: int) -> str:
+    if max_count >= 1 << 16:
+        return f"{min_count} or more"
+    return str(max_count) if min_count == max_count else f"{min_count} to {max_count}"
 
 
 def _text_table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

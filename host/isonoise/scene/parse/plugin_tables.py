@@ -69,7 +69,7 @@ def parameter_info(parameter: Parameter) -> dict:
 
 
 def _child_info(child: Child) -> dict:
-    return {"kind": child.kind, "least": child.min_count, "most": child.max_count, "types": list(child.types)}
+    return {"kind": child.kind, "min_count": child.min_count, "max_count": child.max_count, "types": list(child.types)}
 
 
 def _format_default(value) -> str:
