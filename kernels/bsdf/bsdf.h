@@ -1,5 +1,6 @@
-// Evaluation and sampling of BSDFs, dispatched on their kind. A kind is a row of host/isonoise/scene/material/bsdf_kinds.py and a
-// header of its own; the generated header includes those and defines FOR_BSDFS over the kinds that the scene has.
+// Evaluation and sampling of BSDFs, dispatched on their kind. A kind is a row of
+// host/isonoise/scene/material/bsdf_kinds.py and a header of its own; the generated header includes those and defines
+// FOR_BSDFS over the kinds that the scene has.
 #pragma once
 #include "bsdf/context.h"
 #include "generated/bsdf_kinds.h"
@@ -32,7 +33,8 @@ INLINE Vec3 bsdf_eval_kind(uint kind, const BsdfContext* ctx, Vec3 wo, float* pd
 {
     *pdf = 0.0f;
     Vec3 value = splat3(0.0f);
-#define EVAL_KIND(BIT, name) if (kind & BIT) value = name##_eval(ctx, wo, pdf);
+#define EVAL_KIND(BIT, name) \
+    if (kind & BIT) value = name##_eval(ctx, wo, pdf);
     FOR_NON_DELTA_BSDFS(EVAL_KIND)
     return value;
 }
@@ -47,7 +49,8 @@ INLINE Vec3 bsdf_eval(const BsdfContext* ctx, Vec3 wo, float* pdf)
 INLINE BsdfSample bsdf_sample_kind(uint kind, const BsdfContext* ctx, Vec3 u)
 {
     BsdfSample sample = empty_bsdf_sample();
-#define SAMPLE_KIND(BIT, name) if (kind & BIT) sample = name##_sample(ctx, u);
+#define SAMPLE_KIND(BIT, name) \
+    if (kind & BIT) sample = name##_sample(ctx, u);
     FOR_BSDFS(SAMPLE_KIND)
     return sample;
 }

@@ -7,7 +7,8 @@
 INLINE BsdfSample dielectric_sample(const BsdfContext* ctx, Vec3 u)
 {
     const bool inside = ctx->cos_i < 0.0f;
-    const float index = bsdf_float(ctx, SLOT_DIELECTRIC_IOR), eta = inside ? 1.0f / index : index, cos_i = abs_float(ctx->cos_i);
+    const float index = bsdf_float(ctx, SLOT_DIELECTRIC_IOR), eta = inside ? 1.0f / index : index,
+                cos_i = abs_float(ctx->cos_i);
     const Vec3 facing = inside ? neg3(ctx->normal) : ctx->normal;
     float cos_t = 0.0f;
     const float reflectance = fresnel_dielectric(cos_i, eta, &cos_t);

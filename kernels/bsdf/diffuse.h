@@ -18,7 +18,8 @@ INLINE BsdfSample diffuse_sample(const BsdfContext* ctx, Vec3 u)
     const Vec3 local_direction = square_to_hemisphere(vec2(u.y, u.z));
     BsdfSample sample = empty_bsdf_sample();
     sample.direction = rotate_to_normal(ctx->normal, local_direction);
-    sample.weight = ctx->cos_i > 0.0f && local_direction.z > 0.0f ? bsdf_rgb(ctx, SLOT_DIFFUSE_REFLECTANCE) : splat3(0.0f);
+    sample.weight =
+        ctx->cos_i > 0.0f && local_direction.z > 0.0f ? bsdf_rgb(ctx, SLOT_DIFFUSE_REFLECTANCE) : splat3(0.0f);
     sample.pdf = local_direction.z * M_1_PI_F;
     return sample;
 }

@@ -3,9 +3,9 @@
 #include "util/math.h"
 
 #if HAS_DIELECTRIC_FRESNEL
-// Unpolarised reflectance of a smooth dielectric interface. *cos_t gets the cosine of the refracted direction, 0 with total
-// reflection. `eta`: index of refraction of the far side over that of the near side.
-// Born and Wolf, Principles of Optics, 7th ed., 1.5.2.
+// Unpolarised reflectance of a smooth dielectric interface. *cos_t gets the cosine of the refracted direction, 0 with
+// total reflection. `eta`: index of refraction of the far side over that of the near side. Born and Wolf, Principles of
+// Optics, 7th ed., 1.5.2.
 INLINE float fresnel_dielectric(float cos_i, float eta, float* cos_t)
 {
     const float sin2_t = (1.0f - cos_i * cos_i) / (eta * eta);

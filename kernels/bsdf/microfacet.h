@@ -1,5 +1,6 @@
 // Microfacet distributions, masking and sampling of normals, in the shading frame: z is the surface's normal.
-// Used by the rough BSDFs. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; names and numbers as in Mitsuba 3.
+// Used by the rough BSDFs. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; names
+// and numbers as in Mitsuba 3.
 #pragma once
 #include "bsdf/context.h"
 
@@ -24,12 +25,14 @@ INLINE float log_approx(float x)
     const uint shifted = as_uint(x) - 0x3F3504F3u;  // of 1 / sqrt(2)
     const float m = as_float((shifted & 0x7FFFFFu) + 0x3F3504F3u), k = (float)((int)shifted >> 23);
     const float t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
-    return k * 0.693147181f + t * (2.0f + t2 * (6.6666667e-1f + t2 * (0.4f + t2 * (2.8571429e-1f + t2 * 2.2222222e-1f))));
+    return k * 0.693147181f +
+           t * (2.0f + t2 * (6.6666667e-1f + t2 * (0.4f + t2 * (2.8571429e-1f + t2 * 2.2222222e-1f))));
 }
 #endif
 
 #if FEATURE_BECKMANN
-// erf(x) for x >= 0, absolute error 1.5e-7; `gaussian` is e^(-x^2). Abramowitz and Stegun, Handbook of Mathematical Functions, 7.1.26.
+// erf(x) for x >= 0, absolute error 1.5e-7; `gaussian` is e^(-x^2). Abramowitz and Stegun, Handbook of Mathematical
+// Functions, 7.1.26.
 INLINE float erf_approx(float x, float gaussian)
 {
     const float t = 1.0f / (1.0f + 0.3275911f * x);
@@ -95,7 +98,8 @@ INLINE float microfacet_d(const MicrofacetDistribution* d, Vec3 m)
     return density * m.z > 1e-20f ? density : 0.0f;  // Mitsuba's bound; also catches NaN
 }
 
-// Smith's G1(v) / |cos v|, without a division by the cosine, which may vanish. G1 is the share of the facets visible from v.
+// Smith's G1(v) / |cos v|, without a division by the cosine, which may vanish. G1 is the share of the facets visible
+// from v.
 INLINE float smith_g1_over_cos(const MicrofacetDistribution* d, Vec3 v)
 {
     const float x = d->alpha_u * v.x, y = d->alpha_v * v.y, q = x * x + y * y, z = abs_float(v.z);
@@ -131,20 +135,21 @@ INLINE Vec3 sample_visible_ggx(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
     const float z = SQRT(MAX(1.0f - dot2(p, p), 0.0f));
     const float along = z * sin2 * inverse - p.y * v.z;  // component in the plane of v and the normal
     const float up = z * v.z + p.y * sin2 * inverse;
-    return normalize3(vec3(d->alpha_u * (along * cos_phi - p.x * sin_phi), d->alpha_v * (along * sin_phi + p.x * cos_phi),
-                     MAX(up, 0.0f)));
+    return normalize3(vec3(d->alpha_u * (along * cos_phi - p.x * sin_phi),
+                           d->alpha_v * (along * sin_phi + p.x * cos_phi), MAX(up, 0.0f)));
 }
 
 #if FEATURE_BECKMANN
-// Visible slope along the plane of incidence of a surface of roughness 1; `tangent` is that of the angle of incidence. Inverts the
-// distribution function in the variable x = erf(slope), in which it is nearly linear, by two steps of Halley's method, to 3e-5.
-// After W. Jakob, "An Improved Visible Normal Sampling Routine for the Beckmann Distribution", 2014, whose steps are Newton's.
+// Visible slope along the plane of incidence of a surface of roughness 1; `tangent` is that of the angle of incidence.
+// Inverts the distribution function in the variable x = erf(slope), in which it is nearly linear, by two steps of
+// Halley's method, to 3e-5. After W. Jakob, "An Improved Visible Normal Sampling Routine for the Beckmann
+// Distribution", 2014, whose steps are Newton's.
 INLINE float sample_visible_slope_beckmann(float tangent, float u)
 {
     const float cotangent = 1.0f / tangent, bound = 0x1.fffffep-1f;  // of no tangent: 1 / 0, and erf is 1
     const float end = exp_approx(-cotangent * cotangent), most = erf_approx(cotangent, end);
     const float t = 0.564189584f * tangent, target = u * (1.0f + most + t * end);  // 1 / sqrt(pi)
-    float x = most - (most + 1.0f) * erf_approx(SQRT(-log_approx(u)), u);  // the solution at grazing incidence
+    float x = most - (most + 1.0f) * erf_approx(SQRT(-log_approx(u)), u);          // the solution at grazing incidence
     float slope = 0.0f, step = 0.0f;
 #pragma unroll
     for (uint i = 0; i < 2u; ++i) {
@@ -166,8 +171,8 @@ INLINE Vec3 sample_visible_beckmann(const MicrofacetDistribution* d, Vec3 w, Vec
     const float x = d->alpha_u * w.x, y = d->alpha_v * w.y, s = SQRT(x * x + y * y);
     const float cos_phi = s > 0.0f ? x / s : 1.0f, sin_phi = s > 0.0f ? y / s : 0.0f;
     const float along = sample_visible_slope_beckmann(s / w.z, u.x), across = erfinv_approx(2.0f * u.y - 1.0f);
-    return normalize3(vec3(-d->alpha_u * (cos_phi * along - sin_phi * across), -d->alpha_v * (sin_phi * along + cos_phi * across),
-                     1.0f));
+    return normalize3(vec3(-d->alpha_u * (cos_phi * along - sin_phi * across),
+                           -d->alpha_v * (sin_phi * along + cos_phi * across), 1.0f));
 }
 #endif
 
@@ -197,8 +202,9 @@ INLINE Vec3 sample_microfacet(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
 }
 
 #if (FEATURE_ROUGH_DIELECTRIC && FEATURE_NEXT_EVENT) || FEATURE_PRINCIPLED
-// The microfacet of a rough interface that reflects or refracts w, w.z > 0, into o: its normal m, the cosines between m and w, o,
-// and the Jacobian |dm / do|. `eta`: index of the far side over that of the near side. Returns whether there is such a facet.
+// The microfacet of a rough interface that reflects or refracts w, w.z > 0, into o: its normal m, the cosines between m
+// and w, o, and the Jacobian |dm / do|. `eta`: index of the far side over that of the near side. Returns whether there
+// is such a facet.
 INLINE bool generalized_half_vector(Vec3 w, Vec3 o, float eta, Vec3* m, float* cos_w, float* cos_o, float* jacobian)
 {
     const bool reflects = o.z > 0.0f;

@@ -36,12 +36,14 @@ INLINE Vec3 perturbed_normal(const BsdfContext* ctx, const Surface* s)
 {
     Vec3 bumped = vec3(0.0f, 0.0f, 1.0f);
 #if FEATURE_NORMAL_MAP
-    if (material(ctx).kind & BSDF_NORMAL_MAP) bumped = sub3(scale3(lookup_rgb(ctx, SLOT_NORMAL_MAP_NORMALMAP), 2.0f), splat3(1.0f));
+    if (material(ctx).kind & BSDF_NORMAL_MAP)
+        bumped = sub3(scale3(lookup_rgb(ctx, SLOT_NORMAL_MAP_NORMALMAP), 2.0f), splat3(1.0f));
 #endif
 #if FEATURE_BUMP
     if (material(ctx).kind & BSDF_BUMP) {
         const uint height = material(ctx).textures[SLOT_BUMP_HEIGHT];
-        const Vec2 slope = scale2(texture_gradient(ctx->textures, height, &ctx->point), material(ctx).constants[CONSTANT_BUMP_SCALE]);
+        const Vec2 slope =
+            scale2(texture_gradient(ctx->textures, height, &ctx->point), material(ctx).constants[CONSTANT_BUMP_SCALE]);
         const Vec3 along_u = add3(s->dp_du, scale3(s->normal, slope.x - dot3(s->normal, s->dp_du)));
         const Vec3 along_v = add3(s->dp_dv, scale3(s->normal, slope.y - dot3(s->normal, s->dp_dv)));
         const Vec3 normal = cross3(along_u, along_v);
@@ -51,7 +53,8 @@ INLINE Vec3 perturbed_normal(const BsdfContext* ctx, const Surface* s)
 #endif
     // a normal that faces away from the viewer is flipped: Schuessler et al., "Microfacet-Based Normal Mapping", 2017
     const Vec3 wi = to_local(ctx, ctx->wi);
-    if (!(material(ctx).flags & BSDF_KEEP_INVALID_NORMALS) && wi.z * dot3(wi, bumped) <= 0.0f) bumped = vec3(-bumped.x, -bumped.y, bumped.z);
+    if (!(material(ctx).flags & BSDF_KEEP_INVALID_NORMALS) && wi.z * dot3(wi, bumped) <= 0.0f)
+        bumped = vec3(-bumped.x, -bumped.y, bumped.z);
     bumped = normalize3(bumped);
     return dot3(bumped, bumped) > 0.0f ? bumped : vec3(0.0f, 0.0f, 1.0f);
 }
@@ -71,9 +74,9 @@ INLINE void perturb_frame(BsdfContext* ctx, const Surface* s)
     ctx->shadow = material(ctx).flags & BSDF_NO_BUMP_SHADOWING ? 0.0f : MIN(0.125f * tan2, 1.0f);
 }
 
-// Factor on the light from `direction` at a bumped surface: 0 if it is above the surface and below the bump or the other way
-// round, and below 1 where the bump casts a shadow. Estevez, Lecocq, Stein, "A Microfacet-Based Shadowing Function to Solve the
-// Bump Terminator Problem", Ray Tracing Gems, 2019.
+// Factor on the light from `direction` at a bumped surface: 0 if it is above the surface and below the bump or the
+// other way round, and below 1 where the bump casts a shadow. Estevez, Lecocq, Stein, "A Microfacet-Based Shadowing
+// Function to Solve the Bump Terminator Problem", Ray Tracing Gems, 2019.
 INLINE float bump_shadowing(const BsdfContext* ctx, const Surface* s, Vec3 direction)
 {
     if (ctx->shadow == NO_BUMP) return 1.0f;
@@ -102,8 +105,9 @@ INLINE float nested_weight(const BsdfContext* ctx, uint slot)
 }
 #endif
 
-// Replaces a wrapper by the BSDF that it holds, until that is no wrapper. Blends and masks choose one of two with the probability
-// of its weight, by the random number `u`; so every estimate is right on average. Returns whether the path passes through.
+// Replaces a wrapper by the BSDF that it holds, until that is no wrapper. Blends and masks choose one of two with the
+// probability of its weight, by the random number `u`; so every estimate is right on average. Returns whether the path
+// passes through.
 INLINE bool resolve_nested_bsdf(BsdfContext* ctx, const Surface* s, float u)
 {
     for (;;) {
@@ -111,33 +115,33 @@ INLINE bool resolve_nested_bsdf(BsdfContext* ctx, const Surface* s, float u)
         uint next = wrapper.nested[0];
         switch (wrapper.kind) {
 #if FEATURE_FRONT_BACK
-        case BSDF_FRONT_BACK:
-            if (ctx->cos_i < 0.0f) {
-                next = wrapper.nested[1];
-                flip_to_viewer(ctx);
-            }
-            break;
+            case BSDF_FRONT_BACK:
+                if (ctx->cos_i < 0.0f) {
+                    next = wrapper.nested[1];
+                    flip_to_viewer(ctx);
+                }
+                break;
 #endif
 #if FEATURE_MASK
-        case BSDF_MASK:
-            if (!sample_branch(nested_weight(ctx, SLOT_MASK_OPACITY), &u)) return true;
-            break;
+            case BSDF_MASK:
+                if (!sample_branch(nested_weight(ctx, SLOT_MASK_OPACITY), &u)) return true;
+                break;
 #endif
 #if FEATURE_BLEND
-        case BSDF_BLEND:
-            if (sample_branch(nested_weight(ctx, SLOT_BLEND_WEIGHT), &u)) next = wrapper.nested[1];
-            break;
+            case BSDF_BLEND:
+                if (sample_branch(nested_weight(ctx, SLOT_BLEND_WEIGHT), &u)) next = wrapper.nested[1];
+                break;
 #endif
 #if FEATURE_BUMP
-        case BSDF_BUMP: perturb_frame(ctx, s); break;
+            case BSDF_BUMP: perturb_frame(ctx, s); break;
 #endif
 #if FEATURE_NORMAL_MAP
-        case BSDF_NORMAL_MAP: perturb_frame(ctx, s); break;
+            case BSDF_NORMAL_MAP: perturb_frame(ctx, s); break;
 #endif
 #if FEATURE_NULL
-        case BSDF_NULL: return true;
+            case BSDF_NULL: return true;
 #endif
-        default: return false;
+            default: return false;
         }
         ctx->bsdf = next;
     }

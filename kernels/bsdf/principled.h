@@ -1,6 +1,6 @@
-// The principled BSDF: Burley, "Physically Based Shading at Disney", 2012, and "Extending the Disney BRDF to a BSDF with
-// Integrated Subsurface Scattering", 2015, with the lobes, blends and bounds of Mitsuba 3. Directions are in the shading frame,
-// flipped for paths from inside: a distribution of normals is the same from both sides.
+// The principled BSDF: Burley, "Physically Based Shading at Disney", 2012, and "Extending the Disney BRDF to a BSDF
+// with Integrated Subsurface Scattering", 2015, with the lobes, blends and bounds of Mitsuba 3. Directions are in the
+// shading frame, flipped for paths from inside: a distribution of normals is the same from both sides.
 #pragma once
 #include "bsdf/fresnel.h"
 #include "bsdf/microfacet.h"
@@ -13,7 +13,8 @@ typedef struct {
     float eta;                         // index of the far side over that of the near side
     bool front;
     MicrofacetDistribution facets;
-    float diffuse_rate, clearcoat_rate, specular_rate;  // probabilities of the lobes; the last has reflection and transmission
+    float diffuse_rate, clearcoat_rate,
+        specular_rate;  // probabilities of the lobes; the last has reflection and transmission
 } Principled;
 
 INLINE Principled principled_parameters(const BsdfContext* ctx)
@@ -33,8 +34,8 @@ INLINE Principled principled_parameters(const BsdfContext* ctx)
     const Bsdf m = material(ctx);
     const float diffuse = p.diffuse * m.constants[CONSTANT_PRINCIPLED_DIFFUSE_REFLECTANCE_SAMPLING_RATE];
     const float specular = m.constants[CONSTANT_PRINCIPLED_MAIN_SPECULAR_SAMPLING_RATE];
-    const float clearcoat = 0.25f * bsdf_float(ctx, SLOT_PRINCIPLED_CLEARCOAT) *
-                            m.constants[CONSTANT_PRINCIPLED_CLEARCOAT_SAMPLING_RATE];
+    const float clearcoat =
+        0.25f * bsdf_float(ctx, SLOT_PRINCIPLED_CLEARCOAT) * m.constants[CONSTANT_PRINCIPLED_CLEARCOAT_SAMPLING_RATE];
     const float total = diffuse + clearcoat + specular, scale = total > 0.0f ? 1.0f / total : 0.0f;
     p.diffuse_rate = p.front ? diffuse * scale : 0.0f;
     p.clearcoat_rate = p.front ? clearcoat * scale : 0.0f;
@@ -54,7 +55,8 @@ INLINE float schlick_weight(float cosine)
     return m2 * m2 * m;
 }
 
-// Schlick's weight between the reflectance at normal incidence and 1; from the denser side it uses the angle of refraction.
+// Schlick's weight between the reflectance at normal incidence and 1; from the denser side it uses the angle of
+// refraction.
 INLINE float schlick_at_interface(float cosine, float eta)
 {
     return schlick_weight(eta > 1.0f ? cosine : SQRT(MAX(1.0f - (1.0f - cosine * cosine) / (eta * eta), 0.0f)));
@@ -68,11 +70,13 @@ INLINE Vec3 tint_color(Vec3 colour, float tint)
     return add3(splat3(1.0f), scale3(sub3(pure, splat3(1.0f)), tint));
 }
 
-// Reflectance of the main specular lobe: Schlick's approximation for metal and the tinted part, Fresnel's formula for the rest.
+// Reflectance of the main specular lobe: Schlick's approximation for metal and the tinted part, Fresnel's formula for
+// the rest.
 INLINE Vec3 principled_reflectance(const BsdfContext* ctx, const Principled* p, float cosine, float reflectance)
 {
     if (!p->front) return splat3(p->glass * reflectance);
-    const float towards_one = schlick_at_interface(cosine, p->eta), tint = bsdf_float(ctx, SLOT_PRINCIPLED_SPEC_TINT), n = (p->eta - 1.0f) / (p->eta + 1.0f);
+    const float towards_one = schlick_at_interface(cosine, p->eta), tint = bsdf_float(ctx, SLOT_PRINCIPLED_SPEC_TINT),
+                n = (p->eta - 1.0f) / (p->eta + 1.0f);
     const Vec3 metal = add3(p->base, scale3(sub3(splat3(1.0f), p->base), towards_one));
     const Vec3 normal_incidence = scale3(tint_color(p->base, 1.0f), n * n);
     const Vec3 coloured = add3(normal_incidence, scale3(sub3(splat3(1.0f), normal_incidence), towards_one));
@@ -80,7 +84,8 @@ INLINE Vec3 principled_reflectance(const BsdfContext* ctx, const Principled* p, 
     return add3(scale3(metal, p->metallic), scale3(other, 1.0f - p->metallic));
 }
 
-// The clearcoat: an untinted lobe with the GTR1 distribution. `gtr1_d` uses sin^2 + alpha^2 cos^2: 1 - cos^2 cancels near the peak.
+// The clearcoat: an untinted lobe with the GTR1 distribution. `gtr1_d` uses sin^2 + alpha^2 cos^2: 1 - cos^2 cancels
+// near the peak.
 INLINE float clearcoat_alpha2(const BsdfContext* ctx)
 {
     const float alpha = 0.1f + bsdf_float(ctx, SLOT_PRINCIPLED_CLEARCOAT_GLOSS) * (0.001f - 0.1f);
@@ -94,7 +99,8 @@ INLINE float gtr1_d(float alpha2, Vec3 m)
 
 INLINE Vec3 sample_gtr1(float alpha2, Vec2 u)
 {
-    const float power = exp_approx((1.0f - u.y) * log_approx(alpha2)), scale = 1.0f / (1.0f - alpha2);  // alpha^2(1 - u)
+    const float power = exp_approx((1.0f - u.y) * log_approx(alpha2)),
+                scale = 1.0f / (1.0f - alpha2);  // alpha^2(1 - u)
     const float radius = SQRT(MAX(power - alpha2, 0.0f) * scale), z = SQRT(MAX(1.0f - power, 0.0f) * scale);
     const Vec2 p = scale2(cos_sin_turns(u.x), radius);
     return vec3(p.x, p.y, z);
@@ -124,7 +130,8 @@ INLINE Vec3 principled_local(const BsdfContext* ctx, const Principled* p, Vec3 w
     if (!generalized_half_vector(w, o, p->eta, &m, &cos_w, &cos_o, &jacobian)) return value;
     const float reflectance = fresnel_dielectric(cos_w, p->eta, &cos_t);
     const float density = microfacet_d(&p->facets, m), transmitted = transmission_probability(p, reflectance);
-    const float facets = jacobian * microfacet_pdf(&p->facets, w, m, density), specular_lobe = facets * smith_g1(&p->facets, o);
+    const float facets = jacobian * microfacet_pdf(&p->facets, w, m, density),
+                specular_lobe = facets * smith_g1(&p->facets, o);
     if (o.z < 0.0f) {
         *pdf = p->specular_rate * transmitted * facets;
         const Vec3 colour = vec3(SQRT(p->base.x), SQRT(p->base.y), SQRT(p->base.z));
@@ -138,7 +145,8 @@ INLINE Vec3 principled_local(const BsdfContext* ctx, const Principled* p, Vec3 w
             const float alpha2 = clearcoat_alpha2(ctx), coat = gtr1_d(alpha2, m);
             const MicrofacetDistribution quarter = make_microfacets(0.25f, 0.25f, 0u);
             const float coat_reflectance = 0.04f + 0.96f * schlick_at_interface(cos_w, p->eta);
-            value = add3(value, splat3(0.25f * clearcoat * coat_reflectance * coat * smith_g1(&quarter, w) * smith_g1(&quarter, o) * o.z));
+            value = add3(value, splat3(0.25f * clearcoat * coat_reflectance * coat * smith_g1(&quarter, w) *
+                                       smith_g1(&quarter, o) * o.z));
             *pdf += p->clearcoat_rate * coat * m.z * jacobian;
         }
         if (p->diffuse > 0.0f) value = add3(value, scale3(principled_diffuse(ctx, p, w.z, o.z, cos_o), o.z));
@@ -176,7 +184,8 @@ INLINE BsdfSample principled_sample(const BsdfContext* ctx, Vec3 u)
         float cos_t = 0.0f;
         const float transmitted = transmission_probability(&p, fresnel_dielectric(cos_w, p.eta, &cos_t));
         reflects = u.x - p.diffuse_rate - p.clearcoat_rate >= p.specular_rate * transmitted;
-        o = normalize3(reflects ? sub3(scale3(m, 2.0f * cos_w), w) : sub3(scale3(m, cos_w / p.eta - cos_t), div_scalar3(w, p.eta)));
+        o = normalize3(reflects ? sub3(scale3(m, 2.0f * cos_w), w)
+                                : sub3(scale3(m, cos_w / p.eta - cos_t), div_scalar3(w, p.eta)));
     }
     if (reflects != (o.z > 0.0f)) return sample;
     const Vec3 value = principled_local(ctx, &p, w, o, &sample.pdf);

@@ -1,5 +1,5 @@
-// Rough metal. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, with Mitsuba 3's conventions.
-// Directions are in the shading frame.
+// Rough metal. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, with Mitsuba 3's
+// conventions. Directions are in the shading frame.
 #pragma once
 #include "bsdf/fresnel.h"
 #include "bsdf/microfacet.h"
@@ -7,13 +7,16 @@
 #if FEATURE_ROUGH_CONDUCTOR
 INLINE MicrofacetDistribution rough_conductor_microfacets(const BsdfContext* ctx)
 {
-    const float alpha_u = bsdf_float(ctx, SLOT_ROUGH_CONDUCTOR_ALPHA_U), alpha_v = bsdf_float(ctx, SLOT_ROUGH_CONDUCTOR_ALPHA_V);
+    const float alpha_u = bsdf_float(ctx, SLOT_ROUGH_CONDUCTOR_ALPHA_U),
+                alpha_v = bsdf_float(ctx, SLOT_ROUGH_CONDUCTOR_ALPHA_V);
     return make_microfacets(alpha_u, alpha_v, material(ctx).flags);
 }
 
 INLINE Vec3 rough_conductor_reflectance(const BsdfContext* ctx, float cos_m)
 {
-    return mul3(bsdf_rgb(ctx, SLOT_ROUGH_CONDUCTOR_SPECULAR_REFLECTANCE), fresnel_conductor(cos_m, bsdf_rgb(ctx, SLOT_ROUGH_CONDUCTOR_ETA), bsdf_rgb(ctx, SLOT_ROUGH_CONDUCTOR_K)));
+    return mul3(
+        bsdf_rgb(ctx, SLOT_ROUGH_CONDUCTOR_SPECULAR_REFLECTANCE),
+        fresnel_conductor(cos_m, bsdf_rgb(ctx, SLOT_ROUGH_CONDUCTOR_ETA), bsdf_rgb(ctx, SLOT_ROUGH_CONDUCTOR_K)));
 }
 
 #if FEATURE_NEXT_EVENT
@@ -26,7 +29,8 @@ INLINE Vec3 rough_conductor_eval(const BsdfContext* ctx, Vec3 wo, float* pdf)
     const MicrofacetDistribution d = rough_conductor_microfacets(ctx);
     const float density = microfacet_d(&d, m);
     *pdf = microfacet_pdf(&d, w, m, density) / (4.0f * cos_m);
-    return scale3(rough_conductor_reflectance(ctx, cos_m), 0.25f * density * smith_g1_over_cos(&d, w) * smith_g1(&d, o));
+    return scale3(rough_conductor_reflectance(ctx, cos_m),
+                  0.25f * density * smith_g1_over_cos(&d, w) * smith_g1(&d, o));
 }
 #endif
 

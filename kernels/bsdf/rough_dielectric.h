@@ -1,5 +1,5 @@
-// Rough glass. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, with Mitsuba 3's conventions.
-// Directions are in the shading frame.
+// Rough glass. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, with Mitsuba 3's
+// conventions. Directions are in the shading frame.
 #pragma once
 #include "bsdf/fresnel.h"
 #include "bsdf/microfacet.h"
@@ -7,16 +7,19 @@
 #if FEATURE_ROUGH_DIELECTRIC
 INLINE MicrofacetDistribution rough_dielectric_microfacets(const BsdfContext* ctx)
 {
-    const float alpha_u = bsdf_float(ctx, SLOT_ROUGH_DIELECTRIC_ALPHA_U), alpha_v = bsdf_float(ctx, SLOT_ROUGH_DIELECTRIC_ALPHA_V);
+    const float alpha_u = bsdf_float(ctx, SLOT_ROUGH_DIELECTRIC_ALPHA_U),
+                alpha_v = bsdf_float(ctx, SLOT_ROUGH_DIELECTRIC_ALPHA_V);
     return make_microfacets(alpha_u, alpha_v, material(ctx).flags);
 }
 
 INLINE Vec3 rough_dielectric_tint(const BsdfContext* ctx, bool reflects)
 {
-    return bsdf_rgb(ctx, reflects ? SLOT_ROUGH_DIELECTRIC_SPECULAR_REFLECTANCE : SLOT_ROUGH_DIELECTRIC_SPECULAR_TRANSMITTANCE);
+    return bsdf_rgb(
+        ctx, reflects ? SLOT_ROUGH_DIELECTRIC_SPECULAR_REFLECTANCE : SLOT_ROUGH_DIELECTRIC_SPECULAR_TRANSMITTANCE);
 }
 
-// The distribution that normals are sampled from: rougher if all normals are sampled, which bounds the weights (Walter et al., 5.3).
+// The distribution that normals are sampled from: rougher if all normals are sampled, which bounds the weights (Walter
+// et al., 5.3).
 INLINE MicrofacetDistribution sampling_distribution(const MicrofacetDistribution* d, float cos_w)
 {
     MicrofacetDistribution sampled = *d;
@@ -38,7 +41,8 @@ INLINE Vec3 rough_dielectric_eval(const BsdfContext* ctx, Vec3 wo, float* pdf)
     Vec3 m = splat3(0.0f);
     float cos_w, cos_o, jacobian, cos_t;
     *pdf = 0.0f;
-    if (!(w.z > 0.0f && o.z != 0.0f && generalized_half_vector(w, o, eta, &m, &cos_w, &cos_o, &jacobian))) return splat3(0.0f);
+    if (!(w.z > 0.0f && o.z != 0.0f && generalized_half_vector(w, o, eta, &m, &cos_w, &cos_o, &jacobian)))
+        return splat3(0.0f);
     const MicrofacetDistribution d = rough_dielectric_microfacets(ctx), sampled = sampling_distribution(&d, w.z);
     const float density = microfacet_d(&d, m), reflectance = fresnel_dielectric(cos_w, eta, &cos_t);
     const float share = o.z > 0.0f ? reflectance : 1.0f - reflectance;
@@ -63,7 +67,8 @@ INLINE BsdfSample rough_dielectric_sample(const BsdfContext* ctx, Vec3 u)
     float cos_t = 0.0f;
     const float reflectance = fresnel_dielectric(cos_w, eta, &cos_t);
     const bool reflects = u.x <= reflectance;
-    const Vec3 o = reflects ? sub3(scale3(m, 2.0f * cos_w), w) : sub3(scale3(m, cos_w / eta - cos_t), div_scalar3(w, eta));
+    const Vec3 o =
+        reflects ? sub3(scale3(m, 2.0f * cos_w), w) : sub3(scale3(m, cos_w / eta - cos_t), div_scalar3(w, eta));
     if (!(reflects ? o.z > 0.0f : o.z < 0.0f)) return sample;
     const float length = cos_w - eta * cos_t;  // of w + eta * o
     const float jacobian = reflects ? 0.25f / cos_w : eta * eta * cos_t / (length * length);

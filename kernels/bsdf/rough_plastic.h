@@ -10,7 +10,9 @@
 // Share of the light that the rough coat transmits, interpolated in a table over the cosine.
 INLINE float rough_transmittance(const BsdfContext* ctx, float cos_w)
 {
-    __global const float* table = ctx->rough_transmittances + ROUGH_TRANSMITTANCE_NODES * (uint)material(ctx).constants[CONSTANT_ROUGH_PLASTIC_TRANSMITTANCE_TABLE];
+    __global const float* table =
+        ctx->rough_transmittances +
+        ROUGH_TRANSMITTANCE_NODES * (uint)material(ctx).constants[CONSTANT_ROUGH_PLASTIC_TRANSMITTANCE_TABLE];
     const float place = cos_w * (ROUGH_TRANSMITTANCE_NODES - 1);
     const int node = MIN((int)place, ROUGH_TRANSMITTANCE_NODES - 2);
     return table[node] + (place - (float)node) * (table[node + 1] - table[node]);
@@ -30,7 +32,8 @@ INLINE Vec3 rough_plastic_local(const BsdfContext* ctx, const MicrofacetDistribu
     if (cos_m > 0.0f) {
         float cos_t = 0.0f;
         const float reflected = fresnel_dielectric(cos_m, bsdf_float(ctx, SLOT_ROUGH_PLASTIC_IOR), &cos_t);
-        value = add3(value, scale3(bsdf_rgb(ctx, SLOT_ROUGH_PLASTIC_SPECULAR_REFLECTANCE), 0.25f * reflected * density * smith_g1_over_cos(d, w) * smith_g1(d, o)));
+        value = add3(value, scale3(bsdf_rgb(ctx, SLOT_ROUGH_PLASTIC_SPECULAR_REFLECTANCE),
+                                   0.25f * reflected * density * smith_g1_over_cos(d, w) * smith_g1(d, o)));
         *pdf += probability * microfacet_pdf(d, w, m, density) / (4.0f * cos_m);
     }
     return value;
@@ -38,7 +41,8 @@ INLINE Vec3 rough_plastic_local(const BsdfContext* ctx, const MicrofacetDistribu
 
 INLINE MicrofacetDistribution rough_plastic_microfacets(const BsdfContext* ctx)
 {
-    return make_microfacets(bsdf_float(ctx, SLOT_ROUGH_PLASTIC_ALPHA), bsdf_float(ctx, SLOT_ROUGH_PLASTIC_ALPHA), material(ctx).flags);
+    return make_microfacets(bsdf_float(ctx, SLOT_ROUGH_PLASTIC_ALPHA), bsdf_float(ctx, SLOT_ROUGH_PLASTIC_ALPHA),
+                            material(ctx).flags);
 }
 
 #if FEATURE_NEXT_EVENT

@@ -15,7 +15,7 @@ typedef struct {
     // Woop's shear constants: x and y belong to the next two axes, z to `axis`
     float shear_x[PACKET_SIZE], shear_y[PACKET_SIZE], shear_z[PACKET_SIZE];
     uint start_primitive[PACKET_SIZE], end_primitive[PACKET_SIZE];  // what the ray starts and ends on: not tested
-    float t_max[PACKET_SIZE];  // of the nearest hit so far; negative for an unused lane
+    float t_max[PACKET_SIZE];              // of the nearest hit so far; negative for an unused lane
     float u[PACKET_SIZE], v[PACKET_SIZE];  // barycentric coordinates of the second and third corner
     uint primitive[PACKET_SIZE];
 } RayPacket;
@@ -29,7 +29,9 @@ typedef struct {
     uint analytic_count;
 } Primitives;
 
-#define FOR_RAYS(ray) VECTORIZE for (uint ray = 0; ray < PACKET_SIZE; ++ray)
+#define FOR_RAYS(ray) \
+    VECTORIZE         \
+    for (uint ray = 0; ray < PACKET_SIZE; ++ray)
 
 // The component of a vector along an axis, the next axis (cyclic), or the previous one.
 INLINE float component(Vec3 v, uint axis)

@@ -137,9 +137,9 @@ INLINE Surface triangle_surface(const SceneView* scene, uint triangle, float u, 
 #if FEATURE_VERTEX_NORMALS
     if (record.flags & SHAPE_VERTEX_NORMALS) {
         const int first = 3 * (int)triangle;
-        const Vec3 interpolated = normalize3(weighted_sum3(
-            1.0f - u - v, LOAD3(first, scene->corner_normals), u, LOAD3(first + 1, scene->corner_normals), v,
-            LOAD3(first + 2, scene->corner_normals)));
+        const Vec3 interpolated = normalize3(weighted_sum3(1.0f - u - v, LOAD3(first, scene->corner_normals), u,
+                                                           LOAD3(first + 1, scene->corner_normals), v,
+                                                           LOAD3(first + 2, scene->corner_normals)));
         s.normal = dot3(interpolated, interpolated) > 0.0f ? interpolated : s.geometric_normal;
     }
 #endif

@@ -11,16 +11,17 @@ INLINE float sphere_one_minus_cos(float radius, float distance2)
     return sin2 / (1.0f + SQRT(MAX(1.0f - sin2, 0.0f)));
 }
 
-// Whether a sphere is sampled by the cone that it subtends: if it emits outwards and the reference point is outside. The emitting
-// side is tested because for points on the sphere rounding decides which side they are on.
+// Whether a sphere is sampled by the cone that it subtends: if it emits outwards and the reference point is outside.
+// The emitting side is tested because for points on the sphere rounding decides which side they are on.
 INLINE bool samples_visible_cone(const SceneView* scene, const Analytic* sphere, float distance2)
 {
-    return !(Shape_at(scene->shapes, sphere->shape).flags & SHAPE_FLIP_NORMALS) && distance2 > sphere->radius * sphere->radius;
+    return !(Shape_at(scene->shapes, sphere->shape).flags & SHAPE_FLIP_NORMALS) &&
+           distance2 > sphere->radius * sphere->radius;
 }
 #endif
 
-// Pdf in solid angle with which `sample_light` samples the point at `distance` along `direction` on this light, without the
-// selection probability.
+// Pdf in solid angle with which `sample_light` samples the point at `distance` along `direction` on this light, without
+// the selection probability.
 INLINE float light_pdf(const SceneView* scene, const Light* light, Vec3 reference, Vec3 direction, float distance,
                        Vec3 normal)
 {
@@ -111,7 +112,8 @@ INLINE float sample_surface(const SceneView* scene, const Light* light, Vec3 ref
 #if HAS_ANALYTIC_LIGHTS
     if (light->kind & LIGHT_TRIANGLE) return density;
     const Analytic shape = Analytic_at(scene->analytics, light->primitive);
-#define SAMPLE_SHAPE(BIT, sample_shape) if (light->kind & BIT) density = sample_shape(scene, &shape, reference, u, s);
+#define SAMPLE_SHAPE(BIT, sample_shape) \
+    if (light->kind & BIT) density = sample_shape(scene, &shape, reference, u, s);
     FOR_ANALYTIC_LIGHTS(SAMPLE_SHAPE)
     finish_analytic_surface(scene, light->primitive, &shape, s);
 #endif

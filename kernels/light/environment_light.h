@@ -3,7 +3,8 @@
 #include "light/light_sample.h"
 
 #if HAS_ENVIRONMENT_LIGHT
-// Radiance from infinity along `direction`, and the pdf with which `sample_light` samples it, without the selection probability.
+// Radiance from infinity along `direction`, and the pdf with which `sample_light` samples it, without the selection
+// probability.
 INLINE Vec3 environment_radiance(const SceneView* scene, const Light* sky, Vec3 direction, float* pdf)
 {
     Vec3 radiance = LOAD3(0, sky->radiance);
@@ -17,7 +18,8 @@ INLINE Vec3 environment_radiance(const SceneView* scene, const Light* sky, Vec3 
 #endif
 
 #if FEATURE_NEXT_EVENT && FEATURE_CONSTANT_LIGHT
-INLINE void sample_constant_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u, LightSample* sample)
+INLINE void sample_constant_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u,
+                                  LightSample* sample)
 {
     const float z = 1.0f - 2.0f * u.x, r = 2.0f * SQRT(MAX(u.x * (1.0f - u.x), 0.0f));
     sample->direction = vec3_from(scale2(cos_sin_turns(u.y), r), z);
@@ -27,7 +29,8 @@ INLINE void sample_constant_light(const SceneView* scene, const Light* light, Ve
 #endif
 
 #if FEATURE_NEXT_EVENT && FEATURE_ENVIRONMENT_MAP
-INLINE void sample_environment_map_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u, LightSample* sample)
+INLINE void sample_environment_map_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u,
+                                         LightSample* sample)
 {
     float density;
     sample->radiance = envmap_sample(&scene->envmap, u, &sample->direction, &density);

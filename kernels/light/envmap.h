@@ -1,5 +1,5 @@
-// Environment map: the radiance from a direction, and directions sampled nearly in proportion to it. What the map and its table
-// are: host/isonoise/scene/environment.py.
+// Environment map: the radiance from a direction, and directions sampled nearly in proportion to it. What the map and
+// its table are: host/isonoise/scene/environment.py.
 #pragma once
 #include "util/math.h"
 
@@ -47,12 +47,14 @@ INLINE Vec3 cell_radiance(const Envmap* map, const EnvmapCell* c, float* weight)
 INLINE Vec3 envmap_radiance(const Envmap* map, Vec3 direction, float* pdf)
 {
     __global const Environment* record = map->record;
-    const Vec3 x_part = scale3(LOAD3(0, record->to_world), direction.x), y_part = scale3(LOAD3(1, record->to_world), direction.y);
+    const Vec3 x_part = scale3(LOAD3(0, record->to_world), direction.x),
+               y_part = scale3(LOAD3(1, record->to_world), direction.y);
     const Vec3 local_direction = add3(add3(x_part, y_part), scale3(LOAD3(2, record->to_world), direction.z));
     const float sine = SQRT(local_direction.x * local_direction.x + local_direction.z * local_direction.z);
     const int width = (int)record->size[0], cells = (int)record->size[1] - 1;
     const float x = atan2_float(local_direction.x, -local_direction.z) * (0.5f * M_1_PI_F) * (float)width - 0.5f;
-    const float y = atan2_float(sine, local_direction.y) * M_1_PI_F * (float)cells;  // near the poles acos would be coarse
+    const float y =
+        atan2_float(sine, local_direction.y) * M_1_PI_F * (float)cells;  // near the poles acos would be coarse
     const int whole = (int)x, left = (float)whole > x ? whole - 1 : whole;
     // unsigned: what is no number ends in the last cell, not beside the map
     const uint column = MIN((uint)(left < 0 ? left + width : left), (uint)width - 1u);
@@ -73,7 +75,8 @@ typedef struct {
     float rest;
 } AliasEntry;
 
-// `u` is a multiple of 2^-24. What is left of it lies in the middle of a step: so no entry gets more than its share on average.
+// `u` is a multiple of 2^-24. What is left of it lies in the middle of a step: so no entry gets more than its share on
+// average.
 INLINE AliasEntry sample_alias_entry(float u, uint count)
 {
     const ulong scaled = (ulong)(uint)(u * 0x1p24f) * count;
@@ -90,8 +93,8 @@ INLINE uint resolve_alias(AliasEntry pick, float threshold, uint alias, float* r
     return stays ? pick.entry : alias;
 }
 
-// Inverts the distribution of a density that goes from a at 0 to b at 1 in a straight line; written so that nothing cancels.
-// What is so small that its square vanishes is as good as never picked.
+// Inverts the distribution of a density that goes from a at 0 to b at 1 in a straight line; written so that nothing
+// cancels. What is so small that its square vanishes is as good as never picked.
 INLINE float sample_linear(float u, float a, float b)
 {
     const float x = u * (a + b) / MAX(a + SQRT((1.0f - u) * a * a + u * b * b), 1e-30f);
@@ -124,8 +127,9 @@ INLINE Vec3 envmap_sample(const Envmap* map, Vec2 u, Vec3* direction, float* pdf
     const float turns = ((float)column + 0.5f + cell.s) / (float)width;
     const Vec2 azimuth = cos_sin_turns(turns < 1.0f ? turns : turns - 1.0f);
     const Vec3 local_direction = vec3(polar.y * azimuth.y, southern ? -polar.x : polar.x, -polar.y * azimuth.x);
-    *direction = vec3(dot3(LOAD3(0, record->to_world), local_direction), dot3(LOAD3(1, record->to_world), local_direction),
-                      dot3(LOAD3(2, record->to_world), local_direction));
+    *direction =
+        vec3(dot3(LOAD3(0, record->to_world), local_direction), dot3(LOAD3(1, record->to_world), local_direction),
+             dot3(LOAD3(2, record->to_world), local_direction));
     *pdf = record->density * weight / MAX(polar.y, MIN_SINE);
     return radiance;
 }

@@ -1,13 +1,14 @@
-// Lights: selecting one, sampling it, and the pdf of both for a direction that was found otherwise. A kind of light is a row of
-// host/isonoise/scene/light/light_kinds.py and a header; the generated header includes those and defines FOR_EMITTERS over the
-// kinds without a surface that the scene has.
+// Lights: selecting one, sampling it, and the pdf of both for a direction that was found otherwise. A kind of light is
+// a row of host/isonoise/scene/light/light_kinds.py and a header; the generated header includes those and defines
+// FOR_EMITTERS over the kinds without a surface that the scene has.
 #pragma once
 #include "light/light_sample.h"
 #include "generated/light_kinds.h"
 
 #if HAS_ENVIRONMENT_LIGHT || FEATURE_AREA_LIGHTS
-// Probability with which `select_light` selects a light for a point and the side that is lit there (see `light_sampling_normal`).
-// `pdf`: of the direction that hit it; if it is negative, a delta function, the probability does not matter and may be 0.
+// Probability with which `select_light` selects a light for a point and the side that is lit there (see
+// `light_sampling_normal`). `pdf`: of the direction that hit it; if it is negative, a delta function, the probability
+// does not matter and may be 0.
 INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 mis_normal, float pdf)
 {
 #if FEATURE_LIGHT_LIST
@@ -23,7 +24,8 @@ INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 mis_
 #endif
 
 #if FEATURE_NEXT_EVENT && FEATURE_MANY_LIGHTS && !HAS_LIGHT_IMPORTANCE
-// Walker's alias method with 48 random bits, so that a million lights are still selected with their exact probabilities.
+// Walker's alias method with 48 random bits, so that a million lights are still selected with their exact
+// probabilities.
 INLINE uint select_light_by_power(__global const Alias* table, uint count, float u_high, float u_low)
 {
     const ulong scaled = (ulong)(u_high * 0x1p24f) * count + (((ulong)(u_low * 0x1p24f) * count) >> 24);
@@ -62,18 +64,20 @@ INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 
 #endif
 
 // Samples the selected light, which is of one of these kinds, for the point `reference`.
-INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, LightSelection selected, Vec3 reference, Vec2 u)
+INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, LightSelection selected, Vec3 reference,
+                                        Vec2 u)
 {
     LightSample sample = empty_light_sample();
     Light record = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? selected.light : 0u);
-    record.kind = kinds == LIGHT_TRIANGLE ? kinds : record.kind & kinds;  // a compile-time constant if there is one kind
+    record.kind =
+        kinds == LIGHT_TRIANGLE ? kinds : record.kind & kinds;  // a compile-time constant if there is one kind
     const Light* light = &record;
     sample.pdf = selected.probability;
     sample.radiance = LOAD3(0, light->radiance);
-#define SAMPLE_EMITTER(BIT, sample_emitter)                    \
-    if (light->kind & BIT) {                                   \
-        sample_emitter(scene, light, reference, u, &sample);   \
-        return sample;                                         \
+#define SAMPLE_EMITTER(BIT, sample_emitter)                  \
+    if (light->kind & BIT) {                                 \
+        sample_emitter(scene, light, reference, u, &sample); \
+        return sample;                                       \
     }
     FOR_EMITTERS(SAMPLE_EMITTER)
 #if FEATURE_AREA_LIGHTS

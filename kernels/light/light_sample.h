@@ -1,4 +1,5 @@
-// A point sampled on a light, or a direction towards it. Returned by `sample_light` and the headers of the kinds of light.
+// A point sampled on a light, or a direction towards it. Returned by `sample_light` and the headers of the kinds of
+// light.
 #pragma once
 #include "geometry/surface.h"
 
@@ -8,7 +9,7 @@ typedef struct {
     uint primitive;                // that the position is on and that a ray hits there first; else NONE
     Vec3 direction;                // unit, from the reference point to the light
     Vec3 radiance;                 // unoccluded, before the division by pdf; 0 if the light faces away
-    float pdf;                     // in solid angle, times the probability of selecting the light; of delta lights that alone
+    float pdf;  // in solid angle, times the probability of selecting the light; of delta lights that alone
     bool is_delta, is_infinite;
 } LightSample;
 

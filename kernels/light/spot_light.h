@@ -3,8 +3,8 @@
 #include "light/light_sample.h"
 
 #if FEATURE_NEXT_EVENT && FEATURE_SPOT_LIGHTS
-// Factor on the intensity along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is computed from the
-// chord, which is exact for narrow spots too.
+// Factor on the intensity along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is computed from
+// the chord, which is exact for narrow spots too.
 INLINE float spot_falloff(const Light* light, Vec3 direction)
 {
     const Vec3 off = sub3(direction, LOAD3(0, light->axis));

@@ -3,8 +3,8 @@
 #include "bsdf/context.h"
 
 #if FEATURE_MEDIA
-// Henyey and Greenstein, "Diffuse Radiation in the Galaxy", 1941. g is the mean cosine; 0 is isotropic. Formulas use 1 - cos of the
-// angle to the axis, and 1 - |g|: neither cancels for |g| near 1, and there is no division by g.
+// Henyey and Greenstein, "Diffuse Radiation in the Galaxy", 1941. g is the mean cosine; 0 is isotropic. Formulas use 1
+// - cos of the angle to the axis, and 1 - |g|: neither cancels for |g| near 1, and there is no division by g.
 INLINE float hg_g(const BsdfContext* ctx)
 {
     return material(ctx).constants[CONSTANT_HG_G];

@@ -1,5 +1,6 @@
-// The first passes of `shade_lanes` (stages/shade.cl): escaped rays, hits and emission. They read hit and the path state, and
-// write the surface and the BSDF context of every lane to the lane state. Nested BSDFs cannot be vectorised and run lane by lane.
+// The first passes of `shade_lanes` (stages/shade.cl): escaped rays, hits and emission. They read hit and the path
+// state, and write the surface and the BSDF context of every lane to the lane state. Nested BSDFs cannot be vectorised
+// and run lane by lane.
 #pragma once
 #include "path/lane_state.h"
 
@@ -16,13 +17,15 @@ INLINE size_t batch_path(const LaneBatch* batch, size_t k)
     return COMPACT_ESCAPED ? (size_t)((int)batch->begin + batch->hit_lanes[k]) : batch->begin + k;
 }
 
-// The same for a lane of a compacted list. Its signed 32-bit index lets the compiler gather 16 paths with one instruction.
+// The same for a lane of a compacted list. Its signed 32-bit index lets the compiler gather 16 paths with one
+// instruction.
 INLINE size_t compacted_path(const LaneBatch* batch, int lane)
 {
     return (size_t)((int)batch->begin + (COMPACT_ESCAPED ? batch->hit_lanes[lane] : lane));
 }
 
-// Branch-free compaction of the lanes where `condition` (0 or 1) holds. Declares `compacted_count`; `list` has LANES + 1 entries.
+// Branch-free compaction of the lanes where `condition` (0 or 1) holds. Declares `compacted_count`; `list` has LANES +
+// 1 entries.
 #define COMPACT_LANES(list, compacted_count, k, count, condition) \
     uint compacted_count = 0u;                                    \
     for (uint k = 0u; k < (count); ++k) {                         \
@@ -177,8 +180,9 @@ INLINE void process_hits(const SceneView* scene, const PathState* paths, const L
 #endif
 #if FEATURE_ANALYTICS
     int list[LANES + 1];
-    COMPACT_LANES(list, analytic_count, k, count,
-                  (hit_primitives[batch_path(batch, k)] >= ANALYTIC_BIT) & (hit_primitives[batch_path(batch, k)] != NONE))
+    COMPACT_LANES(
+        list, analytic_count, k, count,
+        (hit_primitives[batch_path(batch, k)] >= ANALYTIC_BIT) & (hit_primitives[batch_path(batch, k)] != NONE))
     FOR_LANES(j, analytic_count) {
         if (j >= analytic_count) continue;
         const size_t i = compacted_path(batch, list[j]);

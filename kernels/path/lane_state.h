@@ -1,5 +1,6 @@
-// Lane state: what a work-item that shades LANES paths keeps of them from one shading pass to the next. It is a private array
-// of planes, one for each 4-byte member, of LANES numbers each. The passes of path/shade_lanes.h load and store it.
+// Lane state: what a work-item that shades LANES paths keeps of them from one shading pass to the next. It is a private
+// array of planes, one for each 4-byte member, of LANES numbers each. The passes of path/shade_lanes.h load and store
+// it.
 #pragma once
 #include "path/scatter.h"
 
@@ -13,6 +14,7 @@
 #define LANE_SAMPLES_LIGHT 4u  // next-event estimation is done for the path
 
 // Members of the lane state: LANE_<name> is the plane of the first of `floats` members.
+// clang-format off
 #define LANE_FIELD(name, floats) LANE_##name, LANE_##name##_LAST = LANE_##name + (floats) - 1,
 enum {
     // surface
@@ -62,6 +64,7 @@ enum {
 #endif
     LANE_FLOATS
 };
+// clang-format on
 
 INLINE uint load_lane_uint(const float* lane_state, uint member, size_t lane)
 {
@@ -105,7 +108,8 @@ INLINE Surface load_surface_lane(const float* lane_state, size_t lane)
     s.light = load_lane_uint(lane_state, LANE_SURFACE_LIGHT, lane);
 #if FEATURE_UVS
     s.uv = vec2(load_lane(lane_state, LANE_UV, lane), load_lane(lane_state, LANE_UV + 1, lane));
-    s.barycentric = vec2(load_lane(lane_state, LANE_BARYCENTRIC, lane), load_lane(lane_state, LANE_BARYCENTRIC + 1, lane));
+    s.barycentric =
+        vec2(load_lane(lane_state, LANE_BARYCENTRIC, lane), load_lane(lane_state, LANE_BARYCENTRIC + 1, lane));
     s.triangle = load_lane_uint(lane_state, LANE_TRIANGLE, lane);
     s.dp_du = load_lane3(lane_state, LANE_DP_DU, lane);
 #if HAS_BUMPS

@@ -1,5 +1,6 @@
-// Path state in memory, and loops over the paths of a work-item. Every buffer is a row of planes, one for each 4-byte member, of
-// `plane_stride` numbers: members that neighbouring paths access together lie together. All stages over paths include this.
+// Path state in memory, and loops over the paths of a work-item. Every buffer is a row of planes, one for each 4-byte
+// member, of `plane_stride` numbers: members that neighbouring paths access together lie together. All stages over
+// paths include this.
 #pragma once
 #include "util/vec.h"
 
@@ -9,8 +10,9 @@
 #define PATH_SAMPLE_INDEX 2u     // index of the sample within its pixel
 #define PATH_DEPTH 3u
 
-// A work-item processes LANES paths. On CPUs, where the compiler does not vectorise across work-items, it vectorises the loops
-// over lanes instead, VECTOR_WIDTH lanes at a time. Every lane writes to memory of its own, so `assume_safety` holds.
+// A work-item processes LANES paths. On CPUs, where the compiler does not vectorise across work-items, it vectorises
+// the loops over lanes instead, VECTOR_WIDTH lanes at a time. Every lane writes to memory of its own, so
+// `assume_safety` holds.
 #if LANES > 1
 #define VECTOR_WIDTH 16u
 #define VECTORIZE _Pragma("clang loop vectorize(assume_safety) vectorize_width(16) interleave(disable)")
@@ -22,9 +24,9 @@
 #pragma clang diagnostic ignored "-Wpass-failed"  // a loop that is not vectorised is slow, not wrong
 #endif
 // Runs over whole vectors: the body has to skip lanes k >= count, where it has effects.
-#define FOR_LANES(k, count)                                              \
-    for (uint first_ = 0u; first_ < (count); first_ += VECTOR_WIDTH)     \
-        VECTORIZE for (uint k = first_; k < first_ + VECTOR_WIDTH; ++k)
+#define FOR_LANES(k, count)                                                    \
+    for (uint first_ = 0u; first_ < (count); first_ += VECTOR_WIDTH) VECTORIZE \
+    for (uint k = first_; k < first_ + VECTOR_WIDTH; ++k)
 
 #define PLANE(k, planes, plane_stride) ((planes) + (size_t)(k) * (plane_stride))
 

@@ -1,5 +1,5 @@
-// A path at the end of its ray: the vertex it reaches, the emission found there, and the BSDF context for scattering it.
-// Both forms of stages/shade.cl call it.
+// A path at the end of its ray: the vertex it reaches, the emission found there, and the BSDF context for scattering
+// it. Both forms of stages/shade.cl call it.
 #pragma once
 #include "bsdf/bsdf.h"
 #include "bsdf/nested.h"
@@ -16,14 +16,14 @@ typedef struct {
 // A path at the end of its ray.
 typedef struct {
     Vec3 origin, direction, throughput;
-    float direction_pdf;       // negative if a delta lobe was sampled
-    float eta;                 // relative index of refraction so far, for Russian roulette
-    float distance, u, v;      // of the hit
-    uint primitive;            // that was hit, NONE if the ray escaped
-    uint start_primitive;      // that the ray starts on
+    float direction_pdf;   // negative if a delta lobe was sampled
+    float eta;             // relative index of refraction so far, for Russian roulette
+    float distance, u, v;  // of the hit
+    uint primitive;        // that was hit, NONE if the ray escaped
+    uint start_primitive;  // that the ray starts on
     uint sample, pixel, index, depth;
-    Vec3 mis_origin;           // the vertex that the direction was sampled at
-    bool in_volume;            // scattered in the medium before the hit
+    Vec3 mis_origin;  // the vertex that the direction was sampled at
+    bool in_volume;   // scattered in the medium before the hit
     // null_bounces: pass-through surfaces so far; mis_distance: distance from mis_origin to the hit;
     // medium: that the ray runs through; mis_normal: `light_sampling_normal` at mis_origin
 #include "generated/path_members.h"
@@ -32,7 +32,8 @@ typedef struct {
 INLINE Path load_path(const PathState* paths, size_t i)
 {
     const uint plane_stride = paths->plane_stride;
-    const Vec4 hit = load_planes4(paths->hit, i, plane_stride), throughput = load_planes4(paths->throughput, i, plane_stride);
+    const Vec4 hit = load_planes4(paths->hit, i, plane_stride),
+               throughput = load_planes4(paths->throughput, i, plane_stride);
     const Vec4 direction = load_planes4(paths->ray_direction, i, plane_stride);
     Path p;
     p.origin = load_planes3(paths->ray_origin, i, plane_stride);
@@ -67,15 +68,17 @@ INLINE Vec4 path_random(const SceneView* scene, const Path* p, uint block)
     return random_block(scene->seed, p->pixel, p->index, block);
 }
 
-// Index of the vertex among all that consume random numbers: pass-through surfaces do, although they do not add to the depth.
+// Index of the vertex among all that consume random numbers: pass-through surfaces do, although they do not add to the
+// depth.
 INLINE uint dimension_of(const Path* p)
 {
     return p->depth + p->null_bounces;
 }
 
 #if HAS_ENVIRONMENT_LIGHT || FEATURE_AREA_LIGHTS || FEATURE_NEXT_EVENT
-// MIS weight of a sample that was taken with `pdf`: power heuristic with exponent 2. Veach and Guibas, "Optimally Combining
-// Sampling Techniques for Monte Carlo Rendering", 1995. A negative pdf marks a delta lobe, which no other technique can sample.
+// MIS weight of a sample that was taken with `pdf`: power heuristic with exponent 2. Veach and Guibas, "Optimally
+// Combining Sampling Techniques for Monte Carlo Rendering", 1995. A negative pdf marks a delta lobe, which no other
+// technique can sample.
 INLINE float mis_weight(float pdf, float other_pdf)
 {
     const float ratio = other_pdf / pdf;
@@ -84,9 +87,10 @@ INLINE float mis_weight(float pdf, float other_pdf)
 #endif
 
 #if FEATURE_TRIANGLES
-// Whether the triangle that was hit lies in the plane of the triangle that the ray starts on. If one of them is in an instance,
-// or the ray starts on no triangle, a grazing hit counts as one.
-INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s)
+// Whether the triangle that was hit lies in the plane of the triangle that the ray starts on. If one of them is in an
+// instance, or the ray starts on no triangle, a grazing hit counts as one.
+INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* paths, size_t i, const Path* p,
+                                    const Surface* s)
 {
 #if FEATURE_INSTANCES
     const bool both_in_world = p->start_primitive < scene->world_triangles && paths->instance[i] == NONE;
@@ -101,11 +105,13 @@ INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* pat
     return abs_float(dot3(p->direction, s->geometric_normal)) < 0.5f;
 }
 
-// Whether the hit is a false one on a coplanar neighbour: the ray's origin lies in the plane of the triangle that was hit, within
-// rounding. Rounding may then put the origin on the wrong side, and light from behind would leak through, so such a path ends; it
-// is one in millions. Both points carry an error bound; the origin was also moved by its own. Beside an edge with a wall at an
-// angle, origins lie in the wall's plane too (far from the world's origin most of them do): these paths continue.
-INLINE bool is_false_coplanar_hit(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s)
+// Whether the hit is a false one on a coplanar neighbour: the ray's origin lies in the plane of the triangle that was
+// hit, within rounding. Rounding may then put the origin on the wrong side, and light from behind would leak through,
+// so such a path ends; it is one in millions. Both points carry an error bound; the origin was also moved by its own.
+// Beside an edge with a wall at an angle, origins lie in the wall's plane too (far from the world's origin most of them
+// do): these paths continue.
+INLINE bool is_false_coplanar_hit(const SceneView* scene, const PathState* paths, size_t i, const Path* p,
+                                  const Surface* s)
 {
     const float distance = abs_float(dot3(sub3(p->origin, s->position), s->geometric_normal));
     const Vec3 error = add3(s->error, scale3(abs3(p->origin), GAMMA(7)));
@@ -125,7 +131,8 @@ INLINE void continue_behind(const PathState* paths, size_t i, const Path* p, con
 #endif
 
 #if HAS_PASS_THROUGH && !FEATURE_VOLPATH
-// The same at a pass-through BSDF. Shadow rays of `path` do not pass it, so emission found behind it gets no MIS weight.
+// The same at a pass-through BSDF. Shadow rays of `path` do not pass it, so emission found behind it gets no MIS
+// weight.
 INLINE void continue_behind_unweighted(const PathState* paths, size_t i, const Path* p, const Surface* s)
 {
     continue_behind(paths, i, p, s);
@@ -167,7 +174,8 @@ INLINE Surface hit_surface(const SceneView* scene, const PathState* paths, size_
 {
     if (p->primitive == NONE) return empty_surface();
 #if FEATURE_INSTANCES
-    return instanced_surface_of_hit(scene, paths->instance[i], p->primitive, p->origin, p->direction, p->distance, p->u, p->v);
+    return instanced_surface_of_hit(scene, paths->instance[i], p->primitive, p->origin, p->direction, p->distance, p->u,
+                                    p->v);
 #else
     return surface_of_hit(scene, p->primitive, p->origin, p->direction, p->distance, p->u, p->v);
 #endif
@@ -201,7 +209,8 @@ INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i
     if (!p->in_volume && dot3(s->geometric_normal, s->geometric_normal) == 0.0f) return false;
 #if FEATURE_TRIANGLES
     const bool is_between_surfaces = !(p->in_volume || starts_in_volume);
-    if (is_between_surfaces && !(p->primitive & ANALYTIC_BIT) && is_false_coplanar_hit(scene, paths, i, p, s)) return false;
+    if (is_between_surfaces && !(p->primitive & ANALYTIC_BIT) && is_false_coplanar_hit(scene, paths, i, p, s))
+        return false;
 #endif
 #if FEATURE_MEDIA
     if (p->in_volume) {
@@ -228,7 +237,8 @@ INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i
     return true;
 }
 
-// The BSDF at the vertex, in its shading frame; nested BSDFs are resolved. Returns whether the path passes through unscattered.
+// The BSDF at the vertex, in its shading frame; nested BSDFs are resolved. Returns whether the path passes through
+// unscattered.
 INLINE bool make_bsdf_context(const SceneView* scene, const Path* p, const Surface* s, BsdfContext* ctx)
 {
     ctx->bsdfs = scene->bsdfs;

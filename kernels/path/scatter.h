@@ -8,7 +8,8 @@ INLINE bool is_nonzero_light(const LightSample* light)
     return light->pdf > 0.0f && max_component3(light->radiance) > 0.0f;
 }
 
-// Contribution of a light sample if it is not occluded. `bsdf_value`: bsdf * |cos|; `bsdf_pdf`: of the light's direction.
+// Contribution of a light sample if it is not occluded. `bsdf_value`: bsdf * |cos|; `bsdf_pdf`: of the light's
+// direction.
 INLINE Vec3 direct_lighting(const Path* p, const Surface* s, const BsdfContext* ctx, const LightSample* light,
                             Vec3 bsdf_value, float bsdf_pdf)
 {
@@ -21,7 +22,8 @@ INLINE Vec3 direct_lighting(const Path* p, const Surface* s, const BsdfContext* 
 }
 
 // Writes the shadow ray to the light sample; its radiance is written apart.
-INLINE void write_shadow_ray(const PathState* paths, size_t i, const Path* p, const Surface* s, const LightSample* light)
+INLINE void write_shadow_ray(const PathState* paths, size_t i, const Path* p, const Surface* s,
+                             const LightSample* light)
 {
     const Vec3 origin = spawn_origin(s, light->direction);
     // the ray to a finite light has length 1, and both its ends are moved off their surfaces
@@ -36,7 +38,8 @@ INLINE void write_shadow_ray(const PathState* paths, size_t i, const Path* p, co
 }
 
 #if LANES == 1
-// Next-event estimation at the vertex: selects a light, samples it, and writes a shadow ray unless the contribution is zero.
+// Next-event estimation at the vertex: selects a light, samples it, and writes a shadow ray unless the contribution is
+// zero.
 INLINE void sample_direct(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s,
                           const BsdfContext* ctx)
 {
@@ -84,7 +87,8 @@ INLINE void write_next_ray(const PathState* paths, size_t i, const Path* p, cons
 #endif
     const uint plane_stride = paths->plane_stride;
     store_planes4(vec4_from(spawn_origin(s, sample.direction), INFINITY), paths->ray_origin, i, plane_stride);
-    store_planes4(vec4_from(sample.direction, is_null ? p->direction_pdf : sample.pdf), paths->ray_direction, i, plane_stride);
+    store_planes4(vec4_from(sample.direction, is_null ? p->direction_pdf : sample.pdf), paths->ray_direction, i,
+                  plane_stride);
     store_planes4(vec4_from(throughput, eta), paths->throughput, i, plane_stride);
     PLANE(PATH_START_PRIMITIVE, paths->path, plane_stride)[i] = p->in_volume ? NONE : p->primitive;
     PLANE(PATH_DEPTH, paths->path, plane_stride)[i] = p->depth + (is_null ? 0u : 1u);

@@ -1,12 +1,15 @@
-// The passes of `shade_lanes` (stages/shade.cl) that scatter the paths: next-event estimation, textures, BSDFs, the next rays.
-// Each is a loop over the lanes that need it, short enough to be vectorised. Lanes are compacted by the kind of the selected
-// light and by the kind of BSDF. Checkerboards and the light tree cannot be vectorised and run lane by lane.
+// The passes of `shade_lanes` (stages/shade.cl) that scatter the paths: next-event estimation, textures, BSDFs, the
+// next rays. Each is a loop over the lanes that need it, short enough to be vectorised. Lanes are compacted by the kind
+// of the selected light and by the kind of BSDF. Checkerboards and the light tree cannot be vectorised and run lane by
+// lane.
 #pragma once
 #include "path/hit_lanes.h"
 
 #if LANES > 1
-// Random numbers of every path for its light sample and its BSDF sample. A light whose selection is cheap is selected here.
-INLINE void draw_random_numbers(const SceneView* scene, const PathState* paths, const LaneBatch* batch, float* lane_state)
+// Random numbers of every path for its light sample and its BSDF sample. A light whose selection is cheap is selected
+// here.
+INLINE void draw_random_numbers(const SceneView* scene, const PathState* paths, const LaneBatch* batch,
+                                float* lane_state)
 {
     const uint count = batch->count;
     FOR_LANES(k, count) {
@@ -28,8 +31,9 @@ INLINE void draw_random_numbers(const SceneView* scene, const PathState* paths, 
 #if FEATURE_LIGHT_LIST
 INLINE void select_lights(const SceneView* scene, const LaneBatch* batch, float* lane_state)
 {
-    select_lights_from_list(&scene->light_list, lane_state + LANE_POSITION * LANES, lane_state + LANE_MIS_NORMAL * LANES,
-                            lane_state + LANE_LIGHT_RANDOM * LANES, lane_state + LANE_SELECTED_LIGHT * LANES, batch->count);
+    select_lights_from_list(&scene->light_list, lane_state + LANE_POSITION * LANES,
+                            lane_state + LANE_MIS_NORMAL * LANES, lane_state + LANE_LIGHT_RANDOM * LANES,
+                            lane_state + LANE_SELECTED_LIGHT * LANES, batch->count);
 }
 #elif FEATURE_LIGHT_TREE
 INLINE void select_lights(const SceneView* scene, const LaneBatch* batch, float* lane_state)
@@ -37,8 +41,9 @@ INLINE void select_lights(const SceneView* scene, const LaneBatch* batch, float*
     for (uint k = 0u; k < batch->count; ++k) {
         LightSelection selection = {0u, 0.0f};
         if (has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k))
-            selection = select_light(scene, load_lane3(lane_state, LANE_POSITION, k), load_lane4(lane_state, LANE_MIS_NORMAL, k),
-                                     load_lane(lane_state, LANE_LIGHT_RANDOM, k), load_lane(lane_state, LANE_LIGHT_RANDOM + 1, k));
+            selection = select_light(
+                scene, load_lane3(lane_state, LANE_POSITION, k), load_lane4(lane_state, LANE_MIS_NORMAL, k),
+                load_lane(lane_state, LANE_LIGHT_RANDOM, k), load_lane(lane_state, LANE_LIGHT_RANDOM + 1, k));
         store_light_selection_lane(selection, lane_state, k);
     }
 }
@@ -51,7 +56,8 @@ INLINE void sample_direct_lane(const SceneView* scene, const PathState* paths, s
     const LightSelection selection = load_light_selection_lane(lane_state, lane);
     const Path p = load_path(paths, i);
     const Surface s = load_surface_lane(lane_state, lane);
-    const Vec2 u = vec2(load_lane(lane_state, LANE_LIGHT_RANDOM + 2, lane), load_lane(lane_state, LANE_LIGHT_RANDOM + 3, lane));
+    const Vec2 u =
+        vec2(load_lane(lane_state, LANE_LIGHT_RANDOM + 2, lane), load_lane(lane_state, LANE_LIGHT_RANDOM + 3, lane));
     const LightSample light = sample_light_of_kind(kinds, scene, selection, s.position, u);
     if (selection.probability > 0.0f && is_nonzero_light(&light)) {
         write_shadow_ray(paths, i, &p, &s, &light);
@@ -68,7 +74,8 @@ INLINE bool selected_triangle_light(const SceneView* scene, const float* lane_st
 }
 #endif
 
-INLINE void sample_direct_lanes(const SceneView* scene, const PathState* paths, const LaneBatch* batch, float* lane_state)
+INLINE void sample_direct_lanes(const SceneView* scene, const PathState* paths, const LaneBatch* batch,
+                                float* lane_state)
 {
     const uint count = batch->count;
 #if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
@@ -76,7 +83,8 @@ INLINE void sample_direct_lanes(const SceneView* scene, const PathState* paths, 
     COMPACT_LANES(list, other_count, k, count,
                   has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k) & !selected_triangle_light(scene, lane_state, k))
     FOR_LANES(k, count) {
-        if (k >= count || !has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k) || !selected_triangle_light(scene, lane_state, k))
+        if (k >= count || !has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k) ||
+            !selected_triangle_light(scene, lane_state, k))
             continue;
         sample_direct_lane(scene, paths, batch_path(batch, k), LIGHT_TRIANGLE, lane_state, k);
     }
@@ -118,12 +126,14 @@ INLINE void evaluate_textures(const SceneView* scene, const LaneBatch* batch, fl
 #endif
 
 // Evaluates a BSDF of this kind for the light sample, and samples it for the next direction.
-INLINE void scatter_lane(const SceneView* scene, const PathState* paths, size_t i, uint kind, float* lane_state, size_t lane)
+INLINE void scatter_lane(const SceneView* scene, const PathState* paths, size_t i, uint kind, float* lane_state,
+                         size_t lane)
 {
     const Vec3 direction = load_planes3(paths->ray_direction, i, paths->plane_stride);
     const BsdfContext ctx = load_bsdf_context_lane(scene, kind, direction, lane_state, lane);
 #if FEATURE_NEXT_EVENT
-    if (kind & ~DELTA_BSDFS) {  // also for lanes without a light sample, whose result is not used: cheaper than to skip them
+    if (kind &
+        ~DELTA_BSDFS) {  // also for lanes without a light sample, whose result is not used: cheaper than to skip them
         float pdf = 0.0f;
         const Vec3 value = bsdf_eval_kind(kind, &ctx, load_lane3(lane_state, LANE_LIGHT_DIRECTION, lane), &pdf);
         store_lane4(vec4_from(value, pdf), lane_state, LANE_BSDF_VALUE, lane);
@@ -134,7 +144,8 @@ INLINE void scatter_lane(const SceneView* scene, const PathState* paths, size_t 
 }
 
 // All lanes of one kind of BSDF. Some kinds are so cheap that compaction would cost more than masking.
-INLINE void scatter_lanes(const SceneView* scene, const PathState* paths, const LaneBatch* batch, uint kind, float* lane_state)
+INLINE void scatter_lanes(const SceneView* scene, const PathState* paths, const LaneBatch* batch, uint kind,
+                          float* lane_state)
 {
     if (kind & UNCOMPACTED_BSDFS) {
         FOR_LANES(k, batch->count) {
@@ -168,7 +179,8 @@ INLINE void write_rays(const SceneView* scene, const PathState* paths, const Lan
             const Vec4 value = load_lane4(lane_state, LANE_BSDF_VALUE, k);
             const Vec3 radiance = direct_lighting(&p, &s, &ctx, &light, xyz(value), value.w);
             store_planes3(radiance, paths->shadow_radiance, i, paths->plane_stride);
-            if (radiance.x + radiance.y + radiance.z == 0.0f) PLANE(3, paths->shadow_direction, paths->plane_stride)[i] = 0.0f;
+            if (radiance.x + radiance.y + radiance.z == 0.0f)
+                PLANE(3, paths->shadow_direction, paths->plane_stride)[i] = 0.0f;
         }
 #endif
         const BsdfSample sample = load_bsdf_sample_lane(lane_state, k);

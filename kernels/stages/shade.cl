@@ -1,11 +1,13 @@
-// Stage: shades the hits. Adds emission, samples a light for next-event estimation, samples the BSDF, applies Russian roulette.
-// Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and whether the path is alive.
+// Stage: shades the hits. Adds emission, samples a light for next-event estimation, samples the BSDF, applies Russian
+// roulette. Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and whether the
+// path is alive.
 //
-// It has two forms that do the same, step by step. `shade_path` shades one path and keeps it in registers. `shade_lanes` shades
-// LANES paths of a CPU's work-item; each step is a loop of its own over the lanes, because the compiler vectorises short loops
-// only, and what a step needs from an earlier one is kept as lane state. On cornell, vectorised loops made this stage
-// 2.9 times as fast, and a loop a step 1.25 times again. One form for both would cost `shade_path` its registers (70 floats of private memory a path), and `shade_lanes` would
-// have to carry what media change of a path; it does not support FEATURE_VOLPATH.
+// It has two forms that do the same, step by step. `shade_path` shades one path and keeps it in registers.
+// `shade_lanes` shades LANES paths of a CPU's work-item; each step is a loop of its own over the lanes, because the
+// compiler vectorises short loops only, and what a step needs from an earlier one is kept as lane state. On cornell,
+// vectorised loops made this stage 2.9 times as fast, and a loop a step 1.25 times again. One form for both would cost
+// `shade_path` its registers (70 floats of private memory a path), and `shade_lanes` would have to carry what media
+// change of a path; it does not support FEATURE_VOLPATH.
 #include "path/shade_lanes.h"
 
 #if LANES == 1
@@ -50,7 +52,8 @@ INLINE void shade_path(const SceneView* scene, const PathState* paths, size_t i,
     write_next_ray(paths, i, &p, &s, &ctx, sample, u.w, is_last, rr_depth);
 }
 #else
-INLINE void shade_lanes(const SceneView* scene, const PathState* paths, size_t begin, uint count, uint max_depth, uint rr_depth)
+INLINE void shade_lanes(const SceneView* scene, const PathState* paths, size_t begin, uint count, uint max_depth,
+                        uint rr_depth)
 {
     clear_outputs(paths, begin, count);
 

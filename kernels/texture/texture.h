@@ -1,5 +1,6 @@
-// Textures: a colour, a number or the slope of a number at a point of a surface. Conventions are Mitsuba 3's: v = 0 is the top
-// row of an image, texel centres lie at one half, nothing is clamped. Records and stores: host/isonoise/scene/textures.py.
+// Textures: a colour, a number or the slope of a number at a point of a surface. Conventions are Mitsuba 3's: v = 0 is
+// the top row of an image, texel centres lie at one half, nothing is clamped. Records and stores:
+// host/isonoise/scene/textures.py.
 #pragma once
 #include "util/math.h"
 
@@ -17,8 +18,8 @@ typedef struct {
 // Where a surface was met, as textures see it.
 typedef struct {
     Vec2 uv;
-    uint triangle;       // NONE on other surfaces: mesh attributes are zero there
-    Vec2 barycentric;    // weights of its second and third corner
+    uint triangle;     // NONE on other surfaces: mesh attributes are zero there
+    Vec2 barycentric;  // weights of its second and third corner
 } TexturePoint;
 
 #if FEATURE_BITMAPS || FEATURE_CHECKERBOARDS
@@ -47,8 +48,8 @@ INLINE Vec3 texel(const Textures* textures, __global const Texture* t, int x, in
     return vec3(textures->srgb[r], textures->srgb[g], textures->srgb[b]);
 }
 
-// A coordinate brought near the image by its wrap mode, in texels: what is left of it lies in [0, size], for mirrored ones in
-// [0, 2 size]. What is no number, or so large that it has no fraction, becomes 0.
+// A coordinate brought near the image by its wrap mode, in texels: what is left of it lies in [0, size], for mirrored
+// ones in [0, 2 size]. What is no number, or so large that it has no fraction, becomes 0.
 INLINE float wrap_coordinate(uint flags, float x, float size)
 {
     if (!(abs_float(x) < 0x1p24f)) x = flags & TEXTURE_CLAMP && x > 0.0f ? 1.0f : 0.0f;
@@ -70,10 +71,10 @@ INLINE int wrap_texel(uint flags, int i, int size)
     return i < 0 ? 0 : MIN(i, size - 1);
 }
 
-// The four texels around a point of the image, by row, and the weights of the later column and row. Where texels are not
-// interpolated the first is the one that the point lies in, and the weights are 0.
+// The four texels around a point of the image, by row, and the weights of the later column and row. Where texels are
+// not interpolated the first is the one that the point lies in, and the weights are 0.
 INLINE Vec2 texel_neighbourhood(const Textures* textures, __global const Texture* t, Vec2 uv, Vec3* v00, Vec3* v10,
-                            Vec3* v01, Vec3* v11)
+                                Vec3* v01, Vec3* v11)
 {
     const int width = (int)t->size[0], height = (int)t->size[1];
     const bool nearest = t->flags & TEXTURE_NEAREST;
@@ -94,7 +95,8 @@ INLINE Vec3 bitmap_rgb(const Textures* textures, __global const Texture* t, Vec2
 {
     Vec3 v00, v10, v01, v11;
     const Vec2 w = texel_neighbourhood(textures, t, texture_uv(t, uv), &v00, &v10, &v01, &v11);
-    const Vec3 upper = add3(scale3(v00, 1.0f - w.x), scale3(v10, w.x)), lower = add3(scale3(v01, 1.0f - w.x), scale3(v11, w.x));
+    const Vec3 upper = add3(scale3(v00, 1.0f - w.x), scale3(v10, w.x)),
+               lower = add3(scale3(v01, 1.0f - w.x), scale3(v11, w.x));
     return add3(scale3(upper, 1.0f - w.y), scale3(lower, w.y));
 }
 
@@ -132,17 +134,19 @@ INLINE Vec3 mesh_attribute_rgb(const Textures* textures, __global const Texture*
     const float u = at->barycentric.x, v = at->barycentric.y;
     const uint first = t->first;  // it may be below 0: with a corner's number it is none of these that wraps around
     return mul3(scale, weighted_sum3(1.0f - u - v, LOAD3(first + corner[0], textures->attributes), u,
-                                LOAD3(first + corner[1], textures->attributes), v, LOAD3(first + corner[2], textures->attributes)));
+                                     LOAD3(first + corner[1], textures->attributes), v,
+                                     LOAD3(first + corner[2], textures->attributes)));
 }
 #endif
 
-// The texture that a checkerboard shows at a point, or the texture itself if it is none. As numbers the two colours change
-// places: so it is in Mitsuba 3 (3.9.1, checkerboard.cpp, eval_1).
+// The texture that a checkerboard shows at a point, or the texture itself if it is none. As numbers the two colours
+// change places: so it is in Mitsuba 3 (3.9.1, checkerboard.cpp, eval_1).
 INLINE __global const Texture* resolve_texture(const Textures* textures, uint texture, Vec2 uv, bool as_number)
 {
     __global const Texture* t = textures->records + texture;
 #if FEATURE_CHECKERBOARDS
-    while (t->kind == TEXTURE_CHECKERBOARD) t = textures->records + t->nested[is_second_checker_color(t, uv) != as_number];
+    while (t->kind == TEXTURE_CHECKERBOARD)
+        t = textures->records + t->nested[is_second_checker_color(t, uv) != as_number];
 #endif
     return t;
 }
@@ -167,7 +171,8 @@ TEXTURE_FUNCTION Vec4 texture_rgb_vec4(const Textures* textures, uint texture, c
     return vec4_from(LOAD3(0, t->colour), 0.0f);
 }
 
-// Linear RGB. Intel's compiler for CPUs mislays a Vec3 that a function out of line returns to several work-items at once.
+// Linear RGB. Intel's compiler for CPUs mislays a Vec3 that a function out of line returns to several work-items at
+// once.
 INLINE Vec3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
 {
     return xyz(texture_rgb_vec4(textures, texture, at));
@@ -187,7 +192,8 @@ TEXTURE_FUNCTION float texture_float(const Textures* textures, uint texture, con
 }
 
 #if FEATURE_BUMP
-// Slope of the number along u and v. Only bitmaps have one: what else there is is constant in pieces, or not along u and v.
+// Slope of the number along u and v. Only bitmaps have one: what else there is is constant in pieces, or not along u
+// and v.
 TEXTURE_FUNCTION Vec2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
 {
     __global const Texture* t = resolve_texture(textures, texture, at->uv, true);
