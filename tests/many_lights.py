@@ -73,3 +73,19 @@ def deviate(counts: np.ndarray, expected: np.ndarray) -> float:
     observed, wanted = np.bincount(cells, counts[order]), np.bincount(cells, expected[order])
     chi2, freedom = ((observed - wanted) ** 2 / wanted).sum(), len(wanted) - 1
     return ((chi2 / freedom) ** (1 / 3) - (1 - 2 / (9 * freedom))) / np.sqrt(2 / (9 * freedom))
+
+
+def grid_of_triangles(side: int) -> dict:
+    """A square of 2 side^2 emissive triangles that face upwards."""
+    x, y = np.meshgrid(np.linspace(-1, 1, side + 1), np.linspace(-1, 1, side + 1), indexing="ij")
+    first = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    faces = np.stack([[first, first + side + 1, first + side + 2], [first, first + side + 2, first + 1]]).reshape(
+        2, 3, -1
+    )
+    return {
+        "type": "mesh",
+        "vertices": np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1),
+        "faces": faces.transpose(2, 0, 1).reshape(-1, 3),
+        "face_normals": True,
+        "emitter": {"type": "area", "radiance": 1.0},
+    }

@@ -1,30 +1,22 @@
-"""The tree by which one of many lights is picked: bounds, probabilities, picks, and pictures with and without it.
+"""The light tree: bounds, probabilities and sampled lights. test_light_tree_images.py tests images.
 
 Chi-square statistics and z-values are compared as standard normal deviates at Z = 5: 6e-7 for each of about 30, so
-false alarms are 1e-5 for the file under other seeds; of the comparison with Mitsuba see tests/references.py.
+false alarms are 1e-5 for the file under other seeds.
 """
-
-import time
 
 import numpy as np
 import pytest
-import scalar_mitsuba
-import trimesh
-from many_lights import compiled, deviate, mixed_lights, some_points, unit
-from small_scene import lamp_over_floor
+from many_lights import compiled, deviate, grid_of_triangles, mixed_lights, some_points, unit
 
-import isonoise
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten
 from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene import structs
-from isonoise.scene.light import light_tree
 from isonoise.scene.light.light_kinds import light_bits
-from isonoise.scene.light.light_tree import BVH_WIDTH, LIGHT_NODE_ROWS, build_light_tree
+from isonoise.scene.light.light_tree import BVH_WIDTH, build_light_tree
 from isonoise.scene.light.lights import compute_light_bounds
 
 Z = 5.0
-BATCHES = 12
 BY_SHARE = 2.0**-10  # in kernels/light/light_tree.h
 KERNELS = """
 #define LOAD4(i, p) vec4_from(LOAD3(0, (p) + 4 * (i)), (p)[4 * (i) + 3])
@@ -282,22 +274,6 @@ def test_picks_have_the_stated_probabilities(device, seed):
     assert abs(deviate(np.bincount(picked, minlength=lights), count * expected)) < Z
 
 
-def grid_of_triangles(side: int) -> dict:
-    """2 side^2 triangles of a square, which shine upwards."""
-    x, y = np.meshgrid(np.linspace(-1, 1, side + 1), np.linspace(-1, 1, side + 1), indexing="ij")
-    first = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
-    faces = np.stack([[first, first + side + 1, first + side + 2], [first, first + side + 2, first + 1]]).reshape(
-        2, 3, -1
-    )
-    return {
-        "type": "mesh",
-        "vertices": np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1),
-        "faces": faces.transpose(2, 0, 1).reshape(-1, 3),
-        "face_normals": True,
-        "emitter": {"type": "area", "radiance": 1.0},
-    }
-
-
 def test_a_hundred_thousand_lights_are_picked_evenly(device):
     """From afar all are alike: every one of 131,072 shall come with its probability, by the last of the 48 bits."""
     scene = compiled(lamp=grid_of_triangles(256))
@@ -343,115 +319,3 @@ def test_points_on_and_in_lights_and_behind_all(device):
     assert np.isfinite(found).all()
     assert (found > 0).all()
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-5)
-
-
-# Pictures.
-
-
-def room(count: int) -> dict:
-    """Lights of every kind around a floor, a ball of rough glass and a diffuse one."""
-    scene = lamp_over_floor(max_depth=4, width=12, height=9)
-    scene.pop("lamp")
-    wide = np.diag([6.0, 6.0, 1.0, 1.0])
-    wide[2, 3] = -1.0
-    scene["floor"]["to_world"] = wide
-    scene["glass"] = {"type": "sphere", "radius": 0.6, "bsdf": {"type": "roughdielectric", "alpha": 0.3}}
-    scene["ball"] = {"type": "sphere", "center": [1.3, 0.4, -0.4], "radius": 0.5}
-    return scene | mixed_lights(count, seed=9)
-
-
-@pytest.mark.usefixtures("one_lane")
-def test_pictures_with_and_without_the_tree_agree(monkeypatch):
-    """Means of blocks of 3 x 3 pixels over independent renders: z-values of each, and of the image."""
-    images = {}
-    for fewest in (10**9, 1):
-        monkeypatch.setattr(light_tree, "MIN_TREE_LIGHTS", fewest)
-        images[fewest] = np.stack(
-            [
-                isonoise.render(room(48), spp=64, strategy="uniform:wave_spp=64", seed=seed).statistics.mean
-                for seed in range(BATCHES)
-            ]
-        )
-    without, with_tree = (
-        i.reshape(BATCHES, 3, 3, 4, 3).mean(axis=(2, 4)).reshape(BATCHES, -1) for i in images.values()
-    )
-    for a, b in ((without, with_tree), (without.mean(axis=1), with_tree.mean(axis=1))):
-        se = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / BATCHES)
-        # 2.1: Student's t, 11 degrees of freedom at least
-        assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 2.1 * Z * se).all()
-
-
-@pytest.mark.usefixtures("one_lane")
-def test_less_noise_where_lights_are_spread(monkeypatch):
-    """300 lamps over a long floor: without the tree most samples go to lamps that are far away."""
-    scene = lamp_over_floor(max_depth=2)
-    scene.pop("lamp")
-    scene["floor"]["to_world"] = np.diag([20.0, 20.0, 1.0, 1.0])
-    for index, (x, y) in enumerate(np.random.default_rng(2).uniform(-20, 20, (300, 2))):
-        scene[f"lamp{index}"] = {"type": "point", "position": [x, y, 1.0], "intensity": 1.0}
-    variance = {}
-    for fewest in (10**9, 1):
-        monkeypatch.setattr(light_tree, "MIN_TREE_LIGHTS", fewest)
-        variance[fewest] = isonoise.render(scene, spp=256, strategy="uniform").statistics.variance.mean()
-    assert variance[1] < 0.1 * variance[10**9]
-
-
-def test_against_mitsuba(monkeypatch, tmp_path):
-    monkeypatch.setattr(light_tree, "MIN_TREE_LIGHTS", 1)
-    scene = room(24)
-    for name, shape in scene.items():
-        if isinstance(shape, dict) and shape["type"] == "mesh":
-            scene[name] = {"type": "ply", "filename": str(tmp_path / f"{name}.ply"), "emitter": shape["emitter"]}
-            trimesh.Trimesh(shape["vertices"], shape["faces"], process=False).export(scene[name]["filename"])
-    scalar_mitsuba.assert_same_picture(scene, tmp_path, spp=64)
-
-
-def test_few_lights_keep_the_alias_table():
-    from isonoise.integrator.features import features
-
-    few = compiled(floor={"type": "rectangle"}, lamp={"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}})
-    many = compiled(floor={"type": "rectangle"}, lamp=grid_of_triangles(32))
-    assert not features(few)["LIGHT_TREE"]
-    assert features(many)["LIGHT_TREE"]
-    dark = compiled(lamp=grid_of_triangles(32) | {"bsdf": {"type": "dielectric"}})
-    assert not features(dark)["LIGHT_TREE"]  # nothing in it is lit by next-event estimation
-
-
-@pytest.mark.long
-def test_ten_thousand_triangles_are_as_good_as_a_rectangle():
-    """Error at equal time of this process (2 s, median of 3 in turns): relative, RMS over the pixels."""
-    wide = np.diag([4.0, 4.0, 1.0, 1.0])
-    scene = lamp_over_floor(width=48, height=48) | {"floor": {"type": "rectangle", "to_world": wide}}
-    turned = np.diag([0.5, -0.5, -0.5, 1.0])
-    turned[2, 3] = 1.0
-    emitter = {"type": "area", "radiance": 5.0}
-    whole = {"type": "rectangle", "to_world": turned, "emitter": emitter}
-    tiled = grid_of_triangles(71) | {"to_world": turned, "emitter": emitter}
-    errors = {"whole": [], "tiled": []}
-    for seed in range(3):
-        for name, lamp in (("whole", whole), ("tiled", tiled)):
-            renderer = isonoise.Renderer(scene | {"lamp": lamp}, strategy="uniform:wave_spp=4", seed=seed)
-            begun = time.process_time()
-            while time.process_time() < begun + 2.0:
-                renderer.step()
-            statistics = renderer.statistics()
-            lit = statistics.mean > 0
-            relative = statistics.variance[lit] / statistics.count[lit] / statistics.mean[lit] ** 2
-            errors[name].append(np.sqrt(relative.mean()))
-    assert np.median(errors["tiled"]) <= 1.5 * np.median(errors["whole"])
-
-
-@pytest.mark.long
-def test_a_million_lights():
-    """Built in seconds; no path from the root is long."""
-    scene = compiled(lamp=grid_of_triangles(708))
-    begun = time.perf_counter()
-    tree = build_light_tree(scene)
-    assert time.perf_counter() - begun < 60
-    assert tree.nodes.shape[1:] == (LIGHT_NODE_ROWS, BVH_WIDTH)
-    lights, depth = len(scene.lights), 0
-    place = tree.parents[:lights]
-    while (place != structs.NONE).any():
-        place = tree.parents[lights + place[place != structs.NONE] // BVH_WIDTH]
-        depth += 1
-    assert depth < 12
