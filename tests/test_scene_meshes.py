@@ -201,11 +201,7 @@ INVALID_MESHES = [
     ("a.ply", PLY.format(3, 0) + "0 0 0\n1 0 0\n0 1 0\n", "needs vertices and faces"),
     ("a.ply", PLY.format(0, 1) + "3 0 0 0\n", "uses a vertex that does not exist"),
     ("a.ply", BINARY.format(10**9, 1) + "0" * 100, "truncated: its header states 1000000000 of element 'vertex'"),
-    (
-        "a.ply",
-        BINARY.format(0, 10**9) + "0" * 100,
-        "states 1000000000|fewer than three|list of element",
-    ),
+    ("a.ply", BINARY.format(0, 10**9) + "0" * 100, "states 1000000000|fewer than three|list of element"),
     ("a.ply", PLY.format(10**14, 1) + "0 " * 100, "truncated: its header states"),
 ]
 

@@ -162,7 +162,7 @@ INVALID_FILES = [
     (serialized_file(struct.pack("<I", SINGLE) + b"no end of it"), 0, "truncated"),
     (HEAD + zlib.compress(struct.pack("<I", SINGLE) + b"x" * 2**26), 0, "its name is not terminated"),
     (serialized_file(mesh_content(SINGLE, counts=(10**9, 1))), 0, "states 1000000000 vertices"),
-    (serialized_file(mesh_content(SINGLE, counts=(4, 10**9))), 0, "states 4 vertices and 1000000000 triangles"),
+    (serialized_file(mesh_content(SINGLE, counts=(4, 10**9))), 0, "states 4 vertices and 1000000000 faces"),
     (serialized_file(mesh_content(SINGLE, counts=(2**64 - 1, 2**64 - 1))), 0, "more than the file can hold"),
     (serialized_file(mesh_content(SINGLE, counts=(5, 2))), 0, "truncated"),
     (serialized_file(mesh_content(SINGLE, counts=(2**20, 2**20))), 0, "truncated"),

@@ -137,9 +137,7 @@ class _Lines:
             data = np.where(selected[np.maximum(owner, 0)], data, _SPACE).astype(np.uint8)
         values = parse_numbers(data.tobytes().replace(b"/", b" "))
         if len(values) != columns * selected.sum() or np.any(values != np.rint(values)):
-            self.location.raise_error(
-                "the corners of a face are whole numbers, such as 'f 1 2 3' or 'f 1/1/1 2/2/2 3/3/3'"
-            )
+            self.location.raise_error("the corners of a face are whole numbers: 'f 1 2 3' or 'f 1/1/1 2/2/2 3/3/3'")
         return np.clip(values, -(2**40), 2**40).astype(np.int64).reshape(-1, columns)
 
     def materials(self, face_lines: np.ndarray) -> tuple[np.ndarray, list[str], list[str]]:

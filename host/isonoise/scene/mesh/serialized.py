@@ -120,9 +120,7 @@ def _read_mesh(stream: _InflatedStream, version: int, location: SourceLocation) 
     per_vertex = 3 + 3 * bool(flags & _HAS_NORMALS) + 2 * bool(flags & _HAS_UVS) + 3 * bool(flags & _HAS_COLOURS)
     size = vertices * per_vertex * np.dtype(number).itemsize + faces * 3 * np.dtype(index).itemsize
     if size > stream.max_bytes:
-        location.raise_error(
-            f"its header states {vertices} vertices and {faces} triangles, more than the file can hold"
-        )
+        location.raise_error(f"its header states {vertices} vertices and {faces} faces, more than the file can hold")
     if not vertices or not faces:
         location.raise_error("a mesh needs vertices and faces")
     mesh = Mesh(stream.read_array(number, vertices, 3).astype(np.float64), np.zeros((0, 3), np.int64), np.zeros((0, 3)))

@@ -69,7 +69,7 @@ def _check_thin_lens(sensor: dict, location: SourceLocation):
     _check_perspective(sensor, location)
     if sensor["aperture_radius"] > _MAX_APERTURE_RATIO * sensor.get("focus_distance", sensor["far_clip"]):
         location.raise_error(
-            f"aperture_radius exceeds {_MAX_APERTURE_RATIO:g} times focus_distance: 32-bit floats overflow"
+            f"aperture_radius exceeds {_MAX_APERTURE_RATIO:g} * focus_distance: 32-bit floats overflow"
         )
 
 
@@ -95,9 +95,7 @@ def _check_dielectric(bsdf: dict, location: SourceLocation):
 def _check_rough_boundary(bsdf: dict, location: SourceLocation):
     _check_dielectric(bsdf, location)
     if np.float32(bsdf["int_ior"] / bsdf["ext_ior"]) == 1:
-        location.raise_error(
-            "int_ior and ext_ior have to differ: a rough boundary between equal indices does not refract"
-        )
+        location.raise_error("int_ior and ext_ior have to differ: a rough boundary of equal indices does not refract")
 
 
 def _check_alpha_u_and_v(bsdf: dict, location: SourceLocation):
@@ -131,9 +129,7 @@ def _check_twosided(bsdf: dict, location: SourceLocation):
     for nested in _nested_bsdfs(bsdf):
         transmits = KIND_OF_PLUGIN[nested["type"]].transmits
         if transmits and transmits(nested):
-            location.raise_error(
-                f"twosided cannot contain the transmissive bsdf '{nested['type']}' (nor can it in Mitsuba 3)"
-            )
+            location.raise_error(f"twosided cannot contain the transmissive bsdf '{nested['type']}' (nor in Mitsuba 3)")
 
 
 def _check_bump_or_normal_map(bsdf: dict, location: SourceLocation):

@@ -92,9 +92,7 @@ def _check_index(value, location: SourceLocation) -> float:
         return by_name[value.lower()]
     number = _to_float(value)
     if number is None or number <= 0:
-        location.raise_error(
-            f"an index of refraction is a positive number or the name of a material, got {_shortened(value)}"
-        )
+        location.raise_error(f"an index of refraction is a positive number or a material name, got {_shortened(value)}")
     return number
 
 

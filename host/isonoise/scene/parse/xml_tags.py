@@ -72,9 +72,7 @@ def parse_tags(path: Path) -> Tag:
         reason = str(error).split(":")[0]
         is_empty = reason == "no element found" and builder.root is None
         problem = "the file contains no scene" if is_empty else f"not well-formed XML ({reason})"
-        SourceLocation(str(path), line).raise_error(
-            f"{problem}; scenes are Mitsuba 3 XML, meshes are OBJ, PLY, STL or GLB"
-        )
+        SourceLocation(str(path), line).raise_error(f"{problem}; scenes are Mitsuba 3 XML, meshes OBJ, PLY, STL or GLB")
     except DefusedXmlException:
         SourceLocation(str(path)).raise_error("DTDs and entities are not supported; remove the <!DOCTYPE>")
     except OSError as error:

@@ -62,10 +62,7 @@ _SIMPLE_SHAPES = (
     Plugin(
         "shape",
         "serialized",
-        (
-            *_MESH,
-            P("shape_index", "integer", 0, "[0, 2147483647]", meaning="index of the mesh in the file, from 0"),
-        ),
+        (*_MESH, P("shape_index", "integer", 0, "[0, 2147483647]", meaning="index of the mesh in the file, from 0")),
         _CHILDREN,
         meaning="Mitsuba's own mesh format, versions 3 and 4",
     ),

@@ -66,16 +66,12 @@ UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
         "uniform": "write the number directly",
         "volume": "volumes as textures are not supported",
     },
-    "medium": {
-        "heterogeneous": "only uniform media are supported",
-    },
+    "medium": {"heterogeneous": "only uniform media are supported"},
     "phase": {
         "blendphase": "one phase function per medium",
         "rayleigh": "hg with g = 0 is similar",
         "sggx": "for volumes of fibres and flakes",
         "tabphase": "fit hg to it",
     },
-    "volume": {
-        "gridvolume": "only uniform media are supported",
-    },
+    "volume": {"gridvolume": "only uniform media are supported"},
 }
