@@ -1,4 +1,4 @@
-"""Scenes of lights of every kind, points among them, and a test of how often each is picked."""
+"""Scenes with lights of every kind, points among them, and a chi-square test of sampled lights."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ def unit(v: np.ndarray) -> np.ndarray:
 
 
 def _placed(rng, scale: float) -> np.ndarray:
-    """A random rotation, size and place."""
+    """Returns a random rotation, scale and translation."""
     matrix = np.eye(4)
     matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * scale * rng.uniform(0.3, 1.0)
     matrix[:3, 3] = rng.uniform(-4, 4, 3)
@@ -22,7 +22,7 @@ def _placed(rng, scale: float) -> np.ndarray:
 
 
 def mixed_lights(count: int = 60, seed: int = 5, beyond: bool = True) -> dict:
-    """Lights of every kind among a room's worth of places, some of them dark, some of smooth meshes."""
+    """Returns lights of every kind at random positions, some dark, some smooth meshes."""
     rng = np.random.default_rng(seed)
     scene, kinds = {}, ("rectangle", "smooth", "sphere", "disk", "cylinder", "point", "spot", "flipped")
     for index in range(count):
@@ -59,14 +59,14 @@ def compiled(**objects):
 
 
 def some_points(rng, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points among the lights, and normals: every fourth is none."""
+    """Returns points among the lights, and normals; every fourth has no normal."""
     points, normals = rng.uniform(-5, 5, (count, 3)), four(unit(rng.normal(size=(count, 3))), 0)
     normals[::4] = (0, 0, 0, 1)
     return points.astype(np.float32), normals
 
 
 def deviate(counts: np.ndarray, expected: np.ndarray) -> float:
-    """Chi-square of counts, rare ones put together, as a standard normal deviate (Wilson and Hilferty)."""
+    """Returns the chi-square of counts, rare ones merged, as a standard normal deviate (Wilson and Hilferty)."""
     order = np.argsort(expected)
     cells = np.minimum(np.cumsum(expected[order]) // 10, np.cumsum(expected[order] >= 10) + 1e9).astype(int)
     cells = np.unique(cells, return_inverse=True)[1]

@@ -60,7 +60,7 @@ LIGHT = {"type": "point", "position": [0.0, 0.0, 3.0], "intensity": 9.0 * 2 * ma
 
 
 def lit_floor(integrator: str = "volpath", depth: int = 2, **objects) -> dict:
-    """A floor under a point light; the camera looks down from just above the floor. `objects` stand between."""
+    """A floor under a point light; the camera looks down from just above the floor. `objects` are added."""
     return {
         "type": "scene",
         "integrator": {"type": integrator, "max_depth": depth, "rr_depth": 1000},

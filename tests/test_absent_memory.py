@@ -83,21 +83,21 @@ def test_an_additional_feature_takes_the_stated_bytes(monkeypatch, name):
         "light_bounds": stated("light_bounds") * len(scene.lights),
     }
     if scene.environment_light < 0:
-        records["environment"] = ENVIRONMENT.itemsize  # of a map that is black
+        records["environment"] = ENVIRONMENT.itemsize  # a black map
     of_statistics = {"CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER"}
     for feature in (each for each, on in used.items() if not on and each not in of_statistics | {"FILTER_TABLE"}):
         more, of_more = allocated(monkeypatch, scene, feature_override=used | {feature: True})
-        gone = () if of_more.brute_force else ("corners", "corner_indices")  # it does not do without a hierarchy
-        bare = {each: size for each, size in without.items() if each not in gone}
+        dropped = () if of_more.brute_force else ("corners", "corner_indices")  # it needs a BVH
+        bare = {each: size for each, size in without.items() if each not in dropped}
         new = {each: size for each, size in more.items() if each not in bare}
-        grown = {each: more[each] - size for each, size in bare.items() if more[each] != size}
-        paths = {each: size for each, size in (new | grown).items() if each in path_bytes(of_more.features)}
+        larger = {each: more[each] - size for each, size in bare.items() if more[each] != size}
+        paths = {each: size for each, size in (new | larger).items() if each in path_bytes(of_more.features)}
         sky = feature in ("CONSTANT_LIGHT", "ENVIRONMENT_MAP") and scene.environment_light < 0
         lights = {"lights": structs.LIGHT.itemsize} if sky else {}
-        assert {each: size for each, size in grown.items() if each not in paths} == lights, feature
+        assert {each: size for each, size in larger.items() if each not in paths} == lights, feature
         assert sum(paths.values()) == cost(feature, used).path_bytes * planes, feature
         assert set(new) - set(paths) == set(FEATURES[feature].buffers) - set(bare), feature
-        for each in set(new) - set(paths) - {"light_nodes", "light_parents"}:  # made of the lights there are
+        for each in set(new) - set(paths) - {"light_nodes", "light_parents"}:  # built from the lights of the scene
             assert new[each] == records.get(each, DUMMY_BYTES), (feature, each)
 
 

@@ -17,7 +17,7 @@ from isonoise.scene.light.light_tree import BVH_WIDTH, build_light_tree
 from isonoise.scene.light.lights import compute_light_bounds
 
 Z = 5.0
-BY_SHARE = 2.0**-10  # in kernels/light/light_tree.h
+INTENSITY_SHARE = 2.0**-10  # in kernels/light/light_tree.h
 KERNELS = """
 #define LOAD4(i, p) vec4_from(LOAD3(0, (p) + 4 * (i)), (p)[4 * (i) + 3])
 
@@ -61,8 +61,8 @@ __kernel void pick(__global const float8* nodes, __global const uint* places, ui
 """
 
 
-class OnDevice:
-    """The kernels above, run on a tree."""
+class TreeKernels:
+    """Runs the kernels above on a tree."""
 
     def __init__(self):
         self.device = Device()
@@ -84,12 +84,12 @@ class OnDevice:
         self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
         return self.device.read(out, np.float32, row * n).reshape(n, row)
 
-    def probability(self, tree, lights, points, normals, which) -> np.ndarray:
-        which = np.asarray(which, np.uint32)
-        return self.run("probability", tree, lights, points, normals, which, 1)[:, 0].astype(np.float64)
+    def probability(self, tree, lights, points, normals, light_indices) -> np.ndarray:
+        light_indices = np.asarray(light_indices, np.uint32)
+        return self.run("probability", tree, lights, points, normals, light_indices, 1)[:, 0].astype(np.float64)
 
     def pick(self, tree, lights, point, normal, count, seed):
-        """Lights picked and their stated probabilities, for one point."""
+        """Returns sampled lights and their stated probabilities, for one point."""
         u = np.random.default_rng(seed).integers(0, 2**24, (count, 2)).astype(np.uint32)
         points, normals = (np.tile(v, (count, 1)) for v in (point, normal))
         out = self.run("pick", tree, lights, points, normals, u, 2)
@@ -98,11 +98,11 @@ class OnDevice:
 
 @pytest.fixture(scope="module")
 def device():
-    return OnDevice()
+    return TreeKernels()
 
 
 def reference_weights(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """float64: the bounds times the shares, as the paper has them with the mean of bound and middle."""
+    """Returns importances in float64: the paper's, with the mean of bound and centre for each cosine."""
     node = node.astype(np.float64)
     arm = node[0:3] - point.astype(np.float64)[:, None]
     distance2 = (arm**2).sum(axis=0)
@@ -113,17 +113,19 @@ def reference_weights(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -
     emission_cosine = np.cos(np.maximum(theta - spread, 0))
     incidence = (normal[:3, None] * arm).sum(axis=0) / distance + normal[3]
 
-    def likely(cosine):
+    def mean_cosine(cosine):
         return 0.5 * (np.clip(cosine + apparent, 0, 1) + np.clip(cosine, 0, 1))
 
-    shines = emission_cosine + apparent > node[10]
-    return shines * node[4] * likely(emission_cosine) * likely(incidence) / np.maximum(distance2, radius**2 / 4)
+    is_lit = emission_cosine + apparent > node[10]
+    return (
+        is_lit * node[4] * mean_cosine(emission_cosine) * mean_cosine(incidence) / np.maximum(distance2, radius**2 / 4)
+    )
 
 
 def reference_probabilities(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
     weights = reference_weights(node, point, normal)
     share, total = node[4].astype(np.float64), weights.sum()
-    return share if total == 0 else (1 - BY_SHARE) * weights / total + BY_SHARE * share
+    return share if total == 0 else (1 - INTENSITY_SHARE) * weights / total + INTENSITY_SHARE * share
 
 
 # The tree.
@@ -150,17 +152,19 @@ def test_every_light_with_power_has_one_place(count, beyond):
     assert tree.parents[dark].tolist() == [structs.NONE]
 
 
-def _below(tree, node: int) -> list[int]:
+def _lights_below_node(tree, node: int) -> list[int]:
     references = tree.nodes[node, 11].view(np.int32)
-    return [light for slot in np.flatnonzero(tree.nodes[node, 4] > 0) for light in _under(tree, references[slot])]
+    return [
+        light for slot in np.flatnonzero(tree.nodes[node, 4] > 0) for light in _lights_below(tree, references[slot])
+    ]
 
 
-def _under(tree, reference: int) -> list[int]:
-    return [~reference] if reference < 0 else _below(tree, reference)
+def _lights_below(tree, reference: int) -> list[int]:
+    return [~reference] if reference < 0 else _lights_below_node(tree, reference)
 
 
-def _shines_from(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of a light, the normals by which it shines there (zero: to all sides), and the cosine from which on."""
+def _emission_of(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns points of a light, normals of its emission (zero: all directions), and the cosine where it ends."""
     zero, half = np.zeros((count, 3)), np.zeros(count)
     if light["kind"] == light_bits("point"):
         return np.tile(light["position"], (count, 1)), zero, half
@@ -192,7 +196,7 @@ def _shines_from(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray,
 
 
 def test_bounds_miss_no_light_that_arrives():
-    """At every node above a light, its weight is positive where a point of it can be seen to shine."""
+    """The importance of every ancestor of a light is positive at points that receive light from it."""
     rng = np.random.default_rng(11)
     scene = compiled(**mixed_lights(64, beyond=False))
     tree = build_light_tree(scene)
@@ -200,13 +204,15 @@ def test_bounds_miss_no_light_that_arrives():
     references = tree.nodes[:, 11].view(np.int32)
     checked = 0
     for node, slot in zip(*np.nonzero(tree.nodes[:, 4] > 0), strict=True):
-        below = rng.permutation(_under(tree, references[node, slot]))[:4]
+        below = rng.permutation(_lights_below(tree, references[node, slot]))[:4]
         for light in below:
-            on, shining, least = _shines_from(scene, scene.lights[light], rng, len(points))
+            on, emission_normals, min_cosine = _emission_of(scene, scene.lights[light], rng, len(points))
             arm = on - points
             distance = np.linalg.norm(arm, axis=1)
-            # leaves room for the rounding of the records to 32 bits
-            leaves = (-(shining * arm).sum(axis=1) > (least + 1e-4) * distance) | ~shining.any(axis=1)
+            # 1e-4: records are rounded to 32 bits
+            leaves = (-(emission_normals * arm).sum(axis=1) > (min_cosine + 1e-4) * distance) | ~emission_normals.any(
+                axis=1
+            )
             arrives = ((normals[:, :3] * arm).sum(axis=1) > 1e-4 * distance) | (normals[:, 3] == 1)
             for index in np.flatnonzero(leaves & arrives):
                 assert reference_weights(tree.nodes[node], points[index], normals[index])[slot] > 0
@@ -215,7 +221,7 @@ def test_bounds_miss_no_light_that_arrives():
 
 
 def test_intensity_is_the_largest_that_a_light_has():
-    """Closed forms: of what is flat A L, of a sphere pi r^2 L, of a cylinder 2 r h L, of points theirs."""
+    """Closed forms: A L for flat shapes, pi r^2 L for a sphere, 2 r h L for a cylinder, the intensity of points."""
     scene = compiled(
         quad={"type": "rectangle", "emitter": {"type": "area", "radiance": 3.0}},
         ball={"type": "sphere", "radius": 0.5, "emitter": {"type": "area", "radiance": 5.0}},
@@ -229,7 +235,7 @@ def test_intensity_is_the_largest_that_a_light_has():
     np.testing.assert_allclose(intensity / intensity[0], expected / expected[0], rtol=1e-5)
 
 
-# Probabilities and picks.
+# Probabilities and sampled lights.
 
 
 def test_probabilities_of_a_node_are_those_of_float64(device):
@@ -237,13 +243,13 @@ def test_probabilities_of_a_node_are_those_of_float64(device):
     scene = compiled(**mixed_lights(200))
     tree = build_light_tree(scene)
     points, normals = some_points(rng, 4000)
-    which = rng.integers(0, len(tree.nodes), len(points)).astype(np.uint32)
-    found = device.run("node_probabilities", tree, len(scene.lights), points, normals, which, 8)
+    node_indices = rng.integers(0, len(tree.nodes), len(points)).astype(np.uint32)
+    computed = device.run("node_probabilities", tree, len(scene.lights), points, normals, node_indices, 8)
     expected = np.stack(
-        [reference_probabilities(tree.nodes[w], p, n) for w, p, n in zip(which, points, normals, strict=True)]
+        [reference_probabilities(tree.nodes[w], p, n) for w, p, n in zip(node_indices, points, normals, strict=True)]
     )
-    # the cosine of a sum of angles loses what its terms cancel: absolute, in units of the whole
-    np.testing.assert_allclose(found, expected, rtol=2e-5, atol=2e-6)
+    # absolute: the cosine of a sum of angles suffers from cancellation
+    np.testing.assert_allclose(computed, expected, rtol=2e-5, atol=2e-6)
 
 
 def test_probabilities_of_all_lights_sum_to_one(device):
@@ -251,12 +257,12 @@ def test_probabilities_of_all_lights_sum_to_one(device):
     scene = compiled(**mixed_lights(90))
     tree, lights = build_light_tree(scene), len(scene.lights)
     points, normals = some_points(rng, 64)
-    found = device.probability(
+    computed = device.probability(
         tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), 64)
     ).reshape(64, lights)
-    np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-5)
+    np.testing.assert_allclose(computed.sum(axis=1), 1.0, atol=1e-5)
     power = scene.lights["selection_pmf"]
-    assert ((found > 0) == (power > 0)).all()
+    assert ((computed > 0) == (power > 0)).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -266,23 +272,23 @@ def test_picks_have_the_stated_probabilities(device, seed):
     tree, lights, count = build_light_tree(scene), len(scene.lights), 1 << 18
     points, normals = some_points(rng, 2)
     point, normal = points[seed % 2], normals[seed % 2]
-    picked, stated = device.pick(tree, lights, point, normal, count, seed)
+    sampled, stated = device.pick(tree, lights, point, normal, count, seed)
     expected = device.probability(
         tree, lights, np.tile(point, (lights, 1)), np.tile(normal, (lights, 1)), range(lights)
     )
-    np.testing.assert_allclose(stated, expected[picked], rtol=1e-6)
-    assert abs(deviate(np.bincount(picked, minlength=lights), count * expected)) < Z
+    np.testing.assert_allclose(stated, expected[sampled], rtol=1e-6)
+    assert abs(deviate(np.bincount(sampled, minlength=lights), count * expected)) < Z
 
 
 def test_a_hundred_thousand_lights_are_picked_evenly(device):
-    """From afar all are alike: every one of 131,072 shall come with its probability, by the last of the 48 bits."""
+    """From a large distance 131,072 lights have equal probabilities; sampling uses all of the 48 bits."""
     scene = compiled(lamp=grid_of_triangles(256))
     tree, lights, count = build_light_tree(scene), len(scene.lights), 1 << 21
     point, normal = np.array([0.0, 0.0, 1e4]), np.array([0, 0, -1.0, 0])
-    picked, stated = device.pick(tree, lights, point, normal, count, seed=1)
+    sampled, stated = device.pick(tree, lights, point, normal, count, seed=1)
     assert lights == 131072
     np.testing.assert_allclose(stated * lights, 1.0, rtol=0.01)
-    assert abs(deviate(np.bincount(picked, minlength=lights), np.full(lights, count / lights))) < Z
+    assert abs(deviate(np.bincount(sampled, minlength=lights), np.full(lights, count / lights))) < Z
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 1e6, 1e15])
@@ -303,7 +309,7 @@ def test_scale_and_place_change_no_probability(device, scale):
 
 
 def test_points_on_and_in_lights_and_behind_all(device):
-    """Where no weight is left the shares decide; nothing is ever not a number."""
+    """If all importances are 0, intensities decide; all probabilities are finite."""
     quads = {
         f"quad{i}": {"type": "rectangle", "emitter": {"type": "area", "radiance": float(1 + i % 3)}} for i in range(10)
     }  # coincident: 20 triangles in one place
@@ -313,9 +319,9 @@ def test_points_on_and_in_lights_and_behind_all(device):
     points = np.array([[0, 0, 0], [1.0, 0, 0], [0.3, 0.3, 0.0], [0, 0, -5.0], [0, 0, 5.0], [1e17, 0, 0]])
     normals = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, -1, 0], [0, 0, -1, 0], [0, 0, 1, 0], [-1, 0, 0, 0]])
     count = len(points)
-    found = device.probability(
+    computed = device.probability(
         tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), count)
     ).reshape(count, lights)
-    assert np.isfinite(found).all()
-    assert (found > 0).all()
-    np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-5)
+    assert np.isfinite(computed).all()
+    assert (computed > 0).all()
+    np.testing.assert_allclose(computed.sum(axis=1), 1.0, atol=1e-5)

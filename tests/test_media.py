@@ -36,15 +36,15 @@ FRONT = one_ray((0.1, 0.2, 5.0), (0.1, 0.2, 0.0))
     [(0.5, None), (6.0, 0.9), pytest.param(6.0, -0.9, marks=pytest.mark.long), (rgb(0.1, 1.0, 3.0), 0.5)],
 )
 def test_white_furnace(sigma_t, g):
-    """What only scatters is not seen against a sky of one colour, to five standard errors; of one colour, to those of
-    the luminance times three."""
+    """Media without absorption are invisible in front of a constant sky, to five standard errors of the luminance, or
+    to 15 for coloured media."""
     seen, error = radiance(under_sky(FRONT, medium(sigma_t, 1.0, g), rr_depth=10**6), spp=4096)
     assert error < 0.02
     assert seen == pytest.approx([1.0] * 3, abs=5 * error * (3 if isinstance(sigma_t, dict) else 1))
 
 
 def test_absorption_without_scattering():
-    """Through the cube and the ball: exp(-2 sigma). Three times 5 standard errors of the luminance for one colour."""
+    """Through the cube and the ball: exp(-sigma d). 15 standard errors of the luminance, because media are coloured."""
     seen, error = radiance(under_sky(FRONT, medium(rgb(0.1, 0.5, 1.0)), medium(rgb(0.2, 0.0, 0.3))), spp=2**16)
     through_ball = 2 * math.sqrt(1 - 0.1**2 - 0.2**2)
     expected = np.exp(-through_ball * np.array([0.1, 0.5, 1.0]) - 2 * np.array([0.2, 0.0, 0.3]))
@@ -85,8 +85,8 @@ def test_dense_media_reflect_as_half_spaces(shape, sigma_t, place):
     center = np.array([0.1, 0.2, 0.0 if shape == "cube" else -3.0]) + place
     mu = 1.0
     sensor = one_ray(center + np.array([0.0, 0.0, 30.0]), center)
-    dense, gone = medium(sigma_t, albedo), medium(0.0)
-    scene = under_sky(sensor, dense if shape == "ball" else gone, dense if shape == "cube" else gone)
+    dense, empty = medium(sigma_t, albedo), medium(0.0)
+    scene = under_sky(sensor, dense if shape == "ball" else empty, dense if shape == "cube" else empty)
     scene["cube"]["to_world"] = transform(place, place, place)
     scene["ball"]["center"] = [place, place, place - 3.0]
     if shape == "ball":
@@ -99,15 +99,15 @@ def test_dense_media_reflect_as_half_spaces(shape, sigma_t, place):
 
 
 def test_a_camera_within_a_medium():
-    """The ball is left for a sky of 1: exp(-sigma d). The medium that the sensor names, not the ball's, counts."""
+    """Rays leave the ball for a sky of 1: exp(-sigma d). The medium of the sensor counts, not the ball's."""
     sensor = one_ray((0.0, 0.0, -3.0), (0.0, 0.0, -9.0)) | {"medium": medium(1.5)}
     seen, error = radiance(under_sky(sensor, medium(0.0)), spp=2**16)
     assert seen == pytest.approx([math.exp(-1.5)] * 3, rel=5 * error)
 
 
 def test_thin_media_scatter_as_often_as_they_should():
-    """Optical depth 2e-5 scatters one sample in 50,000: what is lost when all of that is absorbed."""
-    sensor = one_ray((0.1, 0.2, 0.0), (0.1, 0.2, 5.0))  # within the cube: a depth of sigma_t
+    """Optical depth 2e-5 scatters one sample in 50,000, all of which is absorbed."""
+    sensor = one_ray((0.1, 0.2, 0.0), (0.1, 0.2, 5.0))  # in the cube: the optical depth is sigma_t
     scene = under_sky(sensor | {"medium": medium(2e-5)}, medium(0.0), medium(2e-5))
     samples = 2**20
     statistics = isonoise.render(scene, spp=samples, strategy="uniform", seed=3).statistics
@@ -121,7 +121,7 @@ def test_thin_media_scatter_as_often_as_they_should():
 @pytest.mark.parametrize("g", [0.0, 0.7])
 def test_single_scattering(g):
     """A ball of a medium, a point light beside it, max_depth 2: the integral of sigma_s p(theta) I / d^2 times the
-    transmittance there and back, by 4,096 points of float64. Three times 5 standard errors for one colour."""
+    transmittance to light and camera, with 4,096 points in float64. 15 standard errors for coloured media."""
     sigma_t, albedo, radius, light = (
         np.array([0.4, 0.8, 1.6]),
         np.array([0.9, 0.6, 0.3]),
@@ -146,7 +146,9 @@ def test_single_scattering(g):
     b = (points * to_light).sum(axis=1)
     out = -b + np.sqrt(b * b - (points**2).sum(axis=1) + radius**2)
     through = np.exp(-np.outer(t + np.minimum(out, distance), sigma_t))
-    phase = henyey_greenstein(g, -to_light @ np.array([0.0, 0.0, 1.0]))  # from the light's way to that to the camera
+    phase = henyey_greenstein(
+        g, -to_light @ np.array([0.0, 0.0, 1.0])
+    )  # from the direction of the light to that of the camera
     integrand = through * (phase * 2.0 / distance**2)[:, None]
     expected = sigma_t * albedo * integrand.sum(axis=0) * (2 * radius / 4096)
     assert seen == pytest.approx(expected, rel=15 * error)
@@ -170,8 +172,8 @@ def lamp_over_ball(integrator: str, **more) -> dict:
 @pytest.mark.usefixtures("one_lane")
 @pytest.mark.parametrize("boundary", [0.1, 0.5, 1.1])
 def test_weights_hold_across_boundaries(boundary):
-    """Boundaries around a lamp, however far away, change nothing: the density of a light's point is that from the last
-    vertex, not from the boundary. Five standard errors of the difference."""
+    """Null boundaries around a lamp change nothing: the pdf of a point on a light is relative to the last vertex, not
+    to the boundary. Five standard errors of the difference."""
     empty, error = radiance(lamp_over_ball("path"), spp=2**15)
     around = {"type": "sphere", "center": [0.0, 0.0, 1.2], "radius": 0.4 + boundary, "bsdf": NULL}
     cover = {"type": "rectangle", "to_world": transform(z=0.02, scale=3.0), "bsdf": NULL}

@@ -17,7 +17,7 @@ from isonoise.scene.material.rough_transmittance import NODES
 
 
 class Phase(Lobe):
-    """A phase function on the device; directions are of the world."""
+    """A phase function on the device; directions are in world space."""
 
     def __init__(self, kernels, device: Device, g: float, lit: bool = True):
         self.device, self.kernels, self.frame = device, kernels, np.eye(3)
@@ -42,8 +42,8 @@ ANISOTROPIES = (0.0, 0.3, -0.7, 0.95, -0.999, 0.9999)
 
 @pytest.mark.parametrize("g", ANISOTROPIES)
 def test_phase_function_is_henyey_and_greensteins(phase, g):
-    """To 2e-5, at uniform directions and at those that it samples; where 1 - |g| is 1e-4 these are within 1e-4 of the
-    axis, and the rounding of their components is 1e-3 of that."""
+    """To 2e-5, at uniform and at sampled directions. If 1 - |g| is 1e-4 these are within 1e-4 of the axis, and the
+    rounding of their components is 1e-3 of that."""
     random = np.random.default_rng(1)
     wi = uniform_sphere(random, 4000).astype(np.float32)
     sampled, weight, pdf, eta = phase(g).sample(wi, numbers(random, 4000))
@@ -85,7 +85,7 @@ def test_phase_function_is_sampled_by_its_density(phase, g):
 
 @pytest.mark.parametrize("g", [0.0, 1 - 2**-30, -(1 - 2**-24), 0.999999, 1e-30])
 def test_edges_of_phase_functions_stay_finite(phase, g):
-    """An axis along an axis, the least and largest random numbers; what is nearly 1 is not 1 on the device."""
+    """Directions along the axes, the smallest and largest random numbers, and |g| nearly 1."""
     ends = [0.0, 2.0**-24, 0.25, 0.5, 1 - 2.0**-23, 1 - 2.0**-24]
     u = np.stack(np.meshgrid([0.0], ends, ends, indexing="ij"), axis=-1).reshape(-1, 3)
     for wi in ((0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0, 0.8)):
@@ -101,7 +101,7 @@ def test_edges_of_phase_functions_stay_finite(phase, g):
 
 
 def test_a_phase_function_without_emitter_sampling_is_a_delta_function(phase):
-    """To next-event estimation: it is not evaluated, and lights that it meets count in full."""
+    """For next-event estimation: its value is 0, and its sampled directions have the pdf of a delta function."""
     random = np.random.default_rng(3)
     wi = uniform_sphere(random, 100)
     assert (phase(0.5, lit=False).sample(wi, numbers(random, 100))[2] == -1).all()

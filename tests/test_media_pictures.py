@@ -93,8 +93,8 @@ def test_pictures_are_mitsubas(name, tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["test_homo_null_envmap", "test_homo_area_light"])
 def test_mitsubas_own_scenes_of_media(public_scenes, name, tmp_path):
-    """Against the means that Mitsuba stores with its tests. As there, their own error counts for nothing: by the stored
-    variances of single samples, and another render, it is that of some 10,000."""
+    """Against the mean images of Mitsuba's tests. As there, their own error is ignored: by the stored variances it is
+    that of some 10,000 samples."""
     from isonoise.film.exr import read_exr
 
     folder = public_scenes / "mitsuba-tests" / "tests" / "scenes" / "participating_media"

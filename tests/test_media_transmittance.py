@@ -44,7 +44,7 @@ LAYERS = {  # (shapes, optical depth)
     "apart": ({"a": slab(1, 1.5), "b": slab(2, 2.5, rgb(0.1, 0.2, 0.3))}, [0.55, 0.6, 0.65]),
     "within one another": ({"a": slab(0.5, 2.5, 0.25), "b": slab(1, 2, 0.75, exterior=FOG)}, [1.0] * 3),
     "within, its outside not named": ({"a": slab(0.5, 2.5, 0.25), "b": slab(1, 2, 0.75)}, [0.75 + 0.125] * 3),
-    "more than are kept at a time": (
+    "many slabs": (
         {f"slab {i}": slab(0.2 + 0.2 * i, 0.3 + 0.2 * i, 0.1 * (1 + i)) for i in range(13)},
         [0.1 * 0.1 * 91] * 3,
     ),
@@ -63,8 +63,8 @@ FAR_SPHERE = {"far_sphere": {"type": "sphere", "center": [50.0, 0.0, 0.0], "bsdf
 
 @pytest.mark.parametrize("name", LAYERS)
 def test_light_through_layers(name):
-    """exp(-depth) to 2e-5, as the shadow ray is reckoned; the thin layer's distances are good to 1e-3 of it. Where the
-    camera stands in a medium, its own ray gets through 4e-4 of it but for 3e-4 of the samples."""
+    """exp(-depth) to 2e-5, the rounding of the shadow ray; distances in the thin layer round by 1e-3. If the camera is
+    in a medium, 3e-4 of the samples scatter before its ray reaches the floor."""
     shapes, depth = LAYERS[name]
     seen, _ = radiance(lit_floor(**shapes, **FAR_SPHERE), spp=1024 if "not named" in name else 16)
     within = 5 * math.sqrt(3e-4 / 1024) + 3e-4 if name == "floor within, not named" else 2e-5
@@ -72,7 +72,7 @@ def test_light_through_layers(name):
 
 
 def test_light_through_balls_and_pipes():
-    """Analytic shapes are met twice: into them and out of them. The other way round with flip_normals."""
+    """A shadow ray enters and leaves analytic shapes; flip_normals swaps interior and exterior."""
     sphere = {"type": "sphere", "center": [0.0, 0.0, 1.5], "radius": 0.5, "bsdf": NULL, "interior": medium(0.8)}
     pipe = {"type": "cylinder", "p0": [-1.0, 0.0, 0.5], "p1": [1.0, 0.0, 0.5], "radius": 0.25, "bsdf": NULL}
     objects = {"a": sphere, "b": pipe | {"interior": medium(0.4)}}
@@ -83,7 +83,7 @@ def test_light_through_balls_and_pipes():
 
 
 def test_instances_have_the_media_of_their_group():
-    """Distances are the world's, however the group was scaled."""
+    """Distances are measured in world space, also if the group is scaled."""
     group = {"type": "shapegroup", "shape": slab(-1, 1, 0.3), "hole": {"type": "sphere", "radius": 0.1, "bsdf": NULL}}
     at = transform(z=1.5, scale=(0.5, -0.7, 0.25))
     scene = lit_floor(group=group, one={"type": "instance", "to_world": at, "shape": {"type": "ref", "id": "group"}})
@@ -100,7 +100,7 @@ def test_path_sees_no_media_and_is_blocked_by_boundaries():
     assert not features(compiled)["VOLPATH"]
 
 
-# The same light through masks and panes.
+# Light through masks and panes.
 
 
 def pane_share(eta: float) -> float:
@@ -108,7 +108,7 @@ def pane_share(eta: float) -> float:
     return 1 - 2 * once / (1 + once)
 
 
-SHEETS = {  # (materials from below, what they let through)
+SHEETS = {  # (materials from below, transmittance)
     "half": ([HALF], [0.5] * 3),
     "two": ([HALF, HALF | {"opacity": 0.25}], [0.375] * 3),
     "twelve": ([HALF | {"opacity": 0.1}] * 12, [0.9**12] * 3),
@@ -145,8 +145,8 @@ def test_path_casts_full_shadows_of_masks():
 
 @pytest.mark.usefixtures("one_lane")
 def test_what_is_seen_through_sheets_is_seen_in_full():
-    """A lamp behind a mask of opacity 1/4, at max_depth 1: passing is no bounce. Under `path` it is one. The mask's own
-    light and its mirror image do not count: it is lit from behind alone."""
+    """A lamp behind a mask of opacity 1/4, at max_depth 1: passing through is no bounce in `volpath`, but in `path` it
+    is. The mask itself is black because it is lit from behind."""
     lamp = {"type": "rectangle", "to_world": transform(z=2.0) @ np.diag([1, 1, -1, 1]), "emitter": {"type": "area"}}
     scene = sheets([HALF | {"opacity": 0.25}]) | {"lamp": lamp}
     del scene["floor"]
