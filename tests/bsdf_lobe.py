@@ -9,13 +9,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from kernel_build import build_kernels
 from records import slot
 
-from isonoise.device import program
 from isonoise.device.opencl import Device
-from isonoise.integrator.features import FEATURES
-from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene import load, structs
 from isonoise.scene.material.bsdf_kinds import KINDS, bsdf_bits, feature_of
 from isonoise.scene.material.bsdfs import Bsdfs
@@ -209,11 +206,7 @@ def build_lobes(*off: str) -> dict:
     """Kernels for all kinds of BSDF without textures; `off`: features that are left out."""
     on = {feature_of(kind) for kind in KINDS.values()}
     on |= {"NEXT_EVENT", "BECKMANN", "SAMPLE_ALL_NORMALS"}
-    source = program.kernel_source
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lobes.cl" else source(name))
-        features = {name: name in on and name not in off for name in FEATURES}
-        return device().build(*program.stage_source("lobes.cl", STRUCTS, CONSTANTS, features, generated_headers()))
+    return build_kernels(device(), KERNEL, on - set(off))
 
 
 def lobe(name: str | dict) -> Lobe:

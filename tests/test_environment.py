@@ -6,17 +6,17 @@ alarms are 1e-5 for the file under other seeds. A mean of samples may be off by 
 
 import numpy as np
 import pytest
+from kernel_build import build_kernels
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import declare_struct, flatten
 from isonoise.errors import SceneError
 from isonoise.scene.image.image import Image, read_image
-from isonoise.scene.light import envmap
 from isonoise.scene.light.envmap import EnvironmentMap, build_environment_map
 
 Z = 5.0
 SAMPLES = 1 << 19
 KERNEL = """
+#include "light/envmap.h"
 __kernel void sample(__global const Environment* record, __global const float* texels,
                      __global const float* rows, __global const uint* aliases, __global const float* u,
                      __global float* out, uint n)
@@ -52,14 +52,10 @@ class EnvironmentKernels:
 
     def __init__(self):
         self.device = Device()
-        record = declare_struct("Environment", envmap.ENVIRONMENT)
-        text = ["#pragma OPENCL FP_CONTRACT OFF", record, flatten("light/envmap.h"), KERNEL]
-        self._text = "\n".join(text)
 
     def _run(self, kernel: str, map_: EnvironmentMap, given: np.ndarray, rows: int) -> np.ndarray:
         n = len(given)
-        on = ("-DFEATURE_ENVIRONMENT_MAP=1", "-DFEATURE_NEXT_EVENT=1")
-        kernels = self.device.build(self._text, ("-cl-std=CL1.2", "-Werror", *on))
+        kernels = build_kernels(self.device, KERNEL, ("ENVIRONMENT_MAP", "NEXT_EVENT"))
         arrays = (map_.record, map_.texels, map_.rows, map_.aliases, given)
         out = self.device.buffer(16 * rows * n, "results")
         buffers = [self.device.buffer(array, "a map") for array in arrays]

@@ -5,22 +5,22 @@ Chi-square statistics are compared as standard normal deviates at Z = 5: 6e-7 fo
 
 import numpy as np
 import pytest
+from kernel_build import build_kernels
 from many_lights import compiled, deviate, mixed_lights, some_points
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import declare_struct, flatten
 from isonoise.integrator.features import features
-from isonoise.integrator.kernel_table import STRUCTS
 from isonoise.scene import structs
 from isonoise.scene.light import light_list
 from isonoise.scene.light.light_list import build_light_list
 from isonoise.scene.light.light_tree import build_light_tree
-from isonoise.scene.material import textures
 
 Z = 5.0
 LANES = 64
 BY_INTENSITY = 2.0**-10  # in kernels/light/light_list.h
 KERNELS = """
+#include "light/light_list.h"
+
 __kernel void probability(__global const LightBound* bounds, uint lights, __global const float* points,
                           __global const float* normals, __global const uint* which, __global float* out, uint n)
 {
@@ -96,15 +96,9 @@ class OnDevice:
         self.device = Device()
         self.kernels = {}
         for lanes in (LANES, 1):
-            constants = structs.CONSTANTS | textures.CONSTANTS
-            constants |= {"LANES": lanes, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
-            text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, of) for name, of in STRUCTS.items())]
-            text += [f"#define {name} {value}u" for name, value in constants.items()]
-            text += [flatten("light/light_list.h"), KERNELS]
-            on = ("-DFEATURE_LIGHT_LIST=1", "-DFEATURE_AREA_LIGHTS=1")
-            off = (f"-DFEATURE_{name}=0" for name in ("LIGHT_TREE", "CONSTANT_LIGHT", "ENVIRONMENT_MAP"))
-            options = ("-cl-std=CL1.2", "-Werror", *on, *off)
-            self.kernels |= self.device.build("\n".join(text), options)
+            on = ("LIGHT_LIST", "AREA_LIGHTS")
+            most = light_list.MAX_LISTED_LIGHTS
+            self.kernels |= build_kernels(self.device, KERNELS, on, LANES=lanes, MAX_LISTED_LIGHTS=most)
 
     def run(self, kernel, bounds, points, normals, what, row):
         n = len(points)

@@ -7,14 +7,11 @@ Environment maps have a file of their own.
 
 import numpy as np
 import pytest
+from kernel_build import build_kernels
 from PIL import Image
 from test_environment import normal_deviate
 
-from isonoise.device import program
 from isonoise.device.opencl import Device
-from isonoise.integrator.features import FEATURES
-from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.light.light_kinds import KINDS, light_bits
 from isonoise.scene.material import textures
@@ -165,14 +162,11 @@ class Lit:
 
 @pytest.fixture(scope="module")
 def lit():
-    device, source = Device(), program.kernel_source
+    device = Device()
     on = {kind.feature for kind in KINDS.values()} - {"ENVIRONMENT_MAP"}
     on |= {"AREA_LIGHTS", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS"}
     on |= {"TEXTURES", "TEXTURED_LIGHTS", "BITMAPS", "UVS", "MANY_LIGHTS", "NEXT_EVENT"}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lights.cl" else source(name))
-        constants, features = CONSTANTS, {name: name in on for name in FEATURES}
-        kernels = device.build(*program.stage_source("lights.cl", STRUCTS, constants, features, generated_headers()))
+    kernels = build_kernels(device, KERNEL, on)
     return lambda **objects: Lit(device, kernels, **objects)
 
 

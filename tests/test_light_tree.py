@@ -6,11 +6,10 @@ false alarms are 1e-5 for the file under other seeds.
 
 import numpy as np
 import pytest
+from kernel_build import build_kernels
 from many_lights import compiled, deviate, grid_of_triangles, mixed_lights, some_points, unit
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import declare_struct, flatten
-from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene import structs
 from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.light.light_tree import BVH_WIDTH, build_light_tree
@@ -19,6 +18,8 @@ from isonoise.scene.light.lights import compute_light_bounds
 Z = 5.0
 INTENSITY_SHARE = 2.0**-10  # in kernels/light/light_tree.h
 KERNELS = """
+#include "light/light_tree.h"
+
 #define LOAD4(i, p) vec4_from(LOAD3(0, (p) + 4 * (i)), (p)[4 * (i) + 3])
 
 __kernel void node_probabilities(__global const float8* nodes, __global const uint* places, uint lights,
@@ -66,14 +67,7 @@ class TreeKernels:
 
     def __init__(self):
         self.device = Device()
-        constants = CONSTANTS
-        text = ["#pragma OPENCL FP_CONTRACT OFF", *(declare_struct(name, dtype) for name, dtype in STRUCTS.items())]
-        text += [f"#define {name} {value}u" for name, value in constants.items()]
-        text += [flatten("light/light_tree.h"), KERNELS]
-        self.kernels = self.device.build(
-            "\n".join(text),
-            ("-cl-std=CL1.2", "-Werror", "-DFEATURE_LIGHT_TREE=1", "-DFEATURE_LIGHT_LIST=0", "-DFEATURE_AREA_LIGHTS=1"),
-        )
+        self.kernels = build_kernels(self.device, KERNELS, ("LIGHT_TREE", "AREA_LIGHTS"))
 
     def run(self, kernel, tree, lights, points, normals, what, row):
         n = len(points)

@@ -5,13 +5,10 @@ import math
 import numpy as np
 import pytest
 from bsdf_lobe import KERNEL, Lobe, numbers, uniform_sphere
+from kernel_build import build_kernels
 from media_scenes import henyey_greenstein
 
-from isonoise.device import program
 from isonoise.device.opencl import Device
-from isonoise.integrator.features import FEATURES
-from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.material.rough_transmittance import NODES
 
@@ -29,11 +26,8 @@ class Phase(Lobe):
 
 @pytest.fixture(scope="module")
 def phase():
-    device, source = Device(), program.kernel_source
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "lobes.cl" else source(name))
-        on = {name: name in ("MEDIA", "VOLPATH", "NEXT_EVENT") for name in FEATURES}
-        kernels = device.build(*program.stage_source("lobes.cl", STRUCTS, CONSTANTS, on, generated_headers()))
+    device = Device()
+    kernels = build_kernels(device, KERNEL, ("MEDIA", "VOLPATH", "NEXT_EVENT"))
     return lambda g, lit=True: Phase(kernels, device, g, lit)
 
 

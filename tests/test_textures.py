@@ -4,16 +4,17 @@ import itertools
 
 import numpy as np
 import pytest
+from kernel_build import build_kernels
 from PIL import Image
 
 from isonoise.device.opencl import Device
-from isonoise.device.program import declare_struct, flatten
 from isonoise.scene import structs
 from isonoise.scene.material import textures
 from isonoise.scene.material.textures import MeshAttributes, Textures
 from isonoise.scene.spectra import srgb_to_linear
 
 LOOKUP_KERNEL = """
+#include "texture/texture.h"
 __kernel void lookup(__global const Texture* records, __global const uchar* bytes,
                    __global const float* floats, __global const float* srgb, __global const float* attributes,
                    __global const uint* faces, uint texture, __global const float* points,
@@ -42,20 +43,7 @@ def device():
 
 
 def build_lookup(device, *on: str):
-    constants = textures.CONSTANTS | {"NONE": structs.NONE}
-    text = [f"#define {name} {value}u" for name, value in constants.items()]
-    text += [
-        "#pragma OPENCL FP_CONTRACT OFF",
-        declare_struct("Texture", textures.TEXTURE),
-        flatten("texture/texture.h"),
-        LOOKUP_KERNEL,
-    ]
-    flags = [
-        "-DFEATURE_TEXTURES=1",
-        "-DFEATURE_BUMP=1",
-        *(f"-DFEATURE_{kind}={int(kind in on)}" for kind in TEXTURE_FEATURES),
-    ]
-    return device.build("\n".join(text), ("-cl-std=CL1.2", "-Werror", *flags))["lookup"]
+    return build_kernels(device, LOOKUP_KERNEL, ("TEXTURES", "BUMP", *on))["lookup"]
 
 
 @pytest.fixture(scope="module")

@@ -10,14 +10,11 @@ import itertools
 import numpy as np
 import pytest
 from bsdf_lobe import assert_close, description, numbers, uniform_sphere
+from kernel_build import build_kernels
 from PIL import Image
 
-from isonoise.device import program
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
-from isonoise.integrator.features import FEATURES
-from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS
 from isonoise.scene.material import textures
 from isonoise.scene.material.bsdf_kinds import KINDS, feature_of
 from isonoise.scene.material.bsdfs import Bsdfs
@@ -198,15 +195,10 @@ def material(with_images):
 @pytest.fixture(scope="module")
 def scatter():
     """What a material does: (n, 13) value, pdf, sampled direction, weight, pdf and eta, and whether the path passes."""
-    device, source = Device(), program.kernel_source
+    device = Device()
     on = {feature_of(kind) for kind in KINDS.values()}
     on |= {"NEXT_EVENT", "BECKMANN", "TEXTURES", "BITMAPS", "UVS"}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program, "kernel_source", lambda name: KERNEL if name == "wrapped.cl" else source(name))
-        constants, features = CONSTANTS, {name: name in on for name in FEATURES}
-        kernel = device.build(*program.stage_source("wrapped.cl", STRUCTS, constants, features, generated_headers()))[
-            "scatter"
-        ]
+    kernel = build_kernels(device, KERNEL, on)["scatter"]
 
     def run(bsdf: dict, surface, wi, wo, u) -> np.ndarray:
         images, n = Textures(), len(wi)
