@@ -35,7 +35,7 @@ BsdfContext shading(__global const Bsdf* bsdf, __global const float* rough_trans
     ctx.s = LOAD3(0, frame);
     ctx.t = LOAD3(1, frame);
 #endif
-#if FEATURE_ROUGH_PLASTIC
+#if HAS_ROUGH_TRANSMITTANCE
     ctx.rough_transmittances = rough_transmittances;
 #endif
     return ctx;

@@ -68,7 +68,7 @@ FAULTS = {
     "uninitialised": ("stages/intersect.cl", "closest.u = closest.v = 0.0f;", "", "Uninitialized value"),
     "not written": (
         "stages/generate.cl",
-        "PLANE(PATH_DEPTH, path, plane_stride)[slot] = 0u;",
+        "PLANE(PATH_DEPTH, path_ids, plane_stride)[slot] = 0u;",
         "",
         "Uninitialized value",
     ),

@@ -1,6 +1,5 @@
 """Features that are off take no memory on the device; others take the bytes that the table of features states."""
 
-import re
 from pathlib import Path
 
 import pytest
@@ -176,10 +175,3 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
     assert {each: sizes[each] for each in pixels} == {each: size * 9 * 7 for each, size in pixels.items()}
     unchecked = {each for feature in FEATURES.values() for each in feature.buffers} - set(number) - set(pixels)
     assert unchecked == {"texel_floats", "corners", "corner_indices", "light_bounds"}
-
-
-def test_bytes_of_a_path_equal_those_of_the_kernels_readme():
-    table = (CHECKOUT / "kernels" / "README.md").read_text()
-    rows = [int(size) for size in re.findall(r"^\| (?!sample).*?(\d+) a path\b", table, re.MULTILINE)]
-    everything = dict.fromkeys(FEATURES, True)
-    assert sum(rows) == sum(path_bytes(everything).values()) - path_bytes(everything)["tests"]

@@ -8,13 +8,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from bench_command import CHECKOUT, documented_fields, json_fields, run_isonoise
+from bench_command import documented_fields, json_fields, run_isonoise
 
 from isonoise.benchmark.baseline import Baseline
 from isonoise.benchmark.measure import SCHEMA, SCHEMA_VERSION, Settings, measure_scene, report_header
 from isonoise.benchmark.prepared_scene import MeasuredDevice
 from isonoise.benchmark.report_text import header_text, scene_text, summary_text
 from isonoise.commands import bench
+from isonoise.integrator.wavefront import PLANE_PADDING
 from isonoise.scene import compile_scene, load
 
 START = {"process_s": 1.0, "load_s": 0.1, "build_s": 0.01, "compile_s": 0.5}
@@ -75,14 +76,11 @@ def test_counts_add_up(cornell):
     assert scene["device_busy_share"]["max"] <= 1
 
 
-def test_bytes_per_path_are_those_of_the_kernels_readme(cornell):
-    table = (CHECKOUT / "kernels" / "README.md").read_text()
-    stated = {what: int(size) for what, size in re.findall(r"^\| (.*?) \| (\d+) a path", table, re.MULTILINE)}
-    per_path = sum(
-        size for what, size in stated.items() if what.startswith(("path state", "`hit`", "shadow ray", "`alive`"))
-    )
+def test_bytes_per_path_are_those_of_the_buffers(cornell):
     memory = cornell["scenes"][0]["memory"]
-    assert memory["state_bytes_per_path"] == per_path
+    labels = ("paths", "hits", "shadow rays", "flags of the paths")
+    plane_stride = cornell["scenes"][0]["pool_size"] + PLANE_PADDING
+    assert memory["state_bytes_per_path"] == sum(memory["buffers_bytes"][label] for label in labels) / plane_stride
     assert memory["total_bytes"] == sum(memory["buffers_bytes"].values())
 
 

@@ -10,7 +10,7 @@ import pytest
 from isonoise.device.opencl import Device
 from isonoise.integrator import stages
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import KERNELS
+from isonoise.integrator.kernel_table import KERNELS, path_bytes
 from isonoise.renderer import Renderer
 from isonoise.scene.light.light_kinds import light_header
 from isonoise.scene.material.bsdf_kinds import bsdf_header
@@ -159,10 +159,8 @@ def test_documents_are_short(path):
 @pytest.mark.parametrize("instanced", [False, True])
 @pytest.mark.parametrize("foggy", [False, True])
 def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, foggy, instanced, lit, needs, more):
-    """The table in kernels/README.md against what is allocated for two pools and two image sizes."""
-    stated = [int(number) for number in re.findall(r"\| (\d+) a path", KERNEL_TEXT)]
-    path_bytes = sum(stated) - (0 if lit else 44) - (0 if instanced else 8) - (0 if foggy else 16 + 12)
-    path_bytes -= 4 if foggy and not lit else 0  # of a shadow ray in a medium
+    """What `isonoise info` and kernels/README.md say against what is allocated for two pools and two image sizes."""
+    (sample_bytes,) = (int(number) for number in re.findall(r"\| (\d+) a path", KERNEL_TEXT))
     (pixel_bytes,) = (int(number) for number in re.findall(r"\| (\d+) a pixel", KERNEL_TEXT))
     scene = {
         "type": "scene",
@@ -193,10 +191,13 @@ def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, foggy, instanced, lit, need
                 return buffer(self, what, name)
 
             patch.setattr(Device, "buffer", counted)
-            Renderer(scene, pool_size=pool, size=size, strategy=strategy)
+            features.update(Renderer(scene, pool_size=pool, size=size, strategy=strategy).features)
         return sum(total)
+
+    features: dict[str, bool] = {}
 
     small = allocated(1024, (8, 8))
     blocks = 4 * 1024 / 512  # of the compaction, 4 bytes for 512 paths on a CPU and for 64 on a GPU
-    assert 0 <= allocated(2048, (8, 8)) - small - 1024 * path_bytes <= 8 * blocks
+    bytes_per_path = sum(path_bytes(features).values()) + sample_bytes
+    assert 0 <= allocated(2048, (8, 8)) - small - 1024 * bytes_per_path <= 8 * blocks
     assert allocated(1024, (16, 8)) - small == 64 * (pixel_bytes + more)

@@ -128,7 +128,7 @@ class IntersectStage:
             rays_per_item=np.uint32(1),
             ray_origin=origin,
             ray_direction=direction,
-            path=device.buffer(path, "path"),
+            path_ids=device.buffer(path, "path_ids"),
             hit=hit,
             instance=instance,
         )

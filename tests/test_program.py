@@ -191,7 +191,8 @@ def test_every_kernel_is_in_the_table():
 
 def test_every_generated_header_is_included():
     included = {name for file in FILES for name in re.findall(r'#include "(generated/.*?)"', source_of(file))}
-    assert included == {*HEADERS, "generated/records.h"}
+    headers = {name for name in HEADERS if not name.endswith("_scene_view.h")}  # made for every kernel
+    assert headers <= included - {"generated/records.h"} <= set(HEADERS)
 
 
 # Stages.

@@ -47,7 +47,7 @@ def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
     stages = Stages(device, {"generate": KERNELS["generate"]}, features(scene), constants, STRUCTS)
     pixels = scene.width * scene.height
     n = pixels * SAMPLES
-    out = {name: device.buffer(16 * n, name) for name in ("ray_origin", "ray_direction", "throughput", "path")}
+    out = {name: device.buffer(16 * n, name) for name in ("ray_origin", "ray_direction", "throughput", "path_ids")}
     zeros = device.buffer(4 * pixels, "counts")
     stages.launch(
         "generate",

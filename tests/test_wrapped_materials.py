@@ -49,7 +49,7 @@ __kernel void scatter(uint first, __global const Bsdf* bsdfs, __global const flo
     ctx.wi = LOAD3(i, wi);
     ctx.cos_i = dot3(ctx.normal, ctx.wi);
     ctx.flipped = false;
-    ctx.shadow = NO_BUMP;
+    ctx.bump_alpha2 = NO_BUMP;
     set_shading_frame(&ctx, &s);
     ctx.rough_transmittances = rough_transmittances;
     ctx.textures = &all;

@@ -12,7 +12,7 @@ INLINE BsdfSample conductor_sample(const BsdfContext* ctx, Vec3 u)
         sample.weight =
             mul3(bsdf_rgb(ctx, SLOT_CONDUCTOR_SPECULAR_REFLECTANCE),
                  fresnel_conductor(ctx->cos_i, bsdf_rgb(ctx, SLOT_CONDUCTOR_ETA), bsdf_rgb(ctx, SLOT_CONDUCTOR_K)));
-    sample.pdf = -1.0f;
+    sample.pdf = PDF_WITHOUT_MIS;
     return sample;
 }
 #endif

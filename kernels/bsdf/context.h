@@ -17,12 +17,12 @@ typedef struct {
 #if HAS_SHADING_FRAME
     Vec3 s, t;  // orthonormal frame with the normal; s goes along dp/du. Right-handed, unless flipped to the viewer
 #endif
-#if FEATURE_ROUGH_PLASTIC
+#if HAS_ROUGH_TRANSMITTANCE
     __global const float* rough_transmittances;  // tables of host/isonoise/scene/material/rough_transmittance.py
 #endif
 #if HAS_BUMPS
-    bool flipped;  // to the viewer: the normal is opposite to the surface's
-    float shadow;  // alpha^2 of the bump shadowing function, NO_BUMP without a bump or normal map
+    bool flipped;       // to the viewer: the normal is opposite to the surface's
+    float bump_alpha2;  // alpha^2 of the bump shadowing function, NO_BUMP without a bump or normal map
 #endif
 #if FEATURE_TEXTURES
     const Textures* textures;
@@ -106,6 +106,6 @@ INLINE BsdfSample empty_bsdf_sample(void)
 
 INLINE BsdfSample null_bsdf_sample(Vec3 direction)
 {
-    const BsdfSample sample = {direction, splat3(1.0f), -1.0f, 1.0f, true};
+    const BsdfSample sample = {direction, splat3(1.0f), PDF_WITHOUT_MIS, 1.0f, true};
     return sample;
 }

@@ -13,7 +13,7 @@ INLINE BsdfSample dielectric_sample(const BsdfContext* ctx, Vec3 u)
     float cos_t = 0.0f;
     const float reflectance = fresnel_dielectric(cos_i, eta, &cos_t);
     BsdfSample sample = empty_bsdf_sample();
-    sample.pdf = -1.0f;
+    sample.pdf = PDF_WITHOUT_MIS;
     if (u.x <= reflectance) {
         sample.direction = normalize3(sub3(scale3(facing, 2.0f * cos_i), ctx->wi));
         sample.weight = bsdf_rgb(ctx, SLOT_DIELECTRIC_SPECULAR_REFLECTANCE);

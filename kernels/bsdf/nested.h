@@ -71,7 +71,7 @@ INLINE void perturb_frame(BsdfContext* ctx, const Surface* s)
     ctx->t = second;
     ctx->cos_i = dot3(normal, ctx->wi);
     const float tan2 = dot2(vec2(bumped.x, bumped.y), vec2(bumped.x, bumped.y)) / (bumped.z * bumped.z);
-    ctx->shadow = material(ctx).flags & BSDF_NO_BUMP_SHADOWING ? 0.0f : MIN(0.125f * tan2, 1.0f);
+    ctx->bump_alpha2 = material(ctx).flags & BSDF_NO_BUMP_SHADOWING ? 0.0f : MIN(0.125f * tan2, 1.0f);
 }
 
 // Factor on the light from `direction` at a bumped surface: 0 if it is above the surface and below the bump or the
@@ -79,10 +79,11 @@ INLINE void perturb_frame(BsdfContext* ctx, const Surface* s)
 // Function to Solve the Bump Terminator Problem", Ray Tracing Gems, 2019.
 INLINE float bump_shadowing(const BsdfContext* ctx, const Surface* s, Vec3 direction)
 {
-    if (ctx->shadow == NO_BUMP) return 1.0f;
+    if (ctx->bump_alpha2 == NO_BUMP) return 1.0f;
     const float cos_o = dot3(s->normal, direction), side = ctx->flipped ? -1.0f : 1.0f;
     if (!(side * cos_o * dot3(ctx->normal, direction) > 0.0f)) return 0.0f;
-    return ctx->shadow > 0.0f ? 2.0f / (1.0f + SQRT(1.0f + ctx->shadow * (1.0f / (cos_o * cos_o) - 1.0f))) : 1.0f;
+    return ctx->bump_alpha2 > 0.0f ? 2.0f / (1.0f + SQRT(1.0f + ctx->bump_alpha2 * (1.0f / (cos_o * cos_o) - 1.0f)))
+                                   : 1.0f;
 }
 #endif
 

@@ -27,7 +27,7 @@ INLINE BsdfSample plastic_sample(const BsdfContext* ctx, Vec3 u)
     if (u.x < probability) {
         sample.direction = normalize3(sub3(scale3(ctx->normal, 2.0f * ctx->cos_i), ctx->wi));
         sample.weight = scale3(bsdf_rgb(ctx, SLOT_PLASTIC_SPECULAR_REFLECTANCE), reflected / probability);
-        sample.pdf = -1.0f;
+        sample.pdf = PDF_WITHOUT_MIS;
     } else {
         sample.direction = rotate_to_normal(ctx->normal, square_to_hemisphere(vec2(u.y, u.z)));
         sample.weight = plastic_eval(ctx, sample.direction, &sample.pdf);

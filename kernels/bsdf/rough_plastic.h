@@ -3,19 +3,12 @@
 #include "bsdf/fresnel.h"
 #include "bsdf/microfacet.h"
 #include "bsdf/plastic_base.h"
+#include "bsdf/rough_transmittance.h"
 
 #if FEATURE_ROUGH_PLASTIC
-#define ROUGH_TRANSMITTANCE_NODES 64  // NODES of host/isonoise/scene/material/rough_transmittance.py
-
-// Share of the light that the rough coat transmits, interpolated in a table over the cosine.
-INLINE float rough_transmittance(const BsdfContext* ctx, float cos_w)
+INLINE float rough_plastic_transmittance(const BsdfContext* ctx, float cos_w)
 {
-    __global const float* table =
-        ctx->rough_transmittances +
-        ROUGH_TRANSMITTANCE_NODES * (uint)material(ctx).constants[CONSTANT_ROUGH_PLASTIC_TRANSMITTANCE_TABLE];
-    const float place = cos_w * (ROUGH_TRANSMITTANCE_NODES - 1);
-    const int node = MIN((int)place, ROUGH_TRANSMITTANCE_NODES - 2);
-    return table[node] + (place - (float)node) * (table[node + 1] - table[node]);
+    return rough_transmittance(ctx, (uint)material(ctx).constants[CONSTANT_ROUGH_PLASTIC_TRANSMITTANCE_TABLE], cos_w);
 }
 
 // Directions are in the shading frame.
@@ -25,7 +18,7 @@ INLINE Vec3 rough_plastic_local(const BsdfContext* ctx, const MicrofacetDistribu
     if (!(w.z > 0.0f && o.z > 0.0f)) return splat3(0.0f);
     const Vec3 m = normalize3(add3(w, o));
     const float cos_m = dot3(w, m), density = microfacet_d(d, m);
-    const float through_w = rough_transmittance(ctx, w.z), through_o = rough_transmittance(ctx, o.z);
+    const float through_w = rough_plastic_transmittance(ctx, w.z), through_o = rough_plastic_transmittance(ctx, o.z);
     const float probability = specular_probability(ctx, 1.0f - through_w);
     *pdf = (1.0f - probability) * o.z * M_1_PI_F;
     Vec3 value = scale3(diffuse_base_reflectance(ctx), through_w * through_o * o.z * M_1_PI_F);
@@ -60,7 +53,7 @@ INLINE BsdfSample rough_plastic_sample(const BsdfContext* ctx, Vec3 u)
     if (!(w.z > 0.0f)) return sample;
     const MicrofacetDistribution d = rough_plastic_microfacets(ctx);
     Vec3 o = splat3(0.0f);
-    if (u.x < specular_probability(ctx, 1.0f - rough_transmittance(ctx, w.z))) {
+    if (u.x < specular_probability(ctx, 1.0f - rough_plastic_transmittance(ctx, w.z))) {
         const Vec3 m = sample_microfacet(&d, w, vec2(u.y, u.z));
         o = normalize3(sub3(scale3(m, 2.0f * dot3(w, m)), w));
     } else {

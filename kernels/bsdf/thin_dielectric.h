@@ -19,7 +19,7 @@ INLINE BsdfSample thin_dielectric_sample(const BsdfContext* ctx, Vec3 u)
     sample.direction = reflects ? normalize3(sub3(scale3(ctx->normal, 2.0f * ctx->cos_i), ctx->wi)) : neg3(ctx->wi);
     sample.weight = bsdf_rgb(
         ctx, reflects ? SLOT_THIN_DIELECTRIC_SPECULAR_REFLECTANCE : SLOT_THIN_DIELECTRIC_SPECULAR_TRANSMITTANCE);
-    sample.pdf = -1.0f;
+    sample.pdf = PDF_WITHOUT_MIS;
     sample.is_null = !reflects;
     return sample;
 }

@@ -66,7 +66,7 @@ typedef struct {
     __global const Alias* light_alias;
     uint light_count, environment_light;
     uint2 seed;
-#if FEATURE_ROUGH_PLASTIC
+#if HAS_ROUGH_TRANSMITTANCE
     __global const float* rough_transmittances;
 #endif
 #if FEATURE_TEXTURES

@@ -1,20 +1,19 @@
 // Lights: selecting one, sampling it, and the pdf of both for a direction that was found otherwise. A kind of light is
 // a row of host/isonoise/scene/light/light_kinds.py and a header; the generated header includes those and defines
-// FOR_EMITTERS over the kinds without a surface that the scene has.
+// FOR_LIGHTS_WITHOUT_SURFACE over the kinds without a surface that the scene has.
 #pragma once
 #include "light/light_sample.h"
 #include "generated/light_kinds.h"
 
 #if HAS_ENVIRONMENT_LIGHT || FEATURE_AREA_LIGHTS
-// Probability with which `select_light` selects a light for a point and the side that is lit there (see
-// `light_sampling_normal`). `pdf`: of the direction that hit it; if it is negative, a delta function, the probability
-// does not matter and may be 0.
-INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 mis_normal, float pdf)
+// Probability with which `select_light` selects a light for a point and its normal (`light_sampling_normal`). `pdf`: of
+// the direction that hit the light; without MIS the probability does not matter and may be 0.
+INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 normal, float pdf)
 {
 #if FEATURE_LIGHT_LIST
-    return pdf < 0.0f ? 0.0f : light_list_pmf(&scene->light_list, light, point, mis_normal);
+    return is_mis_weighted(pdf) ? light_list_pmf(&scene->light_list, light, point, normal) : 0.0f;
 #elif FEATURE_LIGHT_TREE
-    return pdf < 0.0f ? 0.0f : light_tree_pmf(&scene->light_tree, light, point, mis_normal);
+    return is_mis_weighted(pdf) ? light_tree_pmf(&scene->light_tree, light, point, normal) : 0.0f;
 #elif FEATURE_MANY_LIGHTS
     return Light_at(scene->lights, light).selection_pmf;
 #else
@@ -44,14 +43,14 @@ typedef struct {
 } LightSelection;
 
 #if !FEATURE_LIGHT_LIST || LANES == 1  // with a list, lanes select together
-// Selects a light for the point `reference` and the side that is lit there, by a random number and its low bits.
-INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 mis_normal, float u, float u_low)
+// Selects a light for a point and its normal (`light_sampling_normal`), by a random number and its low bits.
+INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 normal, float u, float u_low)
 {
     LightSelection selected;
 #if FEATURE_LIGHT_LIST
-    selected.light = select_from_list(&scene->light_list, reference, mis_normal, u, u_low, &selected.probability);
+    selected.light = select_from_list(&scene->light_list, reference, normal, u, u_low, &selected.probability);
 #elif FEATURE_LIGHT_TREE
-    selected.light = select_from_tree(&scene->light_tree, reference, mis_normal, u, u_low, &selected.probability);
+    selected.light = select_from_tree(&scene->light_tree, reference, normal, u, u_low, &selected.probability);
 #elif FEATURE_MANY_LIGHTS
     selected.light = select_light_by_power(scene->light_alias, scene->light_count, u, u_low);
     selected.probability = Light_at(scene->lights, selected.light).selection_pmf;
@@ -74,12 +73,12 @@ INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, Ligh
     const Light* light = &record;
     sample.pdf = selected.probability;
     sample.radiance = LOAD3(0, light->radiance);
-#define SAMPLE_EMITTER(BIT, sample_emitter)                  \
-    if (light->kind & BIT) {                                 \
-        sample_emitter(scene, light, reference, u, &sample); \
-        return sample;                                       \
+#define SAMPLE_KIND_OF_LIGHT(BIT, sample_kind)            \
+    if (light->kind & BIT) {                              \
+        sample_kind(scene, light, reference, u, &sample); \
+        return sample;                                    \
     }
-    FOR_EMITTERS(SAMPLE_EMITTER)
+    FOR_LIGHTS_WITHOUT_SURFACE(SAMPLE_KIND_OF_LIGHT)
 #if FEATURE_AREA_LIGHTS
     sample_area_light(scene, light, reference, u, &sample);
 #endif

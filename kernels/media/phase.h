@@ -44,7 +44,7 @@ INLINE BsdfSample hg_sample(const BsdfContext* ctx, Vec3 u)
     BsdfSample sample = empty_bsdf_sample();
     sample.direction = normalize3(weighted_sum3(azimuth.x, x, azimuth.y, y, 1.0f - one_minus_cos, axis));
     sample.weight = splat3(1.0f);
-    sample.pdf = material(ctx).flags & BSDF_NO_LIGHT_SAMPLING ? -1.0f : hg_phase(narrow, one_minus_cos);
+    sample.pdf = material(ctx).flags & BSDF_NO_LIGHT_SAMPLING ? PDF_WITHOUT_MIS : hg_phase(narrow, one_minus_cos);
     return sample;
 }
 #endif

@@ -1,4 +1,4 @@
-// The first passes of `shade_lanes` (stages/shade.cl): escaped rays, hits and emission. They read hit and the path
+// The first steps of `shade_lanes` (stages/shade.cl): escaped rays, hits and emission. They read hit and the path
 // state, and write the surface and the BSDF context of every lane to the lane state. Nested BSDFs cannot be vectorised
 // and run lane by lane.
 #pragma once
@@ -10,18 +10,18 @@ typedef struct {
     size_t begin;          // first path of the work-item
     const int* hit_lanes;  // lanes that hit something, where escaped rays are compacted apart; else unused
     uint count;
-} LaneBatch;
+} HitLanes;
 
-INLINE size_t batch_path(const LaneBatch* batch, size_t k)
+INLINE size_t hit_path(const HitLanes* hits, size_t k)
 {
-    return COMPACT_ESCAPED ? (size_t)((int)batch->begin + batch->hit_lanes[k]) : batch->begin + k;
+    return COMPACT_ESCAPED ? (size_t)((int)hits->begin + hits->hit_lanes[k]) : hits->begin + k;
 }
 
 // The same for a lane of a compacted list. Its signed 32-bit index lets the compiler gather 16 paths with one
 // instruction.
-INLINE size_t compacted_path(const LaneBatch* batch, int lane)
+INLINE size_t compacted_path(const HitLanes* hits, int lane)
 {
-    return (size_t)((int)batch->begin + (COMPACT_ESCAPED ? batch->hit_lanes[lane] : lane));
+    return (size_t)((int)hits->begin + (COMPACT_ESCAPED ? hits->hit_lanes[lane] : lane));
 }
 
 // Branch-free compaction of the lanes where `condition` (0 or 1) holds. Declares `compacted_count`; `list` has LANES +
@@ -54,11 +54,11 @@ INLINE void clear_light_pmf_queries(float* queries, uint count)
 
 INLINE float light_pmf_result(const Path* p, const float* queries, size_t lane)
 {
-    return p->direction_pdf < 0.0f ? 0.0f : load_lane(queries, QUERY_PMF, lane);
+    return is_mis_weighted(p->direction_pdf) ? load_lane(queries, QUERY_PMF, lane) : 0.0f;
 }
 #endif
 
-INLINE void clear_outputs(const PathState* paths, size_t begin, uint count)
+INLINE void clear_outputs(const PathBuffers* paths, size_t begin, uint count)
 {
     FOR_LANES(k, count) {
         if (k >= count) continue;
@@ -71,8 +71,8 @@ INLINE void clear_outputs(const PathState* paths, size_t begin, uint count)
 
 #if COMPACT_ESCAPED
 // Adds the environment's radiance for the rays that left the scene.
-INLINE void handle_escaped_rays(const SceneView* scene, const PathState* paths, size_t begin, const int* escaped_lanes,
-                                uint count)
+INLINE void handle_escaped_rays(const SceneView* scene, const PathBuffers* paths, size_t begin,
+                                const int* escaped_lanes, uint count)
 {
 #if FEATURE_LIGHT_LIST
     float queries[QUERY_FLOATS * LANES];
@@ -116,11 +116,11 @@ INLINE void clear_lane_flag(uint flag, float* lane_state, size_t lane)
 #endif
 
 // Stores the BSDF context of a lane that is scattered, and whether it samples a light.
-INLINE void prepare_bsdf_lane(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s,
-                              float* lane_state, size_t lane)
+INLINE void prepare_bsdf_lane(const SceneView* scene, const PathBuffers* paths, size_t i, const Path* p,
+                              const Surface* s, float* lane_state, size_t lane)
 {
     BsdfContext ctx;
-    if (make_bsdf_context(scene, p, s, &ctx)) {
+    if (prepare_bsdf(scene, p, s, &ctx)) {
 #if HAS_PASS_THROUGH
         continue_behind_unweighted(paths, i, p, s);
 #endif
@@ -128,34 +128,35 @@ INLINE void prepare_bsdf_lane(const SceneView* scene, const PathState* paths, si
         return;
     }
     store_bsdf_context_lane(&ctx, lane_state, lane);
-    uint flags = LANE_SCATTERS;
+    uint flags = LANE_FLAG_SCATTERS;
 #if FEATURE_NEXT_EVENT
-    flags |= has_non_delta_lobes(&ctx) ? LANE_SAMPLES_LIGHT : 0u;
+    flags |= has_non_delta_lobes(&ctx) ? LANE_FLAG_SAMPLES_LIGHT : 0u;
 #endif
     set_lane_flags(flags, lane_state, lane);
 }
 
 // Moves a path to its hit on `primitive`. Nested BSDFs are left to a loop of their own.
-INLINE void process_hit_lane(const SceneView* scene, const PathState* paths, size_t i, uint primitive, uint max_depth,
-                             float* lane_state, size_t lane)
+INLINE void advance_to_vertex_lane(const SceneView* scene, const PathBuffers* paths, size_t i, uint primitive,
+                                   uint max_depth, float* lane_state, size_t lane)
 {
     Path p = load_path(paths, i);
     p.primitive = primitive;
     Surface s = hit_surface(scene, paths, i, &p);
     bool hits_emitter;
-    const bool scatters = process_hit(scene, paths, i, &p, &s, false, &hits_emitter) && p.depth + 1u < max_depth;
+    const bool scatters = advance_to_vertex(scene, paths, i, &p, &s, false, &hits_emitter) && p.depth + 1u < max_depth;
     store_surface_lane(&s, lane_state, lane);
-    const uint flags = (hits_emitter ? LANE_HIT_EMITTER : 0u) | (scatters && HAS_NESTED_BSDFS ? LANE_SCATTERS : 0u);
+    const uint flags =
+        (hits_emitter ? LANE_FLAG_HIT_EMITTER : 0u) | (scatters && HAS_NESTED_BSDFS ? LANE_FLAG_SCATTERS : 0u);
     store_lane_uint(flags, lane_state, LANE_FLAGS, lane);
 #if !HAS_NESTED_BSDFS
     if (scatters) prepare_bsdf_lane(scene, paths, i, &p, &s, lane_state, lane);
 #endif
 }
 
-INLINE void process_hits(const SceneView* scene, const PathState* paths, const LaneBatch* batch, uint max_depth,
-                         float* lane_state)
+INLINE void advance_to_vertices(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, uint max_depth,
+                                float* lane_state)
 {
-    const uint count = batch->count;
+    const uint count = hits->count;
     __global const uint* hit_primitives = (__global const uint*)PLANE(3, paths->hit, paths->plane_stride);
     FOR_LANES(k, count) {
         store_lane_uint(0u, lane_state, LANE_FLAGS, k);
@@ -173,29 +174,29 @@ INLINE void process_hits(const SceneView* scene, const PathState* paths, const L
 #if FEATURE_TRIANGLES
     FOR_LANES(k, count) {
         if (k >= count) continue;
-        const uint primitive = hit_primitives[batch_path(batch, k)];
+        const uint primitive = hit_primitives[hit_path(hits, k)];
         if (primitive & ANALYTIC_BIT) continue;
-        process_hit_lane(scene, paths, batch_path(batch, k), primitive & ~ANALYTIC_BIT, max_depth, lane_state, k);
+        // the bit is known to be clear here, and to be set below: it lets the compiler drop the other kind of shape
+        advance_to_vertex_lane(scene, paths, hit_path(hits, k), primitive & ~ANALYTIC_BIT, max_depth, lane_state, k);
     }
 #endif
 #if FEATURE_ANALYTICS
     int list[LANES + 1];
-    COMPACT_LANES(
-        list, analytic_count, k, count,
-        (hit_primitives[batch_path(batch, k)] >= ANALYTIC_BIT) & (hit_primitives[batch_path(batch, k)] != NONE))
+    COMPACT_LANES(list, analytic_count, k, count,
+                  (hit_primitives[hit_path(hits, k)] >= ANALYTIC_BIT) & (hit_primitives[hit_path(hits, k)] != NONE))
     FOR_LANES(j, analytic_count) {
         if (j >= analytic_count) continue;
-        const size_t i = compacted_path(batch, list[j]);
-        process_hit_lane(scene, paths, i, hit_primitives[i] | ANALYTIC_BIT, max_depth, lane_state, list[j]);
+        const size_t i = compacted_path(hits, list[j]);
+        advance_to_vertex_lane(scene, paths, i, hit_primitives[i] | ANALYTIC_BIT, max_depth, lane_state, list[j]);
     }
 #endif
 #if HAS_NESTED_BSDFS
     for (uint k = 0u; k < count; ++k) {
-        if (!has_lane_flag(LANE_SCATTERS, lane_state, k)) continue;
-        const size_t i = batch_path(batch, k);
+        if (!has_lane_flag(LANE_FLAG_SCATTERS, lane_state, k)) continue;
+        const size_t i = hit_path(hits, k);
         const Path p = load_path(paths, i);
         const Surface s = load_surface_lane(lane_state, k);
-        clear_lane_flag(LANE_SCATTERS, lane_state, k);
+        clear_lane_flag(LANE_FLAG_SCATTERS, lane_state, k);
         prepare_bsdf_lane(scene, paths, i, &p, &s, lane_state, k);
     }
 #endif
@@ -203,24 +204,24 @@ INLINE void process_hits(const SceneView* scene, const PathState* paths, const L
 
 #if FEATURE_AREA_LIGHTS
 // Adds the radiance of the emitters that were hit.
-INLINE void handle_emissive_hits(const SceneView* scene, const PathState* paths, const LaneBatch* batch,
+INLINE void handle_emissive_hits(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits,
                                  const float* lane_state)
 {
     int list[LANES + 1];
-    COMPACT_LANES(list, emissive_count, k, batch->count, has_lane_flag(LANE_HIT_EMITTER, lane_state, k))
+    COMPACT_LANES(list, emissive_count, k, hits->count, has_lane_flag(LANE_FLAG_HIT_EMITTER, lane_state, k))
 #if FEATURE_LIGHT_LIST
     float queries[QUERY_FLOATS * LANES];
     clear_light_pmf_queries(queries, emissive_count);
     FOR_LANES(j, emissive_count) {
         if (j >= emissive_count) continue;
-        const Path p = load_path(paths, compacted_path(batch, list[j]));
+        const Path p = load_path(paths, compacted_path(hits, list[j]));
         write_light_pmf_query(&p, load_lane_uint(lane_state, LANE_SURFACE_LIGHT, list[j]), queries, j);
     }
     evaluate_light_pmf_queries(&scene->light_list, queries, emissive_count);
 #endif
     FOR_LANES(j, emissive_count) {
         if (j >= emissive_count) continue;
-        const Path p = load_path(paths, compacted_path(batch, list[j]));
+        const Path p = load_path(paths, compacted_path(hits, list[j]));
         const Surface s = load_surface_lane(lane_state, list[j]);
 #if FEATURE_LIGHT_LIST
         const float pmf = light_pmf_result(&p, queries, j);

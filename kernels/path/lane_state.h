@@ -1,6 +1,6 @@
-// Lane state: what a work-item that shades LANES paths keeps of them from one shading pass to the next. It is a private
-// array of planes, one for each 4-byte member, of LANES numbers each. The passes of path/shade_lanes.h load and store
-// it.
+// Lane state: what a work-item that shades LANES paths keeps of them from one shading step to the next. It is a private
+// array of planes, one for each 4-byte member, of LANES numbers each. The steps of path/hit_lanes.h and
+// path/shade_lanes.h load and store it.
 #pragma once
 #include "path/scatter.h"
 
@@ -9,9 +9,9 @@
 
 #if LANES > 1
 // Bits of LANE_FLAGS.
-#define LANE_SCATTERS 1u       // the path is scattered at the surface
-#define LANE_HIT_EMITTER 2u    // the surface emits towards the path
-#define LANE_SAMPLES_LIGHT 4u  // next-event estimation is done for the path
+#define LANE_FLAG_SCATTERS 1u       // the path is scattered at the surface
+#define LANE_FLAG_HIT_EMITTER 2u    // the surface emits towards the path
+#define LANE_FLAG_SAMPLES_LIGHT 4u  // next-event estimation is done for the path
 
 // Members of the lane state: LANE_<name> is the plane of the first of `floats` members.
 // clang-format off
@@ -42,9 +42,10 @@ enum {
     LANE_FIELD(IS_FLIPPED, 1)
     LANE_FIELD(BUMP_ALPHA2, 1)
 #endif
+#if FEATURE_NEXT_EVENT
     // next-event estimation
     LANE_FIELD(MIS_NORMAL, 4)
-    LANE_FIELD(LIGHT_RANDOM, 4)  // selection, its low bits, position x and y
+    LANE_FIELD(LIGHT_RANDOM, 4)  // selection, low bits of the selection, position x and y
     LANE_FIELD(SELECTED_LIGHT, 1)
     LANE_FIELD(SELECTED_PMF, 1)
     LANE_FIELD(LIGHT_DIRECTION, 3)
@@ -52,7 +53,8 @@ enum {
     LANE_FIELD(LIGHT_PDF, 1)
     LANE_FIELD(LIGHT_IS_DELTA, 1)
     LANE_FIELD(BSDF_VALUE, 3)
-    LANE_FIELD(BSDF_VALUE_PDF, 1)
+    LANE_FIELD(BSDF_VALUE_PDF, 1)  // directly behind BSDF_VALUE: both are accessed as one Vec4
+#endif
     // BSDF sample
     LANE_FIELD(BSDF_RANDOM, 4)  // lobe, direction x and y, roulette
     LANE_FIELD(SAMPLE_DIRECTION, 3)
@@ -132,7 +134,7 @@ INLINE void store_bsdf_context_lane(const BsdfContext* ctx, float* lane_state, s
     store_lane3(ctx->s, lane_state, LANE_FRAME_S, lane);
     store_lane3(ctx->t, lane_state, LANE_FRAME_T, lane);
     store_lane(ctx->flipped ? 1.0f : 0.0f, lane_state, LANE_IS_FLIPPED, lane);
-    store_lane(ctx->shadow, lane_state, LANE_BUMP_ALPHA2, lane);
+    store_lane(ctx->bump_alpha2, lane_state, LANE_BUMP_ALPHA2, lane);
 #endif
 }
 
@@ -146,14 +148,14 @@ INLINE BsdfContext load_bsdf_context_lane(const SceneView* scene, uint kind, Vec
     ctx.normal = load_lane3(lane_state, LANE_SHADING_NORMAL, lane);
     ctx.cos_i = load_lane(lane_state, LANE_COS_I, lane);
     ctx.wi = neg3(direction);
-#if FEATURE_ROUGH_PLASTIC
+#if HAS_ROUGH_TRANSMITTANCE
     ctx.rough_transmittances = scene->rough_transmittances;
 #endif
 #if HAS_BUMPS
     ctx.s = load_lane3(lane_state, LANE_FRAME_S, lane);
     ctx.t = load_lane3(lane_state, LANE_FRAME_T, lane);
     ctx.flipped = load_lane(lane_state, LANE_IS_FLIPPED, lane) != 0.0f;
-    ctx.shadow = load_lane(lane_state, LANE_BUMP_ALPHA2, lane);
+    ctx.bump_alpha2 = load_lane(lane_state, LANE_BUMP_ALPHA2, lane);
 #elif HAS_SHADING_FRAME
     ctx.s = ctx.t = splat3(0.0f);
     if (kind & FRAMED_BSDFS) {

@@ -4,7 +4,7 @@
 #pragma once
 #include "util/vec.h"
 
-// Planes of the buffer `path`.
+// Planes of the buffer `path_ids`.
 #define PATH_SAMPLE 0u           // sample within the slice
 #define PATH_START_PRIMITIVE 1u  // primitive that the ray starts on, or NONE
 #define PATH_SAMPLE_INDEX 2u     // index of the sample within its pixel
@@ -27,6 +27,15 @@
 #define FOR_LANES(k, count)                                                    \
     for (uint first_ = 0u; first_ < (count); first_ += VECTOR_WIDTH) VECTORIZE \
     for (uint k = first_; k < first_ + VECTOR_WIDTH; ++k)
+
+// In place of the pdf of a direction that next-event estimation could not have found: of a camera ray, of a delta lobe,
+// of a phase function from which no lights are sampled, or behind a surface at which shadow rays stop.
+#define PDF_WITHOUT_MIS (-1.0f)
+
+INLINE bool is_mis_weighted(float pdf)
+{
+    return !(pdf < 0.0f);
+}
 
 #define PLANE(k, planes, plane_stride) ((planes) + (size_t)(k) * (plane_stride))
 

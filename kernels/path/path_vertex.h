@@ -10,8 +10,8 @@
 
 // Buffers of the paths in flight, one plane a member: host/isonoise/integrator/kernel_table.py.
 typedef struct {
-#include "generated/path_state_members.h"
-} PathState;
+#include "generated/path_buffers_members.h"
+} PathBuffers;
 
 // A path at the end of its ray.
 typedef struct {
@@ -29,7 +29,7 @@ typedef struct {
 #include "generated/path_members.h"
 } Path;
 
-INLINE Path load_path(const PathState* paths, size_t i)
+INLINE Path load_path(const PathBuffers* paths, size_t i)
 {
     const uint plane_stride = paths->plane_stride;
     const Vec4 hit = load_planes4(paths->hit, i, plane_stride),
@@ -45,11 +45,11 @@ INLINE Path load_path(const PathState* paths, size_t i)
     p.u = hit.y;
     p.v = hit.z;
     p.primitive = as_uint(hit.w);
-    p.start_primitive = PLANE(PATH_START_PRIMITIVE, paths->path, plane_stride)[i];
-    p.sample = PLANE(PATH_SAMPLE, paths->path, plane_stride)[i];
+    p.start_primitive = PLANE(PATH_START_PRIMITIVE, paths->path_ids, plane_stride)[i];
+    p.sample = PLANE(PATH_SAMPLE, paths->path_ids, plane_stride)[i];
     p.pixel = paths->sample_pixel[(int)p.sample];
-    p.index = PLANE(PATH_SAMPLE_INDEX, paths->path, plane_stride)[i];
-    p.depth = PLANE(PATH_DEPTH, paths->path, plane_stride)[i];
+    p.index = PLANE(PATH_SAMPLE_INDEX, paths->path_ids, plane_stride)[i];
+    p.depth = PLANE(PATH_DEPTH, paths->path_ids, plane_stride)[i];
     p.in_volume = false;
     p.mis_origin = p.origin;
 #include "generated/load_path_members.h"
@@ -70,26 +70,25 @@ INLINE Vec4 path_random(const SceneView* scene, const Path* p, uint block)
 
 // Index of the vertex among all that consume random numbers: pass-through surfaces do, although they do not add to the
 // depth.
-INLINE uint dimension_of(const Path* p)
+INLINE uint random_vertex_index(const Path* p)
 {
     return p->depth + p->null_bounces;
 }
 
 #if HAS_ENVIRONMENT_LIGHT || FEATURE_AREA_LIGHTS || FEATURE_NEXT_EVENT
 // MIS weight of a sample that was taken with `pdf`: power heuristic with exponent 2. Veach and Guibas, "Optimally
-// Combining Sampling Techniques for Monte Carlo Rendering", 1995. A negative pdf marks a delta lobe, which no other
-// technique can sample.
+// Combining Sampling Techniques for Monte Carlo Rendering", 1995.
 INLINE float mis_weight(float pdf, float other_pdf)
 {
     const float ratio = other_pdf / pdf;
-    return pdf < 0.0f ? 1.0f : 1.0f / (1.0f + ratio * ratio);
+    return is_mis_weighted(pdf) ? 1.0f / (1.0f + ratio * ratio) : 1.0f;
 }
 #endif
 
 #if FEATURE_TRIANGLES
 // Whether the triangle that was hit lies in the plane of the triangle that the ray starts on. If one of them is in an
 // instance, or the ray starts on no triangle, a grazing hit counts as one.
-INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* paths, size_t i, const Path* p,
+INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathBuffers* paths, size_t i, const Path* p,
                                     const Surface* s)
 {
 #if FEATURE_INSTANCES
@@ -110,7 +109,7 @@ INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathState* pat
 // so such a path ends; it is one in millions. Both points carry an error bound; the origin was also moved by its own.
 // Beside an edge with a wall at an angle, origins lie in the wall's plane too (far from the world's origin most of them
 // do): these paths continue.
-INLINE bool is_false_coplanar_hit(const SceneView* scene, const PathState* paths, size_t i, const Path* p,
+INLINE bool is_false_coplanar_hit(const SceneView* scene, const PathBuffers* paths, size_t i, const Path* p,
                                   const Surface* s)
 {
     const float distance = abs_float(dot3(sub3(p->origin, s->position), s->geometric_normal));
@@ -121,23 +120,23 @@ INLINE bool is_false_coplanar_hit(const SceneView* scene, const PathState* paths
 
 #if (FEATURE_HIDE_EMITTERS && FEATURE_AREA_LIGHTS) || (HAS_PASS_THROUGH && !FEATURE_VOLPATH)
 // Continues the path behind a surface in the same direction, as if the surface was not there.
-INLINE void continue_behind(const PathState* paths, size_t i, const Path* p, const Surface* s)
+INLINE void continue_behind(const PathBuffers* paths, size_t i, const Path* p, const Surface* s)
 {
     const Vec3 origin = offset_ray_origin(s->position, s->error, s->geometric_normal, p->direction);
     store_planes4(vec4_from(origin, INFINITY), paths->ray_origin, i, paths->plane_stride);
-    PLANE(PATH_START_PRIMITIVE, paths->path, paths->plane_stride)[i] = p->primitive;
+    PLANE(PATH_START_PRIMITIVE, paths->path_ids, paths->plane_stride)[i] = p->primitive;
     paths->alive[i] = 1;
 }
 #endif
 
 #if HAS_PASS_THROUGH && !FEATURE_VOLPATH
-// The same at a pass-through BSDF. Shadow rays of `path` do not pass it, so emission found behind it gets no MIS
-// weight.
-INLINE void continue_behind_unweighted(const PathState* paths, size_t i, const Path* p, const Surface* s)
+// The same at a pass-through BSDF. In the integrator `path`, shadow rays stop at this surface, so emission found behind
+// it gets no MIS weight.
+INLINE void continue_behind_unweighted(const PathBuffers* paths, size_t i, const Path* p, const Surface* s)
 {
     continue_behind(paths, i, p, s);
-    PLANE(3, paths->ray_direction, paths->plane_stride)[i] = -1.0f;
-    PLANE(PATH_DEPTH, paths->path, paths->plane_stride)[i] = p->depth + 1u;
+    PLANE(3, paths->ray_direction, paths->plane_stride)[i] = PDF_WITHOUT_MIS;
+    PLANE(PATH_DEPTH, paths->path_ids, paths->plane_stride)[i] = p->depth + 1u;
 }
 #endif
 
@@ -170,7 +169,7 @@ INLINE Vec3 emission_contribution(const SceneView* scene, const Path* p, const S
 }
 #endif
 
-INLINE Surface hit_surface(const SceneView* scene, const PathState* paths, size_t i, const Path* p)
+INLINE Surface hit_surface(const SceneView* scene, const PathBuffers* paths, size_t i, const Path* p)
 {
     if (p->primitive == NONE) return empty_surface();
 #if FEATURE_INSTANCES
@@ -181,28 +180,57 @@ INLINE Surface hit_surface(const SceneView* scene, const PathState* paths, size_
 #endif
 }
 
-// Moves the path to its next vertex: the surface that was hit, or a scattering event in the medium before it. Adds the
-// environment's radiance if the ray escaped. Returns whether the vertex may scatter the path.
-// `may_escape`: the ray may have hit nothing. `hits_emitter`: set if emission is still to be added.
-INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i, Path* p, Surface* s, bool may_escape,
-                        bool* hits_emitter)
+#if FEATURE_MEDIA
+// Samples the distance to a scattering event in the medium that the ray runs through. Returns the distance, that of the
+// hit if there is no event before it; sets p->in_volume.
+INLINE float sample_scatter_distance(const SceneView* scene, Path* p)
+{
+    float distance = p->distance;
+    if (p->medium != MEDIUM_NONE) {
+        const Vec4 u = path_random(scene, p, BLOCK_MEDIUM(random_vertex_index(p)));
+        p->in_volume = sample_medium(scene->media + p->medium, u, &distance, &p->throughput);
+    }
+    return distance;
+}
+#endif
+
+#if HAS_ENVIRONMENT_LIGHT
+INLINE void add_escaped_radiance(const SceneView* scene, const PathBuffers* paths, const Path* p)
+{
+    if (FEATURE_HIDE_EMITTERS && p->depth == 0u) return;
+    const float pmf = previous_light_pmf(scene, p, scene->environment_light);
+    ADD3(environment_contribution(scene, p, pmf), p->sample, paths->samples);
+}
+#endif
+
+#if FEATURE_HIDE_EMITTERS && FEATURE_AREA_LIGHTS
+// Continues a camera ray behind an emitter, which the camera does not see.
+INLINE void skip_hidden_emitter(const PathBuffers* paths, size_t i, const Path* p, const Surface* s)
+{
+    continue_behind(paths, i, p, s);
+#if FEATURE_VOLPATH
+    store_planes3(p->throughput, paths->throughput, i, paths->plane_stride);
+    paths->null_bounces[i] = p->null_bounces + 1u;
+#endif
+}
+#endif
+
+// Moves the path to its next vertex: the surface that was hit, or a scattering event in the medium before it. Returns
+// whether the vertex may scatter the path.
+// `may_escape`: the ray may have hit nothing; then the radiance of the environment is added. `hits_emitter`: set if the
+// emission of the surface is still to be added.
+INLINE bool advance_to_vertex(const SceneView* scene, const PathBuffers* paths, size_t i, Path* p, Surface* s,
+                              bool may_escape, bool* hits_emitter)
 {
     bool starts_in_volume = false;
     *hits_emitter = false;
 #if FEATURE_MEDIA
-    float scatter_distance = p->distance;
-    if (p->medium != MEDIUM_NONE) {
-        const Vec4 u = path_random(scene, p, BLOCK_MEDIUM(dimension_of(p)));
-        p->in_volume = sample_medium(scene->media + p->medium, u, &scatter_distance, &p->throughput);
-    }
+    const float scatter_distance = sample_scatter_distance(scene, p);
     starts_in_volume = p->start_primitive == NONE;
 #endif
     if (may_escape && !p->in_volume && p->primitive == NONE) {
 #if HAS_ENVIRONMENT_LIGHT
-        if (!FEATURE_HIDE_EMITTERS || p->depth > 0u) {
-            const float pmf = previous_light_pmf(scene, p, scene->environment_light);
-            ADD3(environment_contribution(scene, p, pmf), p->sample, paths->samples);
-        }
+        add_escaped_radiance(scene, paths, p);
 #endif
         return false;
     }
@@ -222,12 +250,8 @@ INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i
 #if FEATURE_AREA_LIGHTS
     if (s->light != NONE) {
 #if FEATURE_HIDE_EMITTERS
-        if (p->depth == 0u) {  // camera rays do not see emitters
-            continue_behind(paths, i, p, s);
-#if FEATURE_VOLPATH
-            store_planes3(p->throughput, paths->throughput, i, paths->plane_stride);
-            paths->null_bounces[i] = p->null_bounces + 1u;
-#endif
+        if (p->depth == 0u) {
+            skip_hidden_emitter(paths, i, p, s);
             return false;
         }
 #endif
@@ -239,7 +263,7 @@ INLINE bool process_hit(const SceneView* scene, const PathState* paths, size_t i
 
 // The BSDF at the vertex, in its shading frame; nested BSDFs are resolved. Returns whether the path passes through
 // unscattered.
-INLINE bool make_bsdf_context(const SceneView* scene, const Path* p, const Surface* s, BsdfContext* ctx)
+INLINE bool prepare_bsdf(const SceneView* scene, const Path* p, const Surface* s, BsdfContext* ctx)
 {
     ctx->bsdfs = scene->bsdfs;
     ctx->bsdf = s->bsdf;
@@ -248,12 +272,12 @@ INLINE bool make_bsdf_context(const SceneView* scene, const Path* p, const Surfa
     ctx->cos_i = dot3(ctx->normal, ctx->wi);
 #if HAS_BUMPS
     ctx->flipped = false;
-    ctx->shadow = NO_BUMP;
+    ctx->bump_alpha2 = NO_BUMP;
 #endif
 #if HAS_SHADING_FRAME
     set_shading_frame(ctx, s);
 #endif
-#if FEATURE_ROUGH_PLASTIC
+#if HAS_ROUGH_TRANSMITTANCE
     ctx->rough_transmittances = scene->rough_transmittances;
 #endif
 #if FEATURE_TEXTURES
@@ -261,7 +285,7 @@ INLINE bool make_bsdf_context(const SceneView* scene, const Path* p, const Surfa
     ctx->point = texture_point(s);
 #endif
 #if HAS_NESTED_BSDFS
-    const bool passes = resolve_nested_bsdf(ctx, s, path_random(scene, p, BLOCK_MATERIAL(dimension_of(p))).x);
+    const bool passes = resolve_nested_bsdf(ctx, s, path_random(scene, p, BLOCK_MATERIAL(random_vertex_index(p))).x);
 #else
     const bool passes = FEATURE_NULL && (material(ctx).kind & BSDF_NULL);
 #endif

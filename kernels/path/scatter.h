@@ -3,7 +3,7 @@
 #include "path/path_vertex.h"
 
 #if FEATURE_NEXT_EVENT
-INLINE bool is_nonzero_light(const LightSample* light)
+INLINE bool can_contribute(const LightSample* light)
 {
     return light->pdf > 0.0f && max_component3(light->radiance) > 0.0f;
 }
@@ -21,8 +21,8 @@ INLINE Vec3 direct_lighting(const Path* p, const Surface* s, const BsdfContext* 
     return radiance;
 }
 
-// Writes the shadow ray to the light sample; its radiance is written apart.
-INLINE void write_shadow_ray(const PathState* paths, size_t i, const Path* p, const Surface* s,
+// Writes the shadow ray that leads to the light sample; the caller writes its radiance.
+INLINE void write_shadow_ray(const PathBuffers* paths, size_t i, const Path* p, const Surface* s,
                              const LightSample* light)
 {
     const Vec3 origin = spawn_origin(s, light->direction);
@@ -40,15 +40,15 @@ INLINE void write_shadow_ray(const PathState* paths, size_t i, const Path* p, co
 #if LANES == 1
 // Next-event estimation at the vertex: selects a light, samples it, and writes a shadow ray unless the contribution is
 // zero.
-INLINE void sample_direct(const SceneView* scene, const PathState* paths, size_t i, const Path* p, const Surface* s,
+INLINE void sample_direct(const SceneView* scene, const PathBuffers* paths, size_t i, const Path* p, const Surface* s,
                           const BsdfContext* ctx)
 {
     if (!has_non_delta_lobes(ctx)) return;
-    const Vec4 u = path_random(scene, p, BLOCK_LIGHT(dimension_of(p)));
+    const Vec4 u = path_random(scene, p, BLOCK_LIGHT(random_vertex_index(p)));
     const LightSelection selection = select_light(scene, s->position, light_sampling_normal(ctx), u.x, u.w);
     if (!(selection.probability > 0.0f)) return;
     const LightSample light = sample_light(scene, selection, s->position, vec2(u.y, u.z));
-    if (!is_nonzero_light(&light)) return;
+    if (!can_contribute(&light)) return;
     float bsdf_pdf = 0.0f;
     const Vec3 bsdf_value = bsdf_eval(ctx, light.direction, &bsdf_pdf);
     const Vec3 radiance = direct_lighting(p, s, ctx, &light, bsdf_value, bsdf_pdf);
@@ -60,8 +60,8 @@ INLINE void sample_direct(const SceneView* scene, const PathState* paths, size_t
 #endif
 
 // Continues the path in the sampled direction, unless the path ends here. `is_last`: the maximum depth is reached.
-INLINE void write_next_ray(const PathState* paths, size_t i, const Path* p, const Surface* s, const BsdfContext* ctx,
-                           BsdfSample sample, float u_roulette, bool is_last, uint rr_depth)
+INLINE void continue_path(const PathBuffers* paths, size_t i, const Path* p, const Surface* s, const BsdfContext* ctx,
+                          BsdfSample sample, float u_roulette, bool is_last, uint rr_depth)
 {
     // a null bounce keeps the direction and its pdf, and does not add to the depth
     const bool is_null = FEATURE_VOLPATH && sample.is_null;
@@ -90,8 +90,8 @@ INLINE void write_next_ray(const PathState* paths, size_t i, const Path* p, cons
     store_planes4(vec4_from(sample.direction, is_null ? p->direction_pdf : sample.pdf), paths->ray_direction, i,
                   plane_stride);
     store_planes4(vec4_from(throughput, eta), paths->throughput, i, plane_stride);
-    PLANE(PATH_START_PRIMITIVE, paths->path, plane_stride)[i] = p->in_volume ? NONE : p->primitive;
-    PLANE(PATH_DEPTH, paths->path, plane_stride)[i] = p->depth + (is_null ? 0u : 1u);
+    PLANE(PATH_START_PRIMITIVE, paths->path_ids, plane_stride)[i] = p->in_volume ? NONE : p->primitive;
+    PLANE(PATH_DEPTH, paths->path_ids, plane_stride)[i] = p->depth + (is_null ? 0u : 1u);
 #if FEATURE_VOLPATH
     paths->mis_distance[i] = is_null ? p->mis_distance : 0.0f;
     paths->null_bounces[i] = p->null_bounces + (is_null ? 1u : 0u);

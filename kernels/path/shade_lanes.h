@@ -1,4 +1,4 @@
-// The passes of `shade_lanes` (stages/shade.cl) that scatter the paths: next-event estimation, textures, BSDFs, the
+// The steps of `shade_lanes` (stages/shade.cl) that scatter the paths: next-event estimation, textures, BSDFs, the
 // next rays. Each is a loop over the lanes that need it, short enough to be vectorised. Lanes are compacted by the kind
 // of the selected light and by the kind of BSDF. Checkerboards and the light tree cannot be vectorised and run lane by
 // lane.
@@ -8,18 +8,18 @@
 #if LANES > 1
 // Random numbers of every path for its light sample and its BSDF sample. A light whose selection is cheap is selected
 // here.
-INLINE void draw_random_numbers(const SceneView* scene, const PathState* paths, const LaneBatch* batch,
+INLINE void draw_random_numbers(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits,
                                 float* lane_state)
 {
-    const uint count = batch->count;
+    const uint count = hits->count;
     FOR_LANES(k, count) {
         if (k >= count) continue;
-        const Path p = load_path(paths, batch_path(batch, k));
-        const Vec4 u = path_random(scene, &p, BLOCK_BSDF(dimension_of(&p)));
+        const Path p = load_path(paths, hit_path(hits, k));
+        const Vec4 u = path_random(scene, &p, BLOCK_BSDF(random_vertex_index(&p)));
         store_lane4(u, lane_state, LANE_BSDF_RANDOM, k);
 #if FEATURE_NEXT_EVENT
-        const Vec4 v = path_random(scene, &p, BLOCK_LIGHT(dimension_of(&p)));
-        store_lane4(vec4(v.x, v.w, v.y, v.z), lane_state, LANE_LIGHT_RANDOM, k);
+        const Vec4 v = path_random(scene, &p, BLOCK_LIGHT(random_vertex_index(&p)));
+        store_lane4(vec4(v.x, v.w, v.y, v.z), lane_state, LANE_LIGHT_RANDOM, k);  // in the order of use
 #if !HAS_LIGHT_IMPORTANCE
         store_light_selection_lane(select_light(scene, splat3(0.0f), p.mis_normal, v.x, v.w), lane_state, k);
 #endif
@@ -29,18 +29,18 @@ INLINE void draw_random_numbers(const SceneView* scene, const PathState* paths, 
 
 #if FEATURE_NEXT_EVENT
 #if FEATURE_LIGHT_LIST
-INLINE void select_lights(const SceneView* scene, const LaneBatch* batch, float* lane_state)
+INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
     select_lights_from_list(&scene->light_list, lane_state + LANE_POSITION * LANES,
                             lane_state + LANE_MIS_NORMAL * LANES, lane_state + LANE_LIGHT_RANDOM * LANES,
-                            lane_state + LANE_SELECTED_LIGHT * LANES, batch->count);
+                            lane_state + LANE_SELECTED_LIGHT * LANES, hits->count);
 }
 #elif FEATURE_LIGHT_TREE
-INLINE void select_lights(const SceneView* scene, const LaneBatch* batch, float* lane_state)
+INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
-    for (uint k = 0u; k < batch->count; ++k) {
+    for (uint k = 0u; k < hits->count; ++k) {
         LightSelection selection = {0u, 0.0f};
-        if (has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k))
+        if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k))
             selection = select_light(
                 scene, load_lane3(lane_state, LANE_POSITION, k), load_lane4(lane_state, LANE_MIS_NORMAL, k),
                 load_lane(lane_state, LANE_LIGHT_RANDOM, k), load_lane(lane_state, LANE_LIGHT_RANDOM + 1, k));
@@ -50,8 +50,8 @@ INLINE void select_lights(const SceneView* scene, const LaneBatch* batch, float*
 #endif
 
 // Samples the selected light, which is of one of `kinds`, and writes the shadow ray.
-INLINE void sample_direct_lane(const SceneView* scene, const PathState* paths, size_t i, uint kinds, float* lane_state,
-                               size_t lane)
+INLINE void sample_light_lane(const SceneView* scene, const PathBuffers* paths, size_t i, uint kinds, float* lane_state,
+                              size_t lane)
 {
     const LightSelection selection = load_light_selection_lane(lane_state, lane);
     const Path p = load_path(paths, i);
@@ -59,11 +59,11 @@ INLINE void sample_direct_lane(const SceneView* scene, const PathState* paths, s
     const Vec2 u =
         vec2(load_lane(lane_state, LANE_LIGHT_RANDOM + 2, lane), load_lane(lane_state, LANE_LIGHT_RANDOM + 3, lane));
     const LightSample light = sample_light_of_kind(kinds, scene, selection, s.position, u);
-    if (selection.probability > 0.0f && is_nonzero_light(&light)) {
+    if (selection.probability > 0.0f && can_contribute(&light)) {
         write_shadow_ray(paths, i, &p, &s, &light);
         store_light_sample_lane(&light, lane_state, lane);
     } else {
-        clear_lane_flag(LANE_SAMPLES_LIGHT, lane_state, lane);
+        clear_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, lane);
     }
 }
 
@@ -74,28 +74,28 @@ INLINE bool selected_triangle_light(const SceneView* scene, const float* lane_st
 }
 #endif
 
-INLINE void sample_direct_lanes(const SceneView* scene, const PathState* paths, const LaneBatch* batch,
-                                float* lane_state)
+INLINE void sample_lights(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, float* lane_state)
 {
-    const uint count = batch->count;
+    const uint count = hits->count;
 #if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
     int list[LANES + 1];
-    COMPACT_LANES(list, other_count, k, count,
-                  has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k) & !selected_triangle_light(scene, lane_state, k))
+    COMPACT_LANES(
+        list, other_count, k, count,
+        has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k) & !selected_triangle_light(scene, lane_state, k))
     FOR_LANES(k, count) {
-        if (k >= count || !has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k) ||
+        if (k >= count || !has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k) ||
             !selected_triangle_light(scene, lane_state, k))
             continue;
-        sample_direct_lane(scene, paths, batch_path(batch, k), LIGHT_TRIANGLE, lane_state, k);
+        sample_light_lane(scene, paths, hit_path(hits, k), LIGHT_TRIANGLE, lane_state, k);
     }
     FOR_LANES(j, other_count) {
         if (j >= other_count) continue;
-        sample_direct_lane(scene, paths, compacted_path(batch, list[j]), ~LIGHT_TRIANGLE, lane_state, list[j]);
+        sample_light_lane(scene, paths, compacted_path(hits, list[j]), ~LIGHT_TRIANGLE, lane_state, list[j]);
     }
 #else
     FOR_LANES(k, count) {
-        if (k >= count || !has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k)) continue;
-        sample_direct_lane(scene, paths, batch_path(batch, k), ~0u, lane_state, k);
+        if (k >= count || !has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k)) continue;
+        sample_light_lane(scene, paths, hit_path(hits, k), ~0u, lane_state, k);
     }
 #endif
 }
@@ -103,13 +103,13 @@ INLINE void sample_direct_lanes(const SceneView* scene, const PathState* paths, 
 
 #if FEATURE_TEXTURES
 // Texture values of all BSDF parameters, slot by slot.
-INLINE void evaluate_textures(const SceneView* scene, const LaneBatch* batch, float* lane_state)
+INLINE void evaluate_textures(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
     int list[LANES + 1];
     for (uint slot = 0u; slot < BSDF_SLOTS; ++slot) {
         if (!(scene->textured_slots & (1u << slot))) continue;
-        COMPACT_LANES(list, textured_count, k, batch->count,
-                      has_lane_flag(LANE_SCATTERS, lane_state, k) &
+        COMPACT_LANES(list, textured_count, k, hits->count,
+                      has_lane_flag(LANE_FLAG_SCATTERS, lane_state, k) &
                           (scene->bsdfs[load_lane_uint(lane_state, LANE_BSDF, k)].textures[slot] != NONE))
         FOR_LANES(j, textured_count) {
             if (j >= textured_count) continue;
@@ -126,7 +126,7 @@ INLINE void evaluate_textures(const SceneView* scene, const LaneBatch* batch, fl
 #endif
 
 // Evaluates a BSDF of this kind for the light sample, and samples it for the next direction.
-INLINE void scatter_lane(const SceneView* scene, const PathState* paths, size_t i, uint kind, float* lane_state,
+INLINE void scatter_lane(const SceneView* scene, const PathBuffers* paths, size_t i, uint kind, float* lane_state,
                          size_t lane)
 {
     const Vec3 direction = load_planes3(paths->ray_direction, i, paths->plane_stride);
@@ -144,37 +144,37 @@ INLINE void scatter_lane(const SceneView* scene, const PathState* paths, size_t 
 }
 
 // All lanes of one kind of BSDF. Some kinds are so cheap that compaction would cost more than masking.
-INLINE void scatter_lanes(const SceneView* scene, const PathState* paths, const LaneBatch* batch, uint kind,
+INLINE void scatter_lanes(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, uint kind,
                           float* lane_state)
 {
     if (kind & UNCOMPACTED_BSDFS) {
-        FOR_LANES(k, batch->count) {
-            if (k >= batch->count || load_lane_uint(lane_state, LANE_BSDF_KIND, k) != kind) continue;
-            scatter_lane(scene, paths, batch_path(batch, k), kind, lane_state, k);
+        FOR_LANES(k, hits->count) {
+            if (k >= hits->count || load_lane_uint(lane_state, LANE_BSDF_KIND, k) != kind) continue;
+            scatter_lane(scene, paths, hit_path(hits, k), kind, lane_state, k);
         }
     } else {
         int list[LANES + 1];
-        COMPACT_LANES(list, kind_count, k, batch->count, load_lane_uint(lane_state, LANE_BSDF_KIND, k) == kind)
+        COMPACT_LANES(list, kind_count, k, hits->count, load_lane_uint(lane_state, LANE_BSDF_KIND, k) == kind)
         FOR_LANES(j, kind_count) {
             if (j >= kind_count) continue;
-            scatter_lane(scene, paths, compacted_path(batch, list[j]), kind, lane_state, list[j]);
+            scatter_lane(scene, paths, compacted_path(hits, list[j]), kind, lane_state, list[j]);
         }
     }
 }
 
 // Writes the radiance of the shadow rays, and the rays of the paths that continue.
-INLINE void write_rays(const SceneView* scene, const PathState* paths, const LaneBatch* batch, uint rr_depth,
+INLINE void write_rays(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, uint rr_depth,
                        const float* lane_state)
 {
-    const uint count = batch->count;
+    const uint count = hits->count;
     FOR_LANES(k, count) {
-        if (k >= count || !has_lane_flag(LANE_SCATTERS, lane_state, k)) continue;
-        const size_t i = batch_path(batch, k);
+        if (k >= count || !has_lane_flag(LANE_FLAG_SCATTERS, lane_state, k)) continue;
+        const size_t i = hit_path(hits, k);
         const Path p = load_path(paths, i);
         const Surface s = load_surface_lane(lane_state, k);
         const BsdfContext ctx = load_bsdf_context_lane(scene, 0u, p.direction, lane_state, k);
 #if FEATURE_NEXT_EVENT
-        if (has_lane_flag(LANE_SAMPLES_LIGHT, lane_state, k)) {
+        if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k)) {
             const LightSample light = load_light_sample_lane(lane_state, k);
             const Vec4 value = load_lane4(lane_state, LANE_BSDF_VALUE, k);
             const Vec3 radiance = direct_lighting(&p, &s, &ctx, &light, xyz(value), value.w);
@@ -184,7 +184,7 @@ INLINE void write_rays(const SceneView* scene, const PathState* paths, const Lan
         }
 #endif
         const BsdfSample sample = load_bsdf_sample_lane(lane_state, k);
-        write_next_ray(paths, i, &p, &s, &ctx, sample, load_lane(lane_state, LANE_BSDF_RANDOM + 3, k), false, rr_depth);
+        continue_path(paths, i, &p, &s, &ctx, sample, load_lane(lane_state, LANE_BSDF_RANDOM + 3, k), false, rr_depth);
     }
 }
 #endif

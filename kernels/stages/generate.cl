@@ -65,12 +65,12 @@ __kernel void generate(
         }
 #endif
         store_planes4(vec4_from(origin, t_max), ray_origin, slot, plane_stride);
-        store_planes4(vec4_from(direction, -1.0f), ray_direction, slot, plane_stride);
+        store_planes4(vec4_from(direction, PDF_WITHOUT_MIS), ray_direction, slot, plane_stride);
         store_planes4(vec4(1.0f, 1.0f, 1.0f, 1.0f), throughput, slot, plane_stride);
-        PLANE(PATH_SAMPLE, path, plane_stride)[slot] = sample;
-        PLANE(PATH_START_PRIMITIVE, path, plane_stride)[slot] = NONE;
-        PLANE(PATH_SAMPLE_INDEX, path, plane_stride)[slot] = index;
-        PLANE(PATH_DEPTH, path, plane_stride)[slot] = 0u;
+        PLANE(PATH_SAMPLE, path_ids, plane_stride)[slot] = sample;
+        PLANE(PATH_START_PRIMITIVE, path_ids, plane_stride)[slot] = NONE;
+        PLANE(PATH_SAMPLE_INDEX, path_ids, plane_stride)[slot] = index;
+        PLANE(PATH_DEPTH, path_ids, plane_stride)[slot] = 0u;
 #include "generated/init_path_state.h"
         STORE3(splat3(0.0f), sample, samples);
     }

@@ -72,7 +72,7 @@ __kernel void intersect(
 #endif
         ulong stack[STACK_SIZE];
         begin_traversal(&traversal, stack, xyz(origin), load_planes3(ray_direction, i, plane_stride),
-                        (uint2)(PLANE(PATH_START_PRIMITIVE, path, plane_stride)[i], NONE));
+                        (uint2)(PLANE(PATH_START_PRIMITIVE, path_ids, plane_stride)[i], NONE));
 
 #if FEATURE_COUNT_TESTS
         uint blocks_tested = 0u;

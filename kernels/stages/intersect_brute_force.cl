@@ -17,7 +17,7 @@ __kernel void intersect(
             if (i < path_count) {
                 origin = load_planes4(ray_origin, i, plane_stride);
                 direction = load_planes3(ray_direction, i, plane_stride);
-                start_primitive = PLANE(PATH_START_PRIMITIVE, path, plane_stride)[i];
+                start_primitive = PLANE(PATH_START_PRIMITIVE, path_ids, plane_stride)[i];
             }
             set_ray(&packet, ray, xyz(origin), direction, start_primitive, NONE, origin.w);
         }

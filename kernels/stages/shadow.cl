@@ -42,7 +42,7 @@ __kernel void shadow(
         begin_traversal(&traversal, stack, xyz(origin), xyz(direction),
                         (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(origin.w)));
         if (is_occluded(&traversal, stack, nodes, blocks, first_analytic, analytics, t_max)) continue;
-        const uint sample = PLANE(PATH_SAMPLE, path, plane_stride)[i];
+        const uint sample = PLANE(PATH_SAMPLE, path_ids, plane_stride)[i];
         ADD3(load_planes3(shadow_radiance, i, plane_stride), sample, samples);
     }
 }

@@ -26,7 +26,7 @@ __kernel void shadow(
         FOR_RAYS(ray) {
             const size_t i = slots[first + ray];
             if (first + ray >= count || packet.primitive[ray] != NONE) continue;
-            const uint sample = PLANE(PATH_SAMPLE, path, plane_stride)[i];
+            const uint sample = PLANE(PATH_SAMPLE, path_ids, plane_stride)[i];
             ADD3(load_planes3(shadow_radiance, i, plane_stride), sample, samples);
         }
     }

@@ -183,6 +183,6 @@ __kernel void shadow_transmittance(
             return;
 #endif
     }
-    const uint sample = PLANE(PATH_SAMPLE, path, plane_stride)[i];
+    const uint sample = PLANE(PATH_SAMPLE, path_ids, plane_stride)[i];
     ADD3(mul3(shadow.attenuation, load_planes3(shadow_radiance, i, plane_stride)), sample, samples);
 }

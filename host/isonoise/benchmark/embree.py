@@ -55,7 +55,7 @@ class IntersectStage:
         write("ray_origin", *origins.T.astype(np.float32), constant(np.inf))
         write("ray_direction", *directions.T.astype(np.float32), constant(-1.0))
         none = np.full(self._rays, NONE, np.uint32)
-        write("path", np.zeros_like(none), none)
+        write("path_ids", np.zeros_like(none), none)
         self._device.finish()
 
     def trace(self) -> float:

@@ -15,6 +15,7 @@ from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene, Run
 from isonoise.benchmark.spread import spread
 from isonoise.benchmark.startup import startup_times
 from isonoise.device.opencl import LOCAL_SIZE, Device, driver_fields
+from isonoise.integrator.kernel_table import path_bytes
 from isonoise.progress import ProgressBar
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
@@ -24,8 +25,6 @@ SCHEMA, SCHEMA_VERSION = "isonoise-bench", 2
 """The version goes up when a field is removed or changes its meaning; fields may be added."""
 CPU_SAMPLES, GPU_SAMPLES = 2**21, 2**24
 """Default number of samples of a run: 16 pools, and about a second."""
-PATH_BUFFERS = ("paths", "hits", "shadow rays", "flags of the paths")
-"""Buffers that hold the state of the paths in flight."""
 
 ShowProgress = Callable[[float, str], None]
 """Gets the finished share of a measurement and the current activity."""
@@ -159,7 +158,7 @@ def measure_scene(
         "pool_size": prepared.pool_size,
         "pool_occupancy": intersect["items"] / (intersect["launches"] * prepared.pool_size) if intersect else None,
         "bvh": bvh_statistics(prepared.bvh, scene),
-        "memory": _memory_fields(device, int(prepared.wavefront.stages.arguments["plane_stride"])),
+        "memory": _memory_fields(device, prepared.wavefront.features),
     }
 
 
@@ -181,10 +180,10 @@ def _kernel_rows(runs: list[Run]) -> list[dict[str, object]]:
     return sorted(rows, key=lambda row: -row["time_share"])
 
 
-def _memory_fields(device: MeasuredDevice, path_capacity: int) -> dict[str, object]:
-    """The JSON field `memory`; the buffers have room for `path_capacity` paths."""
+def _memory_fields(device: MeasuredDevice, features: Mapping[str, bool]) -> dict[str, object]:
+    """The JSON field `memory`."""
     return {
         "total_bytes": sum(device.buffer_bytes.values()),
-        "state_bytes_per_path": sum(device.buffer_bytes[name] for name in PATH_BUFFERS) / path_capacity,
+        "state_bytes_per_path": sum(path_bytes(features).values()),
         "buffers_bytes": dict(device.buffer_bytes.most_common()),
     }

@@ -28,13 +28,21 @@ def flatten(name: str, headers: Mapping[str, str] | None = None, seen: set[str] 
     Parameters
     ----------
     name : file of `kernels/`, or one of `headers`
-    headers : texts of generated headers, by the name under which kernels include them (`generated/NAME.h`); a generated
-        header that is not among them is empty
+    headers : texts of generated headers, by the name under which kernels include them (`generated/NAME.h`). Without
+        any, all of them are empty; that of the records is empty unless given.
     seen : files that are not included again; gets the names of those that are
+
+    Raises
+    ------
+    KeyError
+        If a header is included that is not among `headers`.
     """
     seen = set() if seen is None else seen
     seen.add(name)
-    text = (headers or {}).get(name, "") if name.startswith("generated/") else kernel_source(name)
+    if not name.startswith("generated/"):
+        text = kernel_source(name)
+    else:
+        text = headers[name] if headers and name != _RECORDS else (headers or {}).get(name, "")
     lines = [f'#line 1 "{name}"']
     for number, line in enumerate(text.splitlines(), start=1):
         include = _INCLUDE.match(line)

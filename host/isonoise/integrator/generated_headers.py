@@ -12,8 +12,8 @@ from isonoise.integrator.kernel_table import (
     BRUTE_FORCE_KERNELS,
     ELEMENT_TYPES,
     KERNELS,
+    PATH_BUFFERS,
     PATH_STATE,
-    PATH_VIEW,
     SCENE_VIEW,
     VALUE_TYPES,
     VIEW_CONDITIONS,
@@ -27,8 +27,8 @@ from isonoise.scene.material.bsdf_kinds import bsdf_header
 def generated_headers() -> dict[str, str]:
     """Name of the header, as kernels include it -> its text."""
     headers = {
-        "path_state_members": _lines(
-            (_declaration(name, KERNELS["shade"]) + ";", _condition(name)) for name in PATH_VIEW
+        "path_buffers_members": _lines(
+            (_declaration(name, KERNELS["shade"]) + ";", _condition(name)) for name in PATH_BUFFERS
         ),
         "path_members": _path_members(),
         "load_path_members": _load_path_members(),
@@ -38,9 +38,8 @@ def generated_headers() -> dict[str, str]:
     for suffix, table in (("", KERNELS), ("_brute_force", BRUTE_FORCE_KERNELS)):
         for name, kernel in table.items():
             headers[f"{name}{suffix}_parameters"] = _parameters(kernel)
-    headers["shade_path_state"] = _lines((f"paths.{name} = {name};", _condition(name)) for name in PATH_VIEW)
-    for name in ("shade", "shadow_transmittance"):
-        headers[f"{name}_scene_view"] = _scene_view(KERNELS[name])
+            headers[f"{name}{suffix}_scene_view"] = _scene_view(kernel)
+    headers["shade_path_buffers"] = _lines((f"paths.{name} = {name};", _condition(name)) for name in PATH_BUFFERS)
     headers |= {"bsdf_kinds": bsdf_header(), "light_kinds": light_header()}
     return {f"generated/{name}.h": text for name, text in headers.items()}
 

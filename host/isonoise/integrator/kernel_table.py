@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from isonoise.scene import structs
 from isonoise.scene.light import envmap
 from isonoise.scene.light.light_kinds import light_macros
-from isonoise.scene.material import textures
-from isonoise.scene.material.bsdf_kinds import bsdf_macros
+from isonoise.scene.material import bsdf_kinds, textures
 
 STRUCTS = {
     "Camera": structs.CAMERA,
@@ -28,7 +27,12 @@ STRUCTS = {
     "Medium": structs.MEDIUM,
 }
 
-CONSTANTS: dict[str, int | str] = {**structs.CONSTANTS, **textures.CONSTANTS, **bsdf_macros(), **light_macros()}
+CONSTANTS: dict[str, int | str] = {
+    **structs.CONSTANTS,
+    **textures.CONSTANTS,
+    **bsdf_kinds.bsdf_macros(),
+    **light_macros(),
+}
 """Macros of the kernels that no scene changes."""
 
 
@@ -51,7 +55,7 @@ PATH_STATE = {
     "ray_origin": PathField("float", 4),  # x, y, z, t_max
     "ray_direction": PathField("float", 4),  # x, y, z, pdf of the direction
     "throughput": PathField("float", 4),  # red, green, blue, eta
-    "path": PathField("uint", 4),  # PATH_SAMPLE, PATH_START_PRIMITIVE, PATH_SAMPLE_INDEX, PATH_DEPTH
+    "path_ids": PathField("uint", 4),  # PATH_SAMPLE, PATH_START_PRIMITIVE, PATH_SAMPLE_INDEX, PATH_DEPTH
     "instance": PathField("uint", 1, ("INSTANCES",), initial="NONE"),
     "null_bounces": PathField("uint", 1, ("VOLPATH",), initial="0u", default="0u"),
     "mis_distance": PathField("float", 1, ("VOLPATH",), initial="0.0f", default="0.0f"),
@@ -102,7 +106,9 @@ _LIGHT_SELECTION = "light_nodes light_parents light_bounds"
 ARGUMENT_FEATURES = {
     "uvs": ("UVS",),
     **dict.fromkeys((*_TEXTURES.split(), "textured_slots"), ("TEXTURES",)),
-    "rough_transmittances": ("ROUGH_PLASTIC",),
+    "rough_transmittances": tuple(
+        bsdf_kinds.feature_of(kind) for kind in bsdf_kinds.select(lambda kind: "ROUGH_TRANSMITTANCE" in kind.helpers)
+    ),
     **dict.fromkeys(_ENVMAP.split(), ("ENVIRONMENT_MAP",)),
     **dict.fromkeys(("instances", "first_instance", "world_triangles"), ("INSTANCES",)),
     **dict.fromkeys(("media", "sensor_medium", "scene_sphere"), ("MEDIA",)),
@@ -125,12 +131,17 @@ def _names(arguments: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Kernel:
-    """A kernel: its file, the values that are passed to it, the buffers it reads and those it writes."""
+    """A kernel: its file, the values that are passed to it, the buffers it reads and those it writes.
+
+    It is launched if all features of `needs` are on and those of `excludes` are off.
+    """
 
     file: str
     values: tuple[str, ...]
     reads: tuple[str, ...]
     writes: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    excludes: tuple[str, ...] = ()
 
     @property
     def arguments(self) -> tuple[str, ...]:
@@ -141,9 +152,14 @@ class Kernel:
         """The arguments that are there with these features."""
         return tuple(name for name in self.arguments if is_present(name, features))
 
+    def is_launched(self, features: Mapping[str, bool]) -> bool:
+        """Whether a scene with these features needs the kernel."""
+        return all(features[name] for name in self.needs) and not any(features[name] for name in self.excludes)
 
-def _kernel(file: str, values: str, reads: str, writes: str) -> Kernel:
-    return Kernel(f"stages/{file}", _names(values), _names(reads), _names(writes))
+
+def _kernel(file: str, values: str, reads: str, writes: str, needs: str = "", excludes: str = "") -> Kernel:
+    groups = [_names(names) for names in (values, reads, writes)]
+    return Kernel(f"stages/{file}", *groups, tuple(needs.split()), tuple(excludes.split()))
 
 
 def is_present(argument: str, features: Mapping[str, bool]) -> bool:
@@ -153,7 +169,7 @@ def is_present(argument: str, features: Mapping[str, bool]) -> bool:
 
 
 _SURFACES = f"triangles faces corner_normals uvs {_TEXTURES} analytics shapes bsdfs instances"
-_SHADOW_RAY = "shadow_origin shadow_direction shadow_radiance hit path"
+_SHADOW_RAY = "shadow_origin shadow_direction shadow_radiance hit path_ids"
 _BRUTE_FORCE = "corners corner_indices analytics"
 _COUNTS = "corner_count triangle_count analytic_count"
 
@@ -168,7 +184,7 @@ KERNELS = {
     "intersect": _kernel(
         "intersect.cl",
         "path_count plane_stride rays_per_item first_analytic first_instance",
-        "nodes blocks analytics instances ray_origin ray_direction path",
+        "nodes blocks analytics instances ray_origin ray_direction path_ids",
         "hit instance tests",
     ),
     "shade": _kernel(
@@ -182,12 +198,15 @@ KERNELS = {
         "path_count plane_stride rays_per_item first_analytic first_instance",
         f"nodes blocks analytics instances instance {_SHADOW_RAY}",
         "samples",
+        needs="NEXT_EVENT",
+        excludes="VOLPATH",
     ),
     "shadow_transmittance": _kernel(
         "shadow_transmittance.cl",
         "path_count plane_stride first_analytic first_instance scene_sphere",
         f"nodes blocks {_SURFACES} media instance {_SHADOW_RAY}",
         "samples",
+        needs="NEXT_EVENT VOLPATH",
     ),
     "count_alive": _kernel("compact.cl", "path_count", "alive", "block_alive"),
     "scan_blocks": _kernel("compact.cl", "blocks_in_use", "", "block_alive total_alive"),
@@ -210,7 +229,7 @@ BRUTE_FORCE_KERNELS = {
     "intersect": _kernel(
         "intersect_brute_force.cl",
         f"path_count plane_stride {_COUNTS}",
-        f"{_BRUTE_FORCE} ray_origin ray_direction path",
+        f"{_BRUTE_FORCE} ray_origin ray_direction path_ids",
         "hit",
     ),
     "shadow": _kernel(
@@ -218,9 +237,11 @@ BRUTE_FORCE_KERNELS = {
         f"path_count plane_stride {_COUNTS}",
         f"{_BRUTE_FORCE} {_SHADOW_RAY}",
         "samples",
+        needs="NEXT_EVENT",
+        excludes="VOLPATH",
     ),
 }
-"""Kernels that replace those of the same name for scenes of few primitives, which have no hierarchy."""
+"""Kernels that replace those of the same name for scenes of few primitives, whose rays need no BVH."""
 
 PROGRAMS = (
     ("list_samples.cl", "reduce.cl", "summarise.cl"),
@@ -235,8 +256,8 @@ stand together if the same changes of a scene rebuild them: the statistics; the 
 LANE_KERNELS = {"generate", "shade"}
 """Kernels of which a work-item processes LANES paths: kernels/path/path_state.h."""
 
-BATCH_KERNELS = {"intersect", "shadow", "count_alive", "move_paths"}
-"""Kernels of which a work-item of a CPU processes several rays, or a block of paths, one after the other."""
+SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "move_paths"}
+"""Kernels of which a work-item of a CPU processes several rays, or a run of paths, one after the other."""
 
 SCENE_VIEW = {
     **{
@@ -266,25 +287,20 @@ VIEW_CONDITIONS = {
 }
 """Nested structs of `SceneView` and when they are there."""
 
-PATH_VIEW = (
+PATH_BUFFERS = (
     "plane_stride",
     "sample_pixel",
     *PATH_STATE,
     *(name for name in BOUNCE_BUFFERS if name != "tests"),
     "samples",
 )
-"""Members of the struct `PathState`: kernel arguments of the same name."""
+"""Members of the struct `PathBuffers`: kernel arguments of the same name."""
 
 
 def kernel_table(features: Mapping[str, bool], brute_force: bool) -> dict[str, Kernel]:
-    """The kernels that a scene needs; `brute_force`: whether it has so few primitives that it has no hierarchy."""
-    shadow = None
-    if features["NEXT_EVENT"]:
-        shadow = "shadow_transmittance" if features["VOLPATH"] else "shadow"
+    """The kernels that a scene needs; `brute_force`: whether it has so few primitives that it needs no BVH."""
     table = KERNELS | (BRUTE_FORCE_KERNELS if brute_force else {})
-    return {
-        name: row for name, row in table.items() if name == shadow or name not in ("shadow", "shadow_transmittance")
-    }
+    return {name: kernel for name, kernel in table.items() if kernel.is_launched(features)}
 
 
 def programs(files: Iterable[str]) -> list[list[str]]:

@@ -16,12 +16,12 @@ from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS, use_brute_force
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import (
-    BATCH_KERNELS,
     BOUNCE_BUFFERS,
     BRUTE_FORCE_KERNELS,
     CONSTANTS,
     LANE_KERNELS,
     PATH_STATE,
+    SEQUENTIAL_KERNELS,
     STRUCTS,
     is_present,
     kernel_table,
@@ -92,12 +92,14 @@ class Wavefront:
         constants = CONSTANTS | build_constants(needs)
         constants |= {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size}
         constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
-        small_groups = BATCH_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
+        small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
         self._stages = Stages(
             *(device, table, self.features, constants, STRUCTS),
             file_constants={"stages/shade.cl": {"LANES": self.shade_lanes}},
             small_groups=small_groups if device.lanes > 1 else (),
         )
+        lane_kernels = LANE_KERNELS | (set(BRUTE_FORCE_KERNELS) if self.brute_force else set())
+        self._items_per_work_item = dict.fromkeys(lane_kernels, self.lanes) | {"shade": self.shade_lanes}
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self._path_state = [name for name in PATH_STATE if is_present(name, self.features)]
@@ -153,8 +155,8 @@ class Wavefront:
         Parameters
         ----------
         allocation : uint32 (height, width), samples per pixel
-        should_continue : called after every bounce with the samples reduced so far; once it returns False no new path
-            starts, and the paths in flight finish
+        should_continue : called after every bounce, while there are paths to start, with the samples reduced so far;
+            once it returns False no new path starts, and the paths in flight finish
 
         Returns
         -------
@@ -182,53 +184,53 @@ class Wavefront:
         pixels = len(offsets)
         self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
         slice_pixels = {"first_pixel": np.uint32(first_pixel), "pixels": np.uint32(pixels)}
-        self._stages.launch("list_samples", pixels, slice_samples=np.uint32(samples), **slice_pixels)
+        self._launch("list_samples", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
             samples = self._trace_paths(samples, should_continue)
-        self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
+        self._launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         self.device.finish()
         return samples
 
     def _trace_paths(self, samples: int, should_continue: Callable[[], bool]) -> int:
         """Trace the paths of a slice to their ends; returns how many were started."""
-        in_flight = started = 0
-        while in_flight or started < samples:
-            new = min(self.pool_size - in_flight, samples - started)
+        in_flight, started, is_stopped = 0, 0, False
+        while in_flight or (started < samples and not is_stopped):
+            new = 0 if is_stopped else min(self.pool_size - in_flight, samples - started)
             if new:
                 first = {"first_slot": np.uint32(in_flight), "first_sample": np.uint32(started)}
                 self._launch("generate", new, count_new=np.uint32(new), **first)
             started += new
             in_flight = self._bounce(in_flight + new)
-            if started < samples and not should_continue():
-                samples = started
+            is_stopped = is_stopped or (started < samples and not should_continue())
         return started
 
     def _launch(self, kernel: str, items: int, **given) -> None:
-        """Enqueue a kernel over at least `items`; a work-item of some kernels processes several."""
-        lanes = self.lanes if kernel in LANE_KERNELS or (self.brute_force and kernel in BRUTE_FORCE_KERNELS) else 1
-        lanes = self.shade_lanes if kernel == "shade" else lanes
-        self._stages.launch(kernel, items, lanes, **given)
+        """Enqueue a kernel over at least `items`; `given` are the arguments of this launch alone."""
+        self._stages.launch(kernel, items, self._items_per_work_item.get(kernel, 1), **given)
 
     def _bounce(self, paths: int) -> int:
         """Trace all paths in flight for one bounce; returns how many continue. Waits for the device."""
-        path_count = np.uint32(paths)
         self.trace_rays("intersect", paths)
-        self._launch("shade", paths, path_count=path_count)
+        self._launch("shade", paths, path_count=np.uint32(paths))
         if self._shadow:
             self.trace_rays(self._shadow, paths)
-        blocks = -(-paths // self.block_size)
-        self._stages.launch("count_alive", blocks, path_count=path_count)
-        self._stages.launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
-        self._stages.launch("move_paths", blocks, path_count=path_count)
-        arguments = self._arguments
-        for name in self._path_state:
-            arguments[name], arguments[f"next_{name}"] = arguments[f"next_{name}"], arguments[name]
-        alive = int(self.device.read(arguments["total_alive"], np.uint32, 1)[0])
+        alive = self._compact(paths)
         if self.on_bounce:
             self.on_bounce(paths)
         return alive
+
+    def _compact(self, paths: int) -> int:
+        """Move the paths that continue to the front of the pool; returns how many these are."""
+        path_count, blocks = np.uint32(paths), -(-paths // self.block_size)
+        self._launch("count_alive", blocks, path_count=path_count)
+        self._launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
+        self._launch("move_paths", blocks, path_count=path_count)
+        arguments = self._arguments
+        for name in self._path_state:
+            arguments[name], arguments[f"next_{name}"] = arguments[f"next_{name}"], arguments[name]
+        return int(self.device.read(arguments["total_alive"], np.uint32, 1)[0])
 
     def trace_rays(self, stage: str, paths: int) -> None:
         """Launch a stage that traces rays. A work-item of a CPU traces several, one after the other."""

@@ -91,7 +91,7 @@ class Tracer:
         buffers = {
             "ray_origin": self.device.buffer(origin, "the rays"),
             "ray_direction": self.device.buffer(direction, "the rays"),
-            "path": self.device.buffer(path, "the rays"),
+            "path_ids": self.device.buffer(path, "the rays"),
             "hit": self.device.buffer(16 * stride, "the hits"),
         }
         if self._count_tests:

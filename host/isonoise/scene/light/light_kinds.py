@@ -168,8 +168,8 @@ def light_macros() -> dict[str, int | str]:
 def light_header() -> str:
     """generated/light_kinds.h: lists of the kinds that the scene has, and the headers of all kinds.
 
-    FOR_EMITTERS(DO) is DO(LIGHT_<NAME>, sample_<name>_light) for every kind without a surface, FOR_ANALYTIC_LIGHTS(DO)
-    the same for analytic area lights.
+    FOR_LIGHTS_WITHOUT_SURFACE(DO) is DO(LIGHT_<NAME>, sample_<name>_light) for every kind without a surface,
+    FOR_ANALYTIC_LIGHTS(DO) the same for analytic area lights.
     """
     lines = []
     for kind in KINDS.values():
@@ -177,7 +177,7 @@ def light_header() -> str:
         lines += [f"#if FEATURE_{kind.feature}", f"#define FOR_{name}(DO) DO(LIGHT_{name}, sample_{kind.name}_light)"]
         lines += ["#else", f"#define FOR_{name}(DO)", "#endif"]
     lists = {
-        "FOR_EMITTERS": select(lambda kind: not kind.is_area),
+        "FOR_LIGHTS_WITHOUT_SURFACE": select(lambda kind: not kind.is_area),
         "FOR_ANALYTIC_LIGHTS": select(lambda kind: kind.analytic is not None),
     }
     for label, chosen in lists.items():

@@ -162,7 +162,7 @@ _ROWS = (
             "inner_reflectance": lambda bsdf, tables: _boundary(bsdf)[1],
             "transmittance_table": _table_index,
         },
-        helpers=("DIELECTRIC_FRESNEL", "MICROFACETS", "PLASTIC_BASE", "SHADING_FRAME"),
+        helpers=("DIELECTRIC_FRESNEL", "MICROFACETS", "PLASTIC_BASE", "ROUGH_TRANSMITTANCE", "SHADING_FRAME"),
         buffers={"rough_transmittances": f"{4 * NODES} bytes a kind of plastic"},
     ),
     BsdfKind(
