@@ -1,19 +1,19 @@
-// Environment map: the radiance from a direction, and directions sampled nearly in proportion to it. What the map and
-// its table are: host/isonoise/scene/environment.py.
+// Environment map: radiance from a direction, and sampling of directions nearly in proportion to radiance. Called by
+// light/environment_light.h. The image and its alias tables are made by host/isonoise/scene/light/envmap.py.
 #pragma once
 #include "util/math.h"
 
 #if FEATURE_ENVIRONMENT_MAP
 typedef struct {
     __global const Environment* record;
-    __global const float* texels;  // four numbers each: RGB, threshold of the cell that begins there
-    __global const float* rows;    // three numbers each: threshold, alias as bits, sine
-    __global const uint* aliases;  // of the cells
+    __global const float* texels;  // 4 floats a texel: RGB, alias threshold of the cell that begins there
+    __global const float* rows;    // 3 floats a row: alias threshold, alias (bits), sine
+    __global const uint* aliases;  // alias of every cell
 } Envmap;
 
-#define MIN_SINE 1e-20f  // at a pole the density is infinite and what it weighs nothing: both stay numbers
+#define MIN_SINE 1e-20f  // at a pole the pdf would be infinite and the radiance weigh nothing: keeps both finite
 
-// Four texels, the weights of their rows, and a place between them.
+// A cell of the map: the area between four texel centres. Its texels, the sines of its rows, and a position in it.
 typedef struct {
     Vec3 texel00, texel10, texel01, texel11;  // texel `column row`
     float sine0, sine1;
@@ -34,7 +34,7 @@ INLINE EnvmapCell envmap_cell(const Envmap* map, uint column, uint row)
     return cell;
 }
 
-// The radiance at the cell's place; *weight gets the interpolated luminance * sine there.
+// Radiance at the position in the cell, interpolated bilinearly. *weight gets the interpolated luminance * sine.
 INLINE Vec3 cell_radiance(const Envmap* map, const EnvmapCell* c, float* weight)
 {
     const Vec3 upper = add3(scale3(c->texel00, 1.0f - c->s), scale3(c->texel10, c->s));
@@ -43,7 +43,7 @@ INLINE Vec3 cell_radiance(const Envmap* map, const EnvmapCell* c, float* weight)
     return scale3(add3(scale3(upper, 1.0f - c->t), scale3(lower, c->t)), map->record->scale);
 }
 
-// Radiance from a unit direction, and the density with which `envmap_sample` finds it.
+// Radiance from a unit direction, and the pdf with which `envmap_sample` samples it.
 INLINE Vec3 envmap_radiance(const Envmap* map, Vec3 direction, float* pdf)
 {
     __global const Environment* record = map->record;
@@ -53,10 +53,9 @@ INLINE Vec3 envmap_radiance(const Envmap* map, Vec3 direction, float* pdf)
     const float sine = SQRT(local_direction.x * local_direction.x + local_direction.z * local_direction.z);
     const int width = (int)record->size[0], cells = (int)record->size[1] - 1;
     const float x = atan2_float(local_direction.x, -local_direction.z) * (0.5f * M_1_PI_F) * (float)width - 0.5f;
-    const float y =
-        atan2_float(sine, local_direction.y) * M_1_PI_F * (float)cells;  // near the poles acos would be coarse
+    const float y = atan2_float(sine, local_direction.y) * M_1_PI_F * (float)cells;  // acos is imprecise near the poles
     const int whole = (int)x, left = (float)whole > x ? whole - 1 : whole;
-    // unsigned: what is no number ends in the last cell, not beside the map
+    // unsigned: NaN becomes the last cell, not an index outside of the map
     const uint column = MIN((uint)(left < 0 ? left + width : left), (uint)width - 1u);
     const uint row = MIN((uint)(int)y, (uint)cells - 1u);
     EnvmapCell cell = envmap_cell(map, column, row);
@@ -69,14 +68,13 @@ INLINE Vec3 envmap_radiance(const Envmap* map, Vec3 direction, float* pdf)
 }
 
 #if FEATURE_NEXT_EVENT
-// An entry of an alias table that is picked evenly, and what is left of the random number, in [0, 1).
+// A uniformly selected entry of an alias table, and the rest of the random number, in [0, 1).
 typedef struct {
     uint entry;
     float rest;
 } AliasEntry;
 
-// `u` is a multiple of 2^-24. What is left of it lies in the middle of a step: so no entry gets more than its share on
-// average.
+// `u` is a multiple of 2^-24. The rest is centred within its step, so that entries are selected without bias.
 INLINE AliasEntry sample_alias_entry(float u, uint count)
 {
     const ulong scaled = (ulong)(uint)(u * 0x1p24f) * count;
@@ -85,23 +83,23 @@ INLINE AliasEntry sample_alias_entry(float u, uint count)
     return pick;
 }
 
-// Whether an entry stays or gives way to its alias, and what is left of the random number then.
+// The entry or its alias. *rest gets the random number rescaled to [0, 1).
 INLINE uint resolve_alias(AliasEntry pick, float threshold, uint alias, float* rest)
 {
-    const bool stays = pick.rest < threshold;
-    *rest = (stays ? pick.rest : pick.rest - threshold) / (stays ? threshold : 1.0f - threshold);
-    return stays ? pick.entry : alias;
+    const bool keeps_entry = pick.rest < threshold;
+    *rest = (keeps_entry ? pick.rest : pick.rest - threshold) / (keeps_entry ? threshold : 1.0f - threshold);
+    return keeps_entry ? pick.entry : alias;
 }
 
-// Inverts the distribution of a density that goes from a at 0 to b at 1 in a straight line; written so that nothing
-// cancels. What is so small that its square vanishes is as good as never picked.
+// Samples the linear density from a at 0 to b at 1 by inversion, in a form without cancellation. Weights whose square
+// underflows are practically never selected.
 INLINE float sample_linear(float u, float a, float b)
 {
     const float x = u * (a + b) / MAX(a + SQRT((1.0f - u) * a * a + u * b * b), 1e-30f);
     return MIN(x, 1.0f);
 }
 
-// A direction, the radiance from there, and the density in solid angle with which it was found; 0 if all is dark.
+// Samples a direction. Returns the radiance from it; *pdf is in solid angle, 0 if the whole map is black.
 INLINE Vec3 envmap_sample(const Envmap* map, Vec2 u, Vec3* direction, float* pdf)
 {
     __global const Environment* record = map->record;
@@ -120,7 +118,7 @@ INLINE Vec3 envmap_sample(const Envmap* map, Vec2 u, Vec3* direction, float* pdf
     float weight;
     const Vec3 radiance = cell_radiance(map, &cell, &weight);
 
-    // angles are counted from the nearer pole, where a small one is more precise
+    // angles from the nearer pole: small ones are more precise
     const bool southern = 2u * row >= cells;
     const float steps = southern ? (float)(cells - row) - cell.t : (float)row + cell.t;
     const Vec2 polar = cos_sin_turns(0.5f * steps / (float)cells);

@@ -1,25 +1,25 @@
-// Textures: a colour, a number or the slope of a number at a point of a surface. Conventions are Mitsuba 3's: v = 0 is
-// the top row of an image, texel centres lie at one half, nothing is clamped. Records and stores:
-// host/isonoise/scene/textures.py.
+// Texture lookup: a colour, a number, or the gradient of a number at a point of a surface. Called for parameters of
+// BSDFs (bsdf/context.h) and for emission. Conventions are Mitsuba 3's: v = 0 is the top row of an image, texel centres
+// are at half-integers, values are not clamped. The tables are made by host/isonoise/scene/material/textures.py.
 #pragma once
 #include "util/math.h"
 
 #if FEATURE_TEXTURES
-// All that describes the textures of a scene; members that it does not need are NULL.
+// The textures of a scene. Tables that the scene does not need are NULL.
 typedef struct {
     __global const Texture* records;
-    __global const uchar* bytes;       // texels of 8-bit images, four numbers each
-    __global const float* floats;      // texels of others, linear, four numbers each
-    __global const float* srgb;        // linear value of an encoded byte
-    __global const float* attributes;  // of meshes, RGB
-    __global const uint* faces;        // vertices of the triangles
+    __global const uchar* bytes;       // texels of 8-bit images, 4 bytes each
+    __global const float* floats;      // texels of other images, linear, 4 floats each
+    __global const float* srgb;        // linear values of the 256 sRGB bytes
+    __global const float* attributes;  // mesh attributes, RGB
+    __global const uint* faces;        // vertex indices of the triangles
 } Textures;
 
-// Where a surface was met, as textures see it.
+// A point of a surface, as textures need it.
 typedef struct {
     Vec2 uv;
-    uint triangle;     // NONE on other surfaces: mesh attributes are zero there
-    Vec2 barycentric;  // weights of its second and third corner
+    uint triangle;     // NONE on analytic shapes, where mesh attributes are zero
+    Vec2 barycentric;  // weights of the second and third corner
 } TexturePoint;
 
 #if FEATURE_BITMAPS || FEATURE_CHECKERBOARDS
@@ -29,7 +29,7 @@ INLINE Vec2 texture_uv(__global const Texture* t, Vec2 uv)
                 t->to_uv[3] * uv.x + t->to_uv[4] * uv.y + t->to_uv[5]);
 }
 
-// Largest whole number not above x, for |x| < 2^31.
+// floor(x) for |x| < 2^31.
 INLINE float floor_float(float x)
 {
     const float whole = (float)(int)x;
@@ -42,14 +42,14 @@ INLINE Vec3 texel(const Textures* textures, __global const Texture* t, int x, in
 {
     const uint index = t->first + (uint)y * t->size[0] + (uint)x;
     if (t->flags & TEXTURE_FLOATS) return LOAD3(0, textures->floats + 4u * (size_t)index);
-    const uint encoded = ((__global const uint*)textures->bytes)[index];  // at once: devices are little-endian
+    const uint encoded = ((__global const uint*)textures->bytes)[index];  // one load: devices are little-endian
     const uint r = encoded & 0xFFu, g = encoded >> 8 & 0xFFu, b = encoded >> 16 & 0xFFu;
     if (t->flags & TEXTURE_RAW) return scale3(vec3((float)r, (float)g, (float)b), 1.0f / 255.0f);
     return vec3(textures->srgb[r], textures->srgb[g], textures->srgb[b]);
 }
 
-// A coordinate brought near the image by its wrap mode, in texels: what is left of it lies in [0, size], for mirrored
-// ones in [0, 2 size]. What is no number, or so large that it has no fraction, becomes 0.
+// Wraps a coordinate and converts it to texels: [0, size], or [0, 2 size] if it is mirrored. NaN, and numbers so large
+// that they have no fraction, become 0.
 INLINE float wrap_coordinate(uint flags, float x, float size)
 {
     if (!(abs_float(x) < 0x1p24f)) x = flags & TEXTURE_CLAMP && x > 0.0f ? 1.0f : 0.0f;
@@ -58,7 +58,7 @@ INLINE float wrap_coordinate(uint flags, float x, float size)
     return size * (x - floor_float(x));
 }
 
-// The texel that stands at a place near the image.
+// Wraps the index of a texel near the image.
 INLINE int wrap_texel(uint flags, int i, int size)
 {
     if (flags & TEXTURE_MIRROR) {
@@ -71,8 +71,8 @@ INLINE int wrap_texel(uint flags, int i, int size)
     return i < 0 ? 0 : MIN(i, size - 1);
 }
 
-// The four texels around a point of the image, by row, and the weights of the later column and row. Where texels are
-// not interpolated the first is the one that the point lies in, and the weights are 0.
+// The four texels around a point of the image. Returns the weights of the second column and row. For the filter
+// 'nearest', v00 is the texel that contains the point, and the weights are 0.
 INLINE Vec2 texel_neighbourhood(const Textures* textures, __global const Texture* t, Vec2 uv, Vec3* v00, Vec3* v10,
                                 Vec3* v01, Vec3* v11)
 {
@@ -101,7 +101,7 @@ INLINE Vec3 bitmap_rgb(const Textures* textures, __global const Texture* t, Vec2
 }
 
 #if FEATURE_BUMP
-// Slope of the luminance along the surface's u and v; zero where texels are not interpolated.
+// Gradient of the luminance over the surface's u and v; zero for the filter 'nearest'.
 INLINE Vec2 bitmap_gradient(const Textures* textures, __global const Texture* t, Vec2 uv)
 {
     if (t->flags & TEXTURE_NEAREST) return splat2(0.0f);
@@ -116,7 +116,7 @@ INLINE Vec2 bitmap_gradient(const Textures* textures, __global const Texture* t,
 #endif
 
 #if FEATURE_CHECKERBOARDS
-// Whether a point lies in a patch of the second colour.
+// Whether a point is in a square of the second colour.
 INLINE bool is_second_checker_color(__global const Texture* t, Vec2 uv)
 {
     uv = texture_uv(t, uv);
@@ -125,22 +125,22 @@ INLINE bool is_second_checker_color(__global const Texture* t, Vec2 uv)
 #endif
 
 #if FEATURE_MESH_ATTRIBUTES
-INLINE Vec3 mesh_attribute_rgb(const Textures* textures, __global const Texture* t, const TexturePoint* at)
+INLINE Vec3 mesh_attribute_rgb(const Textures* textures, __global const Texture* t, const TexturePoint* point)
 {
-    if (at->triangle == NONE) return splat3(0.0f);
+    if (point->triangle == NONE) return splat3(0.0f);
     const Vec3 scale = LOAD3(0, t->colour);
-    if (t->flags & TEXTURE_PER_FACE) return mul3(scale, LOAD3(t->first + at->triangle, textures->attributes));
-    __global const uint* corner = textures->faces + 3u * at->triangle;
-    const float u = at->barycentric.x, v = at->barycentric.y;
-    const uint first = t->first;  // it may be below 0: with a corner's number it is none of these that wraps around
+    if (t->flags & TEXTURE_PER_FACE) return mul3(scale, LOAD3(t->first + point->triangle, textures->attributes));
+    __global const uint* corner = textures->faces + 3u * point->triangle;
+    const float u = point->barycentric.x, v = point->barycentric.y;
+    const uint first = t->first;  // may be negative modulo 2^32; first + corner is in range again
     return mul3(scale, weighted_sum3(1.0f - u - v, LOAD3(first + corner[0], textures->attributes), u,
                                      LOAD3(first + corner[1], textures->attributes), v,
                                      LOAD3(first + corner[2], textures->attributes)));
 }
 #endif
 
-// The texture that a checkerboard shows at a point, or the texture itself if it is none. As numbers the two colours
-// change places: so it is in Mitsuba 3 (3.9.1, checkerboard.cpp, eval_1).
+// The texture that a checkerboard shows at a point; any other texture is returned itself. Read as numbers, the two
+// colours are swapped, as in Mitsuba 3 (3.9.1, checkerboard.cpp, eval_1).
 INLINE __global const Texture* resolve_texture(const Textures* textures, uint texture, Vec2 uv, bool as_number)
 {
     __global const Texture* t = textures->records + texture;
@@ -151,54 +151,54 @@ INLINE __global const Texture* resolve_texture(const Textures* textures, uint te
     return t;
 }
 
-// Where many paths are looked at together a call would part them; else the code is long, and its callers many.
+// Loops over lanes vectorise only without calls. Elsewhere the code is too long to inline into its many callers.
 #if LANES > 1 && !FEATURE_CHECKERBOARDS
 #define TEXTURE_FUNCTION INLINE
 #else
 #define TEXTURE_FUNCTION NOINLINE
 #endif
 
-// Linear RGB, and nothing.
-TEXTURE_FUNCTION Vec4 texture_rgb_vec4(const Textures* textures, uint texture, const TexturePoint* at)
+// Linear RGB and 0.
+TEXTURE_FUNCTION Vec4 texture_rgb_vec4(const Textures* textures, uint texture, const TexturePoint* point)
 {
-    __global const Texture* t = resolve_texture(textures, texture, at->uv, false);
+    __global const Texture* t = resolve_texture(textures, texture, point->uv, false);
 #if FEATURE_BITMAPS
-    if (t->kind == TEXTURE_BITMAP) return vec4_from(bitmap_rgb(textures, t, at->uv), 0.0f);
+    if (t->kind == TEXTURE_BITMAP) return vec4_from(bitmap_rgb(textures, t, point->uv), 0.0f);
 #endif
 #if FEATURE_MESH_ATTRIBUTES
-    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return vec4_from(mesh_attribute_rgb(textures, t, at), 0.0f);
+    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return vec4_from(mesh_attribute_rgb(textures, t, point), 0.0f);
 #endif
     return vec4_from(LOAD3(0, t->colour), 0.0f);
 }
 
-// Linear RGB. Intel's compiler for CPUs mislays a Vec3 that a function out of line returns to several work-items at
-// once.
-INLINE Vec3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* at)
+// Linear RGB. The function that is not inlined returns a Vec4, because Intel's CPU compiler corrupts a Vec3 that such a
+// function returns to several work-items at once.
+INLINE Vec3 texture_rgb(const Textures* textures, uint texture, const TexturePoint* point)
 {
-    return xyz(texture_rgb_vec4(textures, texture, at));
+    return xyz(texture_rgb_vec4(textures, texture, point));
 }
 
-// A number: the luminance, of plain colours the mean.
-TEXTURE_FUNCTION float texture_float(const Textures* textures, uint texture, const TexturePoint* at)
+// A number: the luminance of bitmaps and mesh attributes, the mean of the channels of plain colours.
+TEXTURE_FUNCTION float texture_float(const Textures* textures, uint texture, const TexturePoint* point)
 {
-    __global const Texture* t = resolve_texture(textures, texture, at->uv, true);
+    __global const Texture* t = resolve_texture(textures, texture, point->uv, true);
 #if FEATURE_BITMAPS
-    if (t->kind == TEXTURE_BITMAP) return mitsuba_luminance(bitmap_rgb(textures, t, at->uv));
+    if (t->kind == TEXTURE_BITMAP) return mitsuba_luminance(bitmap_rgb(textures, t, point->uv));
 #endif
 #if FEATURE_MESH_ATTRIBUTES
-    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return mitsuba_luminance(mesh_attribute_rgb(textures, t, at));
+    if (t->kind == TEXTURE_MESH_ATTRIBUTE) return mitsuba_luminance(mesh_attribute_rgb(textures, t, point));
 #endif
     return (t->colour[0] + t->colour[1] + t->colour[2]) * (1.0f / 3.0f);
 }
 
 #if FEATURE_BUMP
-// Slope of the number along u and v. Only bitmaps have one: what else there is is constant in pieces, or not along u
-// and v.
-TEXTURE_FUNCTION Vec2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* at)
+// Gradient of the number over u and v. Only bitmaps have one: checkerboards are piecewise constant, mesh attributes do
+// not vary with u and v.
+TEXTURE_FUNCTION Vec2 texture_gradient(const Textures* textures, uint texture, const TexturePoint* point)
 {
-    __global const Texture* t = resolve_texture(textures, texture, at->uv, true);
+    __global const Texture* t = resolve_texture(textures, texture, point->uv, true);
 #if FEATURE_BITMAPS
-    if (t->kind == TEXTURE_BITMAP) return bitmap_gradient(textures, t, at->uv);
+    if (t->kind == TEXTURE_BITMAP) return bitmap_gradient(textures, t, point->uv);
 #endif
     return splat2(0.0f);
 }
