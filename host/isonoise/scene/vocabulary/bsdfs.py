@@ -1,4 +1,7 @@
-"""Materials of the vocabulary; names, defaults and what may be a texture are Mitsuba 3's."""
+"""BSDFs of the vocabulary. Names, defaults and which parameters may be textures are Mitsuba 3's.
+
+Their kinds on the device are in `scene/material/bsdf_kinds.py`.
+"""
 
 from isonoise.scene.vocabulary.plugin import UNSUPPORTED, Child, Parameter, Plugin
 
@@ -18,11 +21,11 @@ def _alpha(name: str, meaning: str) -> Parameter:
 
 
 _SPECULAR = _colour("specular_reflectance", 1.0, "factor on the reflection; 1 is physical")
-_TRANSMITTED = _colour("specular_transmittance", 1.0, "factor on what passes through; 1 is physical")
+_TRANSMITTED = _colour("specular_transmittance", 1.0, "factor on the transmission; 1 is physical")
 _DISTRIBUTION = P(
-    "distribution", "string", "beckmann", choices=("beckmann", "ggx"), meaning="of the normals of the microfacets"
+    "distribution", "string", "beckmann", choices=("beckmann", "ggx"), meaning="distribution of microfacet normals"
 )
-_VISIBLE = P("sample_visible", "boolean", True, meaning="sample the normals that are seen alone: less noise")
+_VISIBLE = P("sample_visible", "boolean", True, meaning="sample only visible normals: less noise")
 _ROUGH = (
     _DISTRIBUTION,
     _alpha("alpha", "roughness: RMS slope of the microfacets"),
@@ -53,8 +56,8 @@ _PLASTIC = (
 )
 
 _RELIEF = (
-    P("flip_invalid_normals", "boolean", True, meaning="turn normals that point away from the viewer"),
-    P("use_shadowing_function", "boolean", True, meaning="soft terminators"),
+    P("flip_invalid_normals", "boolean", True, meaning="flip normals that point away from the viewer"),
+    P("use_shadowing_function", "boolean", True, meaning="soften shadow terminators"),
 )
 
 BSDFS = (
@@ -64,12 +67,12 @@ BSDFS = (
         "bsdf",
         "thindielectric",
         (*_indices("bk7"), _SPECULAR, _TRANSMITTED),
-        meaning="a pane of smooth glass in one surface",
+        meaning="a thin pane of smooth glass as one surface",
     ),
     Plugin("bsdf", "roughdielectric", (*_indices("bk7"), _SPECULAR, _TRANSMITTED, *_ROUGH), meaning="rough glass"),
     Plugin("bsdf", "conductor", _METAL, meaning="smooth metal"),
     Plugin("bsdf", "roughconductor", (*_METAL, *_ROUGH), meaning="rough metal"),
-    Plugin("bsdf", "plastic", _PLASTIC, meaning="a matt base below a smooth coat"),
+    Plugin("bsdf", "plastic", _PLASTIC, meaning="a diffuse base below a smooth coat"),
     Plugin(
         "bsdf",
         "roughplastic",
@@ -79,7 +82,7 @@ BSDFS = (
             P("alpha", "float", 0.1, "(0, inf)", meaning="roughness: RMS slope of the microfacets"),
             _VISIBLE,
         ),
-        meaning="a matt base below a rough coat",
+        meaning="a diffuse base below a rough coat",
     ),
     Plugin(
         "bsdf",
@@ -87,7 +90,7 @@ BSDFS = (
         (
             _colour("base_color", 0.5, "colour"),
             _number("roughness", 0.5, "the square root of alpha"),
-            _number("anisotropic", 0.0, "how much highlights stretch along the tangent"),
+            _number("anisotropic", 0.0, "elongation of highlights along the tangent"),
             _number("metallic", 0.0, "0 dielectric, 1 metal"),
             _number("spec_trans", 0.0, "0 opaque, 1 glass"),
             P(
@@ -104,29 +107,29 @@ BSDFS = (
                 meaning="reflection at normal incidence, in place of eta",
                 unset="0.5, which is eta 1.5",
             ),
-            _number("spec_tint", 0.0, "how much highlights take on the colour"),
-            _number("sheen", 0.0, "cloth's gleam at grazing angles"),
-            _number("sheen_tint", 0.0, "how much sheen takes on the colour"),
-            _number("flatness", 0.0, "share of a look of scattering below the surface"),
+            _number("spec_tint", 0.0, "tint of highlights by base_color"),
+            _number("sheen", 0.0, "reflection at grazing angles, as of cloth"),
+            _number("sheen_tint", 0.0, "tint of the sheen by base_color"),
+            _number("flatness", 0.0, "blend from diffuse to approximate subsurface scattering"),
             _number("clearcoat", 0.0, "strength of a second, clear coat"),
-            _number("clearcoat_gloss", 0.0, "how glossy that coat is"),
+            _number("clearcoat_gloss", 0.0, "glossiness of the clearcoat"),
             P("diffuse_reflectance_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples"),
             P("main_specular_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples"),
             P("clearcoat_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples"),
         ),
-        meaning="Disney's material: metal, plastic, glass, cloth, car paint",
+        meaning="Disney's BSDF: metal, plastic, glass, cloth, car paint",
     ),
     Plugin(
         "bsdf",
         "twosided",
-        (P("allow_transmission", "boolean", status=UNSUPPORTED, meaning="no light passes a two-sided material"),),
+        (P("allow_transmission", "boolean", status=UNSUPPORTED, meaning="two-sided materials transmit no light"),),
         (Child("bsdf", max_count=2, min_count=1),),
-        meaning="a material on both sides, or one a side; none that lets light through",
+        meaning="one material for both sides, or one for each; they must not transmit light",
     ),
     Plugin(
         "bsdf",
         "mask",
-        (_number("opacity", 0.5, "0 lets all through"),),
+        (_number("opacity", 0.5, "0 is fully transparent"),),
         (Child("bsdf", min_count=1),),
         meaning="a material with holes",
     ),
@@ -144,14 +147,14 @@ BSDFS = (
             ),
         ),
         (Child("bsdf", max_count=2, min_count=2),),
-        meaning="a mixture of two materials",
+        meaning="a blend of two materials",
     ),
     Plugin(
         "bsdf",
         "bumpmap",
         (P("scale", "float", 1.0, meaning="factor on the heights"), *_RELIEF),
         (Child("texture", min_count=1), Child("bsdf", min_count=1)),
-        meaning="a material whose normals follow a texture of heights",
+        meaning="a material with a bump map: a texture of heights",
     ),
     Plugin(
         "bsdf",
@@ -161,7 +164,7 @@ BSDFS = (
             *_RELIEF,
         ),
         (Child("bsdf", min_count=1),),
-        meaning="a material whose normals come from a texture",
+        meaning="a material with a normal map",
     ),
-    Plugin("bsdf", "null", meaning="no surface: for the boundary of a medium, or a hole"),
+    Plugin("bsdf", "null", meaning="no surface: for medium interfaces and holes"),
 )

@@ -1,11 +1,13 @@
-"""Emitters of the vocabulary."""
+"""Emitters of the vocabulary. Their kinds on the device are in `scene/light/light_kinds.py`."""
 
 from isonoise.scene.vocabulary.common import TO_WORLD, ignored
 from isonoise.scene.vocabulary.plugin import UNSUPPORTED, Child, Parameter, Plugin
 
 P = Parameter
-_WEIGHT = ignored("float", "sampling_weight", why="moves samples between lights; isonoise picks them by itself")
-_CHILDREN = (Child("medium"),)  # where it stands: only tracers from the lights ask for that
+_WEIGHT = ignored(
+    "float", "sampling_weight", why="only distributes samples; isonoise selects lights by power and importance"
+)
+_CHILDREN = (Child("medium"),)  # the medium around it, which only light tracing needs
 
 EMITTERS = (
     Plugin(
@@ -16,46 +18,46 @@ EMITTERS = (
             *_WEIGHT,
         ),
         _CHILDREN,
-        meaning="makes a shape shine, on the side of its normal",
+        meaning="makes a shape emit, on the side of its normal",
     ),
     Plugin(
         "emitter",
         "point",
         (
             P("intensity", "radiance", 1.0, meaning="radiant intensity, W / sr"),
-            P("position", "vector", meaning="where it stands, in place of to_world", unset="0, 0, 0"),
+            P("position", "vector", meaning="position, instead of to_world", unset="0, 0, 0"),
             *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,
-        meaning="a point that shines the same in all directions",
+        meaning="a point that emits the same in all directions",
     ),
     Plugin(
         "emitter",
         "spot",
         (
-            P("intensity", "radiance", 1.0, meaning="radiant intensity in the middle, W / sr"),
+            P("intensity", "radiance", 1.0, meaning="radiant intensity at the centre, W / sr"),
             P("cutoff_angle", "float", 20.0, "(0, 90)", meaning="half the angle of the cone, degrees"),
             P(
                 "beam_width",
                 "float",
                 interval="[0, 90)",
-                meaning="half the angle within which intensity does not fall off, degrees",
+                meaning="half the angle of the part with constant intensity, degrees",
                 unset="3/4 of cutoff_angle",
             ),
-            P("texture", "texture", status=UNSUPPORTED, meaning="a picture in the cone is not built"),
+            P("texture", "texture", status=UNSUPPORTED, meaning="projected textures are not implemented"),
             *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,
-        meaning="a point that shines into a cone around +z",
+        meaning="a point that emits into a cone around +z",
     ),
     Plugin(
         "emitter",
         "directional",
         (
-            P("irradiance", "radiance", 1.0, meaning="power a unit of area at right angles to the light, W / m²"),
-            P("direction", "vector", meaning="where the light goes, in place of to_world", unset="0, 0, 1"),
+            P("irradiance", "radiance", 1.0, meaning="irradiance perpendicular to the light, W / m²"),
+            P("direction", "vector", meaning="direction of travel, instead of to_world", unset="0, 0, 1"),
             *TO_WORLD,
             *_WEIGHT,
         ),
@@ -68,18 +70,18 @@ EMITTERS = (
         (
             P("filename", "file", required=True, meaning="an image in latitude-longitude format, y up"),
             P("scale", "float", 1.0, "[0, inf)", meaning="factor on its radiance"),
-            *ignored("boolean", "mis_compensation", why="moves samples alone"),
+            *ignored("boolean", "mis_compensation", why="only distributes samples"),
             *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,
-        meaning="an image around the scene, sampled by its brightness",
+        meaning="an image around the scene, importance-sampled",
     ),
     Plugin(
         "emitter",
         "constant",
         (P("radiance", "radiance", 1.0, meaning="radiance from all directions, W / (m² sr)"), *_WEIGHT),
         _CHILDREN,
-        meaning="the same light from all directions",
+        meaning="the same radiance from all directions",
     ),
 )
