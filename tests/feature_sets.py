@@ -1,4 +1,4 @@
-"""Sets of features that a scene may have, few sets that hold every two of them, and small scenes that use a set."""
+"""Valid sets of features, a small list of sets that covers every pair of features, and a small scene for each set."""
 
 import random
 from pathlib import Path
@@ -13,7 +13,7 @@ from isonoise.scene.material.bsdf_kinds import feature_of
 from isonoise.scene.vocabulary import plugins_of
 from isonoise.statistics import Needs
 
-NEEDS = {  # no scene has the one without the others
+NEEDS = {  # feature -> features that a scene with it always has
     "VERTEX_NORMALS": {"TRIANGLES"},
     "SPHERES": {"ANALYTICS"},
     "DISKS": {"ANALYTICS"},
@@ -41,7 +41,7 @@ ROUGH = tuple(
     for kind in BSDF_KINDS.values()
     if kind.plugin and plugins_of("bsdf")[kind.plugin].parameter("distribution")
 )
-ANY_OF = {  # a scene with the one has at least one of each of these; the first stands for them where nothing else does
+ANY_OF = {  # feature -> groups of which a scene with it has at least one; the first of a group is the default
     "ANALYTICS": [("SPHERES", "DISKS", "CYLINDERS")],
     "AREA_LIGHTS": [AREA_LIGHTS],
     "NEXT_EVENT": [LIGHTS, NON_DELTA],
@@ -52,7 +52,7 @@ ANY_OF = {  # a scene with the one has at least one of each of these; the first 
 
 
 def closed(names: set[str]) -> set[str]:
-    """These features and those without which they are in no scene."""
+    """Returns these features and all that they need."""
     on, before = set(names), None
     while on != before:
         before = set(on)
@@ -68,13 +68,13 @@ def is_closed(on: set[str]) -> bool:
 
 
 def only(*names: str) -> dict[str, bool]:
-    """Features with these on, and those without which they are in no scene."""
+    """Returns a set with these features and all that they need."""
     on = closed(set(names))
     return {name: name in on for name in FEATURES}
 
 
 def all_but(*names: str) -> dict[str, bool]:
-    """Features with these off, and those that need them."""
+    """Returns a set without these features and those that need them."""
     on = set(FEATURES) - set(names)
     if "MANY_LIGHTS" in names:
         on -= set(LIGHTS[1:])
@@ -92,13 +92,13 @@ def _lacks_a_group(name: str, on: set[str]) -> bool:
 
 
 def pairs_of(features: dict[str, bool]) -> set[tuple[str, bool, str, bool]]:
-    """Every two features with their values, the names in order."""
+    """Returns every pair of features with their values, the names in order."""
     items = sorted(features.items())
     return {(a, x, b, y) for place, (a, x) in enumerate(items) for b, y in items[place + 1 :]}
 
 
 def possible_pairs() -> set[tuple[str, bool, str, bool]]:
-    """Those that some scene has: all off, and what can be made of the features that are on."""
+    """Returns the pairs that some scene has."""
     found = pairs_of(only())
     for a in FEATURES:
         for b in FEATURES:
@@ -110,7 +110,7 @@ def possible_pairs() -> set[tuple[str, bool, str, bool]]:
 
 
 def _without(features: dict[str, bool], name: str) -> dict[str, bool] | None:
-    """Features that are on with `name` off, if there are: another of its alternatives in its place."""
+    """Returns the set with `name` off, replaced by an alternative if one is needed, or None if that is impossible."""
     on = {each for each, is_on in features.items() if is_on}
     if name not in on:
         return features
@@ -128,7 +128,10 @@ def _without(features: dict[str, bool], name: str) -> dict[str, bool] | None:
 
 
 def covering_rows(seed: int = 1) -> list[dict[str, bool]]:
-    """Few sets of features in which every possible pair of values of two features occurs: greedy, the best of 40."""
+    """Returns a small list of sets in which every possible pair of values of two features occurs.
+
+    Greedy: each set is the best of 40 random ones.
+    """
     rng = random.Random(seed)
     names, missing, rows = list(FEATURES), possible_pairs(), []
     while missing:
@@ -146,7 +149,7 @@ def covering_rows(seed: int = 1) -> list[dict[str, bool]]:
 
 
 def _random_row(fixed: dict[str, bool], names: list[str], rng: random.Random) -> dict[str, bool] | None:
-    """A set with the `fixed` features as they are there."""
+    """Returns a random set with the values of `fixed`, or None if that is impossible."""
     off = {name for name, value in fixed.items() if not value}
     start: dict[str, bool] | None = only(*(name for name, value in fixed.items() if value))
     for name in off:
@@ -162,7 +165,7 @@ def _random_row(fixed: dict[str, bool], names: list[str], rng: random.Random) ->
 
 
 def needs_of(features: dict[str, bool]) -> Needs:
-    """The statistics that a set asks for."""
+    """Returns the statistics that a set contains."""
     return Needs(
         median=features["CHUNK_MEDIANS"],
         batch=4 if features["BATCH_MEANS"] else 1,
@@ -172,7 +175,7 @@ def needs_of(features: dict[str, bool]) -> Needs:
 
 
 def scene_with(on: dict[str, bool], folder: Path) -> dict:
-    """A small scene that uses of a set of features what it can, and no other: files of it are written to `folder`."""
+    """Returns a small scene with as many features of a set as possible, and no others; its files are in `folder`."""
     rough = {
         "distribution": "beckmann" if on["BECKMANN"] else "ggx",
         "alpha": 0.2,
@@ -209,12 +212,12 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
             "CHECKERBOARDS": {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
             "BITMAPS": {"type": "diffuse", "reflectance": image},
         }
-        asked = {name: on[name] for name in more}
+        wanted = {name: on[name] for name in more}
         for name in ("BUMP", "NORMAL_MAP"):
-            asked[name] &= on["BITMAPS"] and plain["type"] == "diffuse"
+            wanted[name] &= on["BITMAPS"] and plain["type"] == "diffuse"
         for name in ("FRONT_BACK", "TWOSIDED", "CHECKERBOARDS", "BITMAPS"):
-            asked[name] &= on["DIFFUSE"]
-        materials += [material for name, material in more.items() if asked[name]]
+            wanted[name] &= on["DIFFUSE"]
+        materials += [material for name, material in more.items() if wanted[name]]
 
     smooth = any(on[name] for name in NON_DELTA)
     lit = any(on[name] for name in LIGHTS)
@@ -258,8 +261,8 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
     lamps = zip(AREA_LIGHTS, ("rectangle", "sphere", "disk", "cylinder"), strict=True)
     for k, (name, shape) in enumerate(lamps):
         if on[name] and materials:
-            shines = image if on["TEXTURED_LIGHTS"] and on["BITMAPS"] and shape == "rectangle" else radiance
-            lamp = {"type": shape, "bsdf": materials[0], "emitter": {"type": "area", "radiance": shines}}
+            emission = image if on["TEXTURED_LIGHTS"] and on["BITMAPS"] and shape == "rectangle" else radiance
+            lamp = {"type": shape, "bsdf": materials[0], "emitter": {"type": "area", "radiance": emission}}
             scene[name] = {**lamp, "to_world": placed((k - 1.5, 2.0, 4.0), 0.3)}
     placing = {
         "point": {"position": [0.0, 1.0, 2.0]},
@@ -277,7 +280,7 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
 
 
 def placed(at: tuple[float, float, float], size: float) -> np.ndarray:
-    """A shape of this size there, turned to the camera: that looks along +z."""
+    """Returns the transform of a shape of this size at a position, facing a camera that looks along +z."""
     matrix = np.diag([-size, size, -size, 1.0])
     matrix[:3, 3] = at
     return matrix

@@ -1,4 +1,4 @@
-"""The list by which one of some lights is picked: weights, probabilities and picks, one by one and in loops over lanes.
+"""The light list: importances, probabilities and sampled lights, for single paths and in loops over lanes.
 
 Chi-square statistics are compared as standard normal deviates at Z = 5: 6e-7 for each of about 10.
 """
@@ -17,7 +17,7 @@ from isonoise.scene.light.light_tree import build_light_tree
 
 Z = 5.0
 LANES = 64
-BY_INTENSITY = 2.0**-10  # in kernels/light/light_list.h
+INTENSITY_SHARE = 2.0**-10  # in kernels/light/light_list.h
 KERNELS = """
 #include "light/light_list.h"
 
@@ -90,7 +90,7 @@ __kernel void pick_all(__global const LightBound* bounds, uint lights, __global 
 
 
 class OnDevice:
-    """The kernels above, run on a list; those in loops over lanes are of a build of their own."""
+    """Runs the kernels above on a list; loops over lanes are a separate program."""
 
     def __init__(self):
         self.device = Device()
@@ -112,7 +112,7 @@ class OnDevice:
         return self.run(kernel, bounds, points, normals, np.asarray(which, np.uint32), 1)[:, 0].astype(np.float64)
 
     def pick(self, bounds, point, normal, u, kernel="pick"):
-        """Lights picked and their stated probabilities, for one point and random numbers (n, 2) of 24 bits."""
+        """Returns sampled lights and their stated probabilities, for one point and random numbers (n, 2) of 24 bits."""
         points, normals = (np.tile(v, (len(u), 1)) for v in (point, normal))
         out = self.run(kernel, bounds, points, normals, u.astype(np.uint32), 2)
         return out[:, 0].copy().view(np.uint32), out[:, 1].astype(np.float64)
@@ -124,14 +124,14 @@ def device():
 
 
 def all_probabilities(device, bounds, points, normals, kernel="probability") -> np.ndarray:
-    """(points, lights)."""
+    """Returns (points, lights)."""
     lights, count = len(bounds), len(points)
     repeated = (np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), count))
     return device.probability(bounds, *repeated, kernel).reshape(count, lights)
 
 
 def reference_probabilities(bounds: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """float64, from the angles."""
+    """In float64, from the angles."""
     b = {name: bounds[name].astype(np.float64) for name in bounds.dtype.names}
     arm = b["center"] - point.astype(np.float64)
     distance2 = (arm**2).sum(axis=1)
@@ -148,19 +148,21 @@ def reference_probabilities(bounds: np.ndarray, point: np.ndarray, normal: np.nd
     weights[emission + apparent <= b["cos_edge"]] = 0
     total = weights.sum()
     return (
-        b["power_fraction"] if total == 0 else (1 - BY_INTENSITY) * weights / total + BY_INTENSITY * b["power_fraction"]
+        b["power_fraction"]
+        if total == 0
+        else (1 - INTENSITY_SHARE) * weights / total + INTENSITY_SHARE * b["power_fraction"]
     )
 
 
 @pytest.mark.parametrize("kernel", ["probability", "answer_all"])
 def test_probabilities_are_those_of_float64(device, kernel):
-    """They sum to 1, and none is 0 but of lights without power."""
+    """They sum to 1, and only lights without power have 0."""
     scene = compiled(**mixed_lights(18))
     bounds = build_light_list(scene)
     points, normals = some_points(np.random.default_rng(3), 500)
     found = all_probabilities(device, bounds, points, normals, kernel)
     expected = np.stack([reference_probabilities(bounds, p, n) for p, n in zip(points, normals, strict=True)])
-    # 5e-6 of the roots, and the cosine of a sum of angles loses what its terms cancel
+    # 5e-6 from the roots, and cancellation in the cosine of a sum of angles
     np.testing.assert_allclose(found, expected, rtol=5e-5, atol=5e-6)
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=2e-6)
     assert ((found > 0) == (scene.lights["selection_pmf"] > 0)).all()
@@ -168,7 +170,7 @@ def test_probabilities_are_those_of_float64(device, kernel):
 
 
 def test_lanes_and_single_paths_agree(device):
-    """To the bit; the last work-item has lanes to spare."""
+    """Bit-identical; the last work-item has unused lanes."""
     rng = np.random.default_rng(7)
     bounds = build_light_list(compiled(**mixed_lights(20)))
     points, normals = some_points(rng, 3 * LANES + 5)
@@ -198,19 +200,19 @@ def test_picks_have_the_stated_probabilities(device, kernel, seed):
 
 @pytest.mark.parametrize("kernel", ["pick", "pick_all"])
 def test_all_48_bits_count(device, kernel):
-    """A light of probability 2^-30 first, in the middle and last; nothing else can be seen, so shares decide."""
+    """A light of probability 2^-30 first, in the middle and last; all importances are 0, so intensities decide."""
     bounds = np.zeros(4, structs.LIGHT_BOUND)
     low = np.random.default_rng(1).integers(0, 2**24, 1 << 14)
     for tiny in range(4):
         bounds["power_fraction"] = 1 / 3
         bounds["power_fraction"][tiny] = 2.0**-30
         before = bounds["power_fraction"][:tiny].astype(np.float64).sum()
-        high = int(before * 2**24)  # within the 2^-24 that hold the light
+        high = int(before * 2**24)  # the 24-bit number whose interval contains the light
         u = np.stack([np.full(len(low), high), low], axis=1)
         picked, stated = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), u, kernel)
         values = (high + low * 2.0**-24) * 2.0**-24
         inside = (values >= before) & (values < before + 2.0**-30)
-        if tiny < 3:  # what rounding leaves at the end goes to a light that is likely
+        if tiny < 3:  # a remainder by rounding at the end goes to a likely light
             assert inside.any()
             np.testing.assert_array_equal(picked == tiny, inside)
         assert (stated[picked == tiny] == np.float32(2.0**-30)).all()
@@ -220,7 +222,7 @@ def test_all_48_bits_count(device, kernel):
 
 
 def test_as_the_node_of_a_tree():
-    """Of 7 lights, which fit in one: the same bounds and shares."""
+    """Seven lights fit in one node: list and tree have the same bounds and intensities."""
     scene = compiled(**mixed_lights(5, beyond=False))
     bounds, tree = build_light_list(scene), build_light_tree(scene)
     assert len(tree.nodes) == 1
@@ -243,9 +245,9 @@ def test_scale_changes_no_probability(device, scale):
 
 
 def test_points_on_and_in_lights_and_behind_all(device):
-    """Where no weight is left the shares decide; nothing is ever not a number."""
-    shining = {"type": "area", "radiance": 2.0}
-    quads = {f"quad{i}": {"type": "rectangle", "emitter": shining} for i in range(5)}  # in one place
+    """If all importances are 0, intensities decide; all probabilities are finite."""
+    emitter = {"type": "area", "radiance": 2.0}
+    quads = {f"quad{i}": {"type": "rectangle", "emitter": emitter} for i in range(5)}  # coincident
     lamps = {f"lamp{i}": {"type": "point", "position": [1.0, 0, 0], "intensity": 2.0} for i in range(5)}
     bounds = build_light_list(compiled(**quads, **lamps))
     points = np.array([[0, 0, 0], [1.0, 0, 0], [0.3, 0.3, 0.0], [0, 0, -5.0], [0, 0, 5.0], [1e17, 0, 0]])

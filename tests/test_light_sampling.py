@@ -1,8 +1,8 @@
-"""Emitters on the device: samples against their density, irradiance against quadrature in float64 and Mitsuba 3.
+"""Emitters on the device: samples against their pdf, irradiance against quadrature in float64 and Mitsuba 3.
 
-What is a mean of samples may be off by Z standard errors; chi-square statistics are compared as standard normal
-deviates at Z, one-sided. About 100 comparisons at 3e-7 each: false alarms are 3e-5 for the file under other seeds.
-Environment maps have a file of their own.
+A mean of samples may be off by Z standard errors; chi-square statistics are compared as standard normal deviates at Z,
+one-sided. About 100 comparisons at 3e-7 each: false alarms are 3e-5 for the file under other seeds.
+test_environment.py tests environment maps.
 """
 
 import numpy as np
@@ -79,7 +79,7 @@ __kernel void density({GEOMETRY},
 
 
 def transform(scale, seed: int = 1, offset=(0.3, -0.2, 0.5)) -> np.ndarray:
-    """Scale, then turn at random, then move."""
+    """Returns a matrix that scales, then rotates at random, then translates."""
     q = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
     q[2] *= np.linalg.det(q)
     matrix = np.eye(4)
@@ -99,7 +99,7 @@ vt 0.7 0.9
 f 1/1 2/2 3/3
 f 3/3 2/2 4/4
 """
-SHAPES = {  # and the places from which they are seen
+SHAPES = {  # shape and reference points
     "rectangle": ({"type": "rectangle", "to_world": transform((1.0, 0.4, 1.0))}, [(0.5, 1.0, 1.5), (0.3, -0.2, 0.8)]),
     "patches": ({"type": "obj", "face_normals": True}, [(1.0, 1.0, 2.0), (1.0, 0.6, 0.6)]),
     "cube": ({"type": "cube", "to_world": transform((0.5, 1.0, 0.3))}, [(2.0, 1.0, 2.0)]),
@@ -144,7 +144,7 @@ class Lit:
         return self.device.read(out, np.float32, columns * n).reshape(n, columns)
 
     def sample(self, reference, count: int = SAMPLES) -> dict[str, np.ndarray]:
-        """Samples as seen from places (3,) or (count, 3); radiance in the units of the scene."""
+        """Returns light samples at reference points (3,) or (count, 3); radiance in units of the scene."""
         u = np.random.default_rng(2).integers(0, 2**24, (count, 4)) / 2**24
         out = self._run("sample", self.table, (np.broadcast_to(reference, (count, 3)), u), 16)
         names = ("direction", "radiance", "position", "normal")
@@ -154,7 +154,7 @@ class Lit:
         return found | {"pdf": out[:, 12].astype(np.float64), "delta": out[:, 13] != 0, "infinite": out[:, 14] != 0}
 
     def density(self, light: int, reference, position, normal) -> np.ndarray:
-        """Solid angle density, times the probability of the light."""
+        """Returns the solid-angle pdf times the probability of the light."""
         places = np.broadcast_to(reference, position.shape)
         found = self._run("density", (np.uint32(light),), (places, position, normal), 1)[:, 0].astype(np.float64)
         return found * self.scene.lights["selection_pmf"][light]
@@ -183,7 +183,7 @@ def image(tmp_path_factory, pixels):
 
 
 class Patch:
-    """A part of a light that is picked as one, over the unit square: places, texture coordinates."""
+    """A light, parametrised over the unit square: positions and texture coordinates."""
 
     def __init__(self, scene, light: int):
         self.scene, self.record = scene, scene.lights[light]
@@ -195,8 +195,8 @@ class Patch:
     def primitive(self) -> int:
         return int(self.record["primitive"]) | (0 if self.shape is None else 1 << 31)
 
-    def at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) and uv (n, 2)."""
+    def points(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns positions (n, 3) and uv (n, 2)."""
         if self.shape is None:
             face = self.scene.faces[self.record["primitive"]]
             weights = np.stack([1 - x, x * (1 - y), x * y], axis=1)
@@ -212,8 +212,8 @@ class Patch:
             local = np.stack([*around, y], axis=1)
         return local @ m[:, :3].T + m[:, 3], np.stack([x, y], axis=1)
 
-    def of(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inverse of `at`."""
+    def parameters(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse of `points`."""
         if self.shape is None:
             a, b, c = self.scene.vertices[self.scene.faces[self.record["primitive"]]].astype(float)
             second, third = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), (position - a).T, rcond=None)[0]
@@ -226,12 +226,12 @@ class Patch:
         return (np.hypot(local[0], local[1]), turn) if self.shape["kind"] == structs.ANALYTIC_DISK else (turn, local[2])
 
     def grid(self, reference: np.ndarray, flipped: bool) -> dict[str, np.ndarray]:
-        """Places all over it, what solid angle stands for each, 0 where it faces away, and the normal."""
+        """Returns a grid of positions, their solid angles (0 where the light faces away) and normals."""
         steps = (np.arange(GRID) + 0.5) / GRID
         x, y = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
-        (position, uv), h = self.at(x, y), 1e-5
-        along = (self.at(x + h, y)[0] - self.at(x - h, y)[0]) / (2 * h)
-        across = (self.at(x, y + h)[0] - self.at(x, y - h)[0]) / (2 * h)
+        (position, uv), h = self.points(x, y), 1e-5
+        along = (self.points(x + h, y)[0] - self.points(x - h, y)[0]) / (2 * h)
+        across = (self.points(x, y + h)[0] - self.points(x, y - h)[0]) / (2 * h)
         element = np.cross(along, across) / GRID**2
         outward = -1 if self.shape is not None and self.shape["kind"] == structs.ANALYTIC_SPHERE else 1
         element *= -outward if flipped else outward
@@ -250,9 +250,11 @@ class Patch:
 
 @pytest.mark.parametrize(("name", "view"), VIEWS)
 def test_surfaces(lit, image, pixels, name, view, tmp_path):
-    """What is sampled follows the density that the light has for a direction that was found otherwise. The mean over
-    that density is the irradiance of planes that face along the axes. The radiance is a picture: it has to hang right.
-    The midpoint rule is off by 1e-3 at most, where the light turns away in the middle of a cell."""
+    """Sampled directions follow the pdf that the light has for a given direction.
+
+    The mean over that pdf is the irradiance of planes that face along the axes. The radiance is an image, which must
+    have the right orientation. The midpoint rule is off by at most 1e-3, where the light turns away inside of a cell.
+    """
     shape, views = SHAPES[name]
     reference = np.array(views[view])
     if shape["type"] == "obj":
@@ -274,9 +276,9 @@ def test_surfaces(lit, image, pixels, name, view, tmp_path):
         expected = (
             expected + np.maximum(np.concatenate([grid["direction"], -grid["direction"]], axis=1), 0).T @ radiance
         )
-        # what shines inwards is not named: it may be seen through itself
+        # lights that emit inwards are excluded: their front side may be behind their back side
         here = used & np.isin(found["primitive"], (patch.primitive, structs.NONE))
-        x, y = (np.clip((BINS * a).astype(int), 0, BINS - 1) for a in patch.of(found["position"][here]))
+        x, y = (np.clip((BINS * a).astype(int), 0, BINS - 1) for a in patch.parameters(found["position"][here]))
         counts.append(np.bincount(x * BINS + y, minlength=BINS**2))
         again = on.density(light, reference, found["position"][here], found["normal"][here])
         np.testing.assert_allclose(found["pdf"][here], again, rtol=2e-4)
@@ -317,8 +319,8 @@ POINTS = [
 
 @pytest.mark.parametrize("emitter", POINTS, ids=range(len(POINTS)))
 def test_point_and_spot_are_mitsubas(lit, mitsuba, emitter):
-    """What arrives at 400 places, half of them in the cone: to 1e-4 of the brightest at that distance, as an angle near
-    the axis has no more digits in Mitsuba, which takes it from its cosine."""
+    """Irradiance at 400 points, half of them in the cone, to 1e-4 of the largest at that distance: near the axis
+    Mitsuba computes the angle from its cosine, with no more digits."""
     matrix = emitter.get("to_world", np.eye(4))
     reference = places(400, 5)
     if emitter["type"] == "spot":
@@ -356,7 +358,7 @@ def test_directional(lit):
 
 
 def test_constant(lit):
-    """Uniform over the sphere: bins of cosine and azimuth alike in solid angle."""
+    """Uniform over the sphere: bins of cosine and azimuth of equal solid angle."""
     found = lit(sky={"type": "constant", "radiance": RGB}).sample((1.0, 2.0, 3.0))
     np.testing.assert_allclose(found["pdf"], 1 / (4 * np.pi), rtol=1e-6)
     np.testing.assert_allclose(found["radiance"], np.broadcast_to(RGB["value"], (SAMPLES, 3)), rtol=1e-6)
@@ -369,7 +371,7 @@ def test_constant(lit):
 
 
 def test_several_emitters_share_the_picks(lit):
-    """The density counts the pick: the irradiance of all together is the sum of what each sends."""
+    """The pdf includes the probability of the light: the irradiance of all is the sum over single lights."""
     lamps = {
         "point": POINTS[0],
         "sky": {"type": "constant", "radiance": 0.2},

@@ -1,8 +1,8 @@
-"""Materials that wrap others, and textured ones, on the device as the stage `shade` meets them: against Mitsuba 3.
+"""Nested and textured materials on the device, as the kernel `shade` evaluates them, against Mitsuba 3.
 
-One surface stands along the axes, one is turned, on one the shading normal and the tangents lean. Where materials are
-chosen by chance, what is compared is the mean over equally spaced numbers: weights are multiples of 1/255 or 1/4, so
-that it is exact.
+One surface is aligned with the axes, one is rotated, and one has a tilted shading normal and tilted tangents. If a
+material is chosen at random, the mean over equally spaced numbers is compared: weights are multiples of 1/255 or 1/4,
+so it is exact.
 """
 
 import itertools
@@ -101,7 +101,7 @@ def relief(inner: dict, **more) -> dict:
 
 
 FREE = {"flip_invalid_normals": False, "use_shadowing_function": False}
-MATERIALS = {  # the name of an image stands for its bitmap
+MATERIALS = {  # names of images are replaced by bitmaps
     "two sides alike": two(RED),
     "two sides": two(RED, GOLD),
     "mask": mask(GOLD, 0.25),
@@ -138,13 +138,13 @@ MATERIALS = {  # the name of an image stands for its bitmap
 MIXED_BY_MEANS = (
     "textured plastic",
     "textured rough plastic",
-)  # lobes are picked by the mean of the texture in Mitsuba
+)  # Mitsuba selects lobes by the mean of the texture
 SURFACES = ("straight", "turned", "leaning")
 DIRECTIONS = 32
 
 
 def surface_of(name: str) -> np.ndarray:
-    """Rows (14,): normal, geometric normal, dp/du, dp/dv, uv."""
+    """Returns rows (14,): normal, geometric normal, dp/du, dp/dv, uv."""
     random = np.random.default_rng(11)
     frame = np.eye(3)
     if name != "straight":
@@ -160,7 +160,7 @@ def surface_of(name: str) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Images of 8 x 8 texels."""
+    """Returns images of 8 x 8 texels."""
     folder, random = tmp_path_factory.mktemp("images"), np.random.default_rng(12)
     pixels = {
         "colours": random.integers(0, 256, (8, 8, 3)),
@@ -176,7 +176,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def with_images(folder):
-    """Bitmaps in the place of their names."""
+    """Replaces names of images by bitmaps."""
 
     def replaced(value):
         if isinstance(value, str) and value in IMAGES:
@@ -188,13 +188,13 @@ def with_images(folder):
 
 @pytest.fixture(scope="module")
 def material(with_images):
-    """A material by its name, as a scene gives it."""
+    """Returns a material by its name."""
     return lambda name: with_images(MATERIALS[name])
 
 
 @pytest.fixture(scope="module")
 def scatter():
-    """What a material does: (n, 13) value, pdf, sampled direction, weight, pdf and eta, and whether the path passes."""
+    """Returns (n, 13): value, pdf; sampled direction, weight, pdf, eta; whether the path passes through."""
     device = Device()
     on = {feature_of(kind) for kind in KINDS.values()}
     on |= {"NEXT_EVENT", "BECKMANN", "TEXTURES", "BITMAPS", "UVS"}
@@ -216,7 +216,7 @@ def scatter():
 
 
 def in_mitsuba(mi, bsdf: dict, surface: np.ndarray, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values (n, 3) and pdfs (n,); bitmaps in full precision, not in half."""
+    """Returns Mitsuba's values (n, 3) and pdfs (n,); bitmaps are float32, not float16."""
 
     def full(value):
         if not isinstance(value, dict):
@@ -239,7 +239,7 @@ def in_mitsuba(mi, bsdf: dict, surface: np.ndarray, wi: np.ndarray, wo: np.ndarr
 
 
 def pairs(surface: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Directions on both sides, every third of them near to the mirrored one."""
+    """Returns directions on both sides, every third near the mirror direction."""
     random, normal = np.random.default_rng(seed), surface[:3]
     wi, wo = uniform_sphere(random, DIRECTIONS), uniform_sphere(random, DIRECTIONS)
     near = np.arange(DIRECTIONS) % 3 == 0
@@ -249,7 +249,7 @@ def pairs(surface: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_eval_and_pdf_are_mitsubas(scatter, material, mitsuba, name):
-    """To 1e-3 of what is above 1e-4; smaller values are where a facet refracts nearly into its own plane."""
+    """To 1e-3 for values above 1e-4; smaller values occur where a facet refracts nearly into its own plane."""
     choices = 255 if "textured" in name else 8
     for number, where in enumerate(SURFACES):
         surface = surface_of(where)
@@ -284,8 +284,8 @@ def test_weights_are_value_over_pdf(scatter, material, name):
 @pytest.mark.parametrize("free", [{}, FREE], ids=["kept", "free"])
 @pytest.mark.parametrize("inner", [RED, BRUSHED, GLASS, two(GOLD)], ids=lambda inner: inner["type"])
 def test_edges_of_bumps(scatter, with_images, inner, free):
-    """Normals of length zero, or of any direction; cliffs; surfaces whose tangents vanish, are parallel or huge; along
-    the normal and 1e-5 above and below the horizon: finite, not negative."""
+    """Results are finite and not negative for normal maps with zero or arbitrary normals, steep bump maps, tangents
+    that are zero, parallel or huge, and directions along the normal or 1e-5 above and below the horizon."""
     surface = surface_of("straight")
     angles = np.array([0.0, 1e-4, 0.7, np.pi / 2 - 1e-5, np.pi / 2 + 1e-5, 2.5, np.pi])
     theta, phi = (a.ravel() for a in np.meshgrid(angles, np.arange(0.0, 6.0, 0.7)))
