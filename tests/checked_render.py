@@ -72,7 +72,12 @@ FAULTS = {
         "",
         "Uninitialized value",
     ),
-    "race": ("stages/compact.cl", "block_alive[block] = sum;", "block_alive[0] = sum;", "Write-write data race"),
+    "race": (
+        "stages/compact.cl",
+        "path_block_alive[block] = sum;",
+        "path_block_alive[0] = sum;",
+        "Write-write data race",
+    ),
     "outside": (
         "stages/generate.cl",
         "STORE3(splat3(0.0f), sample,",

@@ -97,7 +97,7 @@ class IntersectStage:
         analytics, instances = table(scene.analytics), table(scene.instances)
         self.stages.arguments.update(
             nodes=table(bvh.nodes),
-            blocks=table(bvh.blocks),
+            triangle_blocks=table(bvh.blocks),
             analytics=analytics,
             instances=instances,
             first_analytic=np.uint32(bvh.first_analytic),

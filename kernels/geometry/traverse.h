@@ -73,9 +73,9 @@ INLINE void begin_traversal(Traversal* traversal, ulong* stack, Vec3 ray_origin,
 
 // Prefetches a child that goes on the stack: a whole node, or most of a block. Else it is not in the cache when it is
 // popped.
-INLINE void prefetch_child(__global const float8* nodes, __global const float8* blocks, int reference)
+INLINE void prefetch_child(__global const float8* nodes, __global const float8* triangle_blocks, int reference)
 {
-    const size_t address = reference < 0 ? (size_t)(blocks + ~reference) : (size_t)(nodes + reference);
+    const size_t address = reference < 0 ? (size_t)(triangle_blocks + ~reference) : (size_t)(nodes + reference);
     PREFETCH(address, 0);
     PREFETCH(address, 64);
     PREFETCH(address, 128);
@@ -84,8 +84,8 @@ INLINE void prefetch_child(__global const float8* nodes, __global const float8* 
 
 // The next leaf whose box the ray enters before t_max; NO_LEAF if there is none. With `front_to_back` nearer boxes come
 // first, and t_max may shrink from call to call.
-INLINE uint next_leaf(Traversal* traversal, ulong* stack, __global const float8* nodes, __global const float8* blocks,
-                      float t_max, bool front_to_back)
+INLINE uint next_leaf(Traversal* traversal, ulong* stack, __global const float8* nodes,
+                      __global const float8* triangle_blocks, float t_max, bool front_to_back)
 {
     uint stack_size = traversal->stack_size;
     for (;;) {
@@ -120,7 +120,7 @@ INLINE uint next_leaf(Traversal* traversal, ulong* stack, __global const float8*
                 const ulong other = stack_entry(entry.lane[child], children[child]);
                 const ulong farther = MAX(nearest, other);
                 nearest = MIN(nearest, other);
-                prefetch_child(nodes, blocks, (int)(uint)farther);
+                prefetch_child(nodes, triangle_blocks, (int)(uint)farther);
                 uint slot = stack_size++;
                 for (; slot > base && stack[slot - 1u] < farther; --slot) stack[slot] = stack[slot - 1u];
                 stack[slot] = farther;

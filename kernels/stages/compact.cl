@@ -1,6 +1,6 @@
 // Stages between two bounces: compaction moves the live paths to the front of the pool and keeps their order. New paths
 // are generated behind them, so the pool stays dense, and paths of the same depth, which behave alike, stay together.
-// Stable and without atomics: count per block, scan the blocks, move. One work-item per block.
+// Stable and without atomics: count per path block (PATHS_PER_BLOCK paths), scan the counts, move. One work-item per block.
 // Reads alive and the path state; writes total_alive and the other copy of the path state.
 #include "path/path_state.h"
 
@@ -14,7 +14,7 @@ __kernel void count_alive(
     const uint end = MIN(begin + PATHS_PER_BLOCK, path_count);
     uint sum = 0;
     for (uint i = begin; i < end; ++i) sum += alive[i];
-    block_alive[block] = sum;
+    path_block_alive[block] = sum;
 }
 
 // Replaces the counts by their exclusive prefix sum; total_alive receives the total.
@@ -24,9 +24,9 @@ __kernel void scan_blocks(
 {
     if (get_global_id(0) != 0) return;
     uint sum = 0;
-    for (uint block = 0; block < blocks_in_use; ++block) {
-        const uint block_count = block_alive[block];
-        block_alive[block] = sum;
+    for (uint block = 0; block < path_block_count; ++block) {
+        const uint block_count = path_block_alive[block];
+        path_block_alive[block] = sum;
         sum += block_count;
     }
     *total_alive = sum;
@@ -55,7 +55,7 @@ __kernel void move_paths(
     const uint block = get_global_id(0);
     const uint begin = block * PATHS_PER_BLOCK;
     if (begin >= path_count) return;
-    const uint end = MIN(begin + PATHS_PER_BLOCK, path_count), first_target = block_alive[block];
+    const uint end = MIN(begin + PATHS_PER_BLOCK, path_count), first_target = path_block_alive[block];
     uint source_slots[PATHS_PER_BLOCK], count = 0;
     for (uint i = begin; i < end; ++i) {
         source_slots[count] = i;

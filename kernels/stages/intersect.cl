@@ -77,12 +77,12 @@ __kernel void intersect(
 #if FEATURE_COUNT_TESTS
         uint blocks_tested = 0u;
 #endif
-        for (uint leaf; (leaf = next_leaf(&traversal, stack, nodes, blocks, closest.t, true)) != NO_LEAF;) {
+        for (uint leaf; (leaf = next_leaf(&traversal, stack, nodes, triangle_blocks, closest.t, true)) != NO_LEAF;) {
 #if FEATURE_COUNT_TESTS
             blocks_tested += leaf < first_analytic ? 1u : 0u;
 #endif
 #if FEATURE_TRIANGLES
-            if (leaf < first_analytic) update_from_block(&closest, &traversal, blocks + leaf);
+            if (leaf < first_analytic) update_from_block(&closest, &traversal, triangle_blocks + leaf);
 #endif
 #if FEATURE_ANALYTICS
             if (leaf >= first_analytic) update_from_analytic(&closest, &traversal, analytics, leaf - first_analytic);

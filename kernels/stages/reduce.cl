@@ -18,16 +18,16 @@ INLINE void store_sums(const Compensated* sums, uint sum_count, __global float* 
     for (uint c = 0; c < sum_count; ++c) store_sum(sums[c], planes + 2 * c * stride, stride);
 }
 
-INLINE void store_moments(const Moments* m, __global float* sums, __global float* block_sums, uint stride)
+INLINE void store_moments(const Moments* m, __global float* sums, __global float* sample_block_sums, uint stride)
 {
     store_sums(m->sum, 4, sums, stride);
     store_sum(m->m2, sums + 8 * stride, stride);
-    block_sums[0] = m->block_rgb.x;
-    block_sums[stride] = m->block_rgb.y;
-    block_sums[2 * stride] = m->block_rgb.z;
-    block_sums[3 * stride] = m->shift;
-    block_sums[4 * stride] = m->block_sum;
-    block_sums[5 * stride] = m->block_squares;
+    sample_block_sums[0] = m->block_rgb.x;
+    sample_block_sums[stride] = m->block_rgb.y;
+    sample_block_sums[2 * stride] = m->block_rgb.z;
+    sample_block_sums[3 * stride] = m->shift;
+    sample_block_sums[4 * stride] = m->block_sum;
+    sample_block_sums[5 * stride] = m->block_squares;
 }
 
 // Adds the n-th sample, with luminance x.
@@ -96,7 +96,7 @@ __kernel void reduce(
     const uint end = MIN(next, slice_samples);  // a slice may have been cut short
     if (begin >= end) return;
 
-    Moments moments = load_moments(sums + pixel, block_sums + pixel, total_pixels);
+    Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
     __global float* median_state = medians + pixel;
     Compensated median_sum = load_sum(median_state, total_pixels);
@@ -137,7 +137,7 @@ __kernel void reduce(
         ++n;
     }
 
-    store_moments(&moments, sums + pixel, block_sums + pixel, total_pixels);
+    store_moments(&moments, sums + pixel, sample_block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
     store_sum(median_sum, median_state, total_pixels);
     for (uint k = 0; k + 1 < CHUNK_SIZE; ++k) median_state[(2 + k) * total_pixels] = pending[k];

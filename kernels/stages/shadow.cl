@@ -3,14 +3,15 @@
 // direction, 0 for no ray), shadow_radiance, hit (the primitive that it starts on); adds to samples.
 #include "geometry/traverse.h"
 
-INLINE bool is_occluded(Traversal* traversal, ulong* stack, __global const float8* nodes, __global const float8* blocks,
-                        uint first_analytic, __global const Analytic* analytics, float t_max)
+INLINE bool is_occluded(Traversal* traversal, ulong* stack, __global const float8* nodes,
+                        __global const float8* triangle_blocks, uint first_analytic, __global const Analytic* analytics,
+                        float t_max)
 {
-    for (uint leaf; (leaf = next_leaf(traversal, stack, nodes, blocks, t_max, false)) != NO_LEAF;) {
+    for (uint leaf; (leaf = next_leaf(traversal, stack, nodes, triangle_blocks, t_max, false)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
         float8 t, u, v;
         if (leaf < first_analytic &&
-            intersect_triangle_block(blocks + leaf, &traversal->ray, traversal->skip, t_max, &t, &u, &v))
+            intersect_triangle_block(triangle_blocks + leaf, &traversal->ray, traversal->skip, t_max, &t, &u, &v))
             return true;
 #endif
 #if FEATURE_ANALYTICS
@@ -41,7 +42,7 @@ __kernel void shadow(
         ulong stack[STACK_SIZE];
         begin_traversal(&traversal, stack, xyz(origin), xyz(direction),
                         (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(origin.w)));
-        if (is_occluded(&traversal, stack, nodes, blocks, first_analytic, analytics, t_max)) continue;
+        if (is_occluded(&traversal, stack, nodes, triangle_blocks, first_analytic, analytics, t_max)) continue;
         const uint sample = PLANE(PATH_SAMPLE, path_ids, plane_stride)[i];
         ADD3(load_planes3(shadow_radiance, i, plane_stride), sample, samples);
     }

@@ -162,7 +162,7 @@ __kernel void shadow_transmittance(
         (uint2)(as_uint(PLANE(3, hit, plane_stride)[i]), as_uint(PLANE(3, shadow_origin, plane_stride)[i]));
     begin_traversal(&traversal, stack, origin, direction, skip);
     for (;;) {
-        const uint leaf = next_leaf(&traversal, stack, nodes, blocks, t_max, false);
+        const uint leaf = next_leaf(&traversal, stack, nodes, triangle_blocks, t_max, false);
         if (leaf == NO_LEAF) {
 #if FEATURE_MEDIA
             if (attenuate_interfaces(&shadow, media, origin, length, t_max, scene_sphere)) {
@@ -174,7 +174,7 @@ __kernel void shadow_transmittance(
         }
 #if FEATURE_TRIANGLES
         if (leaf < first_analytic &&
-            !attenuate_block(&shadow, &scene, &traversal, blocks + leaf, origin, direction, t_max))
+            !attenuate_block(&shadow, &scene, &traversal, triangle_blocks + leaf, origin, direction, t_max))
             return;
 #endif
 #if FEATURE_ANALYTICS

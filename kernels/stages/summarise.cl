@@ -14,7 +14,7 @@ __kernel void summarise(
     const uint n = count[pixel], pending_count = n % SAMPLES_PER_BLOCK;
     const uint divisor = MAX(n, 1u);  // without samples every sum is 0
 
-    Moments moments = load_moments(sums + pixel, block_sums + pixel, total_pixels);
+    Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
     if (pending_count) merge_block(&moments, n - pending_count, pending_count);
     __global float* out = summary;
     store_sum(divide_compensated(moments.sum[3], divisor), out + i, stride);

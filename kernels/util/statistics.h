@@ -55,15 +55,15 @@ typedef struct {
     float block_sum, block_squares;  // sums of x - shift and of its square
 } Moments;
 
-INLINE Moments load_moments(__global const float* sums, __global const float* block_sums, uint stride)
+INLINE Moments load_moments(__global const float* sums, __global const float* sample_block_sums, uint stride)
 {
     Moments m;
     load_sums(m.sum, 4, sums, stride);
     m.m2 = load_sum(sums + 8 * stride, stride);
-    m.block_rgb = vec3(block_sums[0], block_sums[stride], block_sums[2 * stride]);
-    m.shift = block_sums[3 * stride];
-    m.block_sum = block_sums[4 * stride];
-    m.block_squares = block_sums[5 * stride];
+    m.block_rgb = vec3(sample_block_sums[0], sample_block_sums[stride], sample_block_sums[2 * stride]);
+    m.shift = sample_block_sums[3 * stride];
+    m.block_sum = sample_block_sums[4 * stride];
+    m.block_squares = sample_block_sums[5 * stride];
     return m;
 }
 

@@ -49,7 +49,7 @@ class Accumulator:
             count=self.count,
             rejected=self.rejected,
             sums=planes(_SUMS, "the statistics"),
-            block_sums=planes(_BLOCK_SUMS, "the statistics of unfinished blocks"),
+            sample_block_sums=planes(_BLOCK_SUMS, "the statistics of unfinished blocks"),
             summary=self._summary,
             stride=np.uint32(STRIP),
         )

@@ -119,7 +119,7 @@ FEATURES = {
         lambda use: len(use.scene.faces) > 0,
         {
             "triangles": _records(structs.TRIANGLE, "a triangle"),
-            "blocks": f"{4 * BLOCK_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} triangles",
+            "triangle_blocks": f"{4 * BLOCK_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} triangles",
             "corners": "12 bytes a corner, in scenes without a hierarchy",
             "corner_indices": "12 bytes a triangle, in scenes without a hierarchy",
         },

@@ -82,10 +82,10 @@ VALUE_TYPES = {"seed": "uint2", "scene_sphere": "float4", "power": "float"}
 """C types of the arguments that are passed by value, where that is not `uint`."""
 
 ELEMENT_TYPES = {
-    **dict.fromkeys(("nodes", "blocks", "light_nodes"), "float8"),
+    **dict.fromkeys(("nodes", "triangle_blocks", "light_nodes"), "float8"),
     **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_aliases"), "uint"),
     **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected"), "uint"),
-    **dict.fromkeys(("alive", "block_alive", "total_alive"), "uint"),
+    **dict.fromkeys(("alive", "path_block_alive", "total_alive"), "uint"),
     **{"tests": "uint2", "texel_bytes": "uchar"},
     **{
         "camera": "Camera",
@@ -184,7 +184,7 @@ KERNELS = {
     "intersect": _kernel(
         "intersect.cl",
         "path_count plane_stride rays_per_item first_analytic first_instance",
-        "nodes blocks analytics instances ray_origin ray_direction path_ids",
+        "nodes triangle_blocks analytics instances ray_origin ray_direction path_ids",
         "hit instance tests",
     ),
     "shade": _kernel(
@@ -196,7 +196,7 @@ KERNELS = {
     "shadow": _kernel(
         "shadow.cl",
         "path_count plane_stride rays_per_item first_analytic first_instance",
-        f"nodes blocks analytics instances instance {_SHADOW_RAY}",
+        f"nodes triangle_blocks analytics instances instance {_SHADOW_RAY}",
         "samples",
         needs="NEXT_EVENT",
         excludes="VOLPATH",
@@ -204,23 +204,25 @@ KERNELS = {
     "shadow_transmittance": _kernel(
         "shadow_transmittance.cl",
         "path_count plane_stride first_analytic first_instance scene_sphere",
-        f"nodes blocks {_SURFACES} media instance {_SHADOW_RAY}",
+        f"nodes triangle_blocks {_SURFACES} media instance {_SHADOW_RAY}",
         "samples",
         needs="NEXT_EVENT VOLPATH",
     ),
-    "count_alive": _kernel("compact.cl", "path_count", "alive", "block_alive"),
-    "scan_blocks": _kernel("compact.cl", "blocks_in_use", "", "block_alive total_alive"),
-    "move_paths": _kernel("compact.cl", "path_count plane_stride", "alive block_alive PATH_STATE", "NEXT_PATH_STATE"),
+    "count_alive": _kernel("compact.cl", "path_count", "alive", "path_block_alive"),
+    "scan_blocks": _kernel("compact.cl", "path_block_count", "", "path_block_alive total_alive"),
+    "move_paths": _kernel(
+        "compact.cl", "path_count plane_stride", "alive path_block_alive PATH_STATE", "NEXT_PATH_STATE"
+    ),
     "reduce": _kernel(
         "reduce.cl",
         "first_pixel pixels slice_samples total_pixels power",
         "samples pixel_offset",
-        "count rejected sums block_sums medians powers halves",
+        "count rejected sums sample_block_sums medians powers halves",
     ),
     "summarise": _kernel(
         "summarise.cl",
         "first_pixel pixels stride total_pixels",
-        "count sums block_sums medians powers halves",
+        "count sums sample_block_sums medians powers halves",
         "summary",
     ),
 }

@@ -65,7 +65,7 @@ def _geometry(device: Device, scene: CompiledScene, bvh: Bvh, features: Mapping[
     normals = corner_normals(scene) if features["VERTEX_NORMALS"] else _EMPTY
     return {
         "nodes": _table(device, bvh.nodes, "the hierarchy's nodes"),
-        "blocks": _table(device, bvh.blocks, "the hierarchy's triangles"),
+        "triangle_blocks": _table(device, bvh.blocks, "the hierarchy's triangles"),
         "first_analytic": np.uint32(bvh.first_analytic),
         "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
         "world_triangles": np.uint32(scene.group_offsets[0, 0]),

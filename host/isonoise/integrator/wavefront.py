@@ -82,7 +82,7 @@ class Wavefront:
         self.features = dict(feature_override or features(scene, needs))
         self.pool_size = pool_size or default_pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
-        self.block_size = 512 if device.is_cpu else 64
+        self.path_block_size = 512 if device.is_cpu else 64
         self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # shade_lanes does not support it
         self.shade_lanes = SHADE_LANES if self.lanes > 1 else 1
         needs_bvh = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
@@ -90,7 +90,7 @@ class Wavefront:
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
         constants = CONSTANTS | build_constants(needs)
-        constants |= {"LANES": self.lanes, "PATHS_PER_BLOCK": self.block_size}
+        constants |= {"LANES": self.lanes, "PATHS_PER_BLOCK": self.path_block_size}
         constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
         small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
         self._stages = Stages(
@@ -128,7 +128,7 @@ class Wavefront:
                 name: device.buffer(size * plane_stride, _BUFFER_LABELS.get(name, "the paths"))
                 for name, size in path_bytes(self.features).items()
             },
-            "block_alive": device.buffer(4 * -(-paths // self.block_size), "the compaction"),
+            "path_block_alive": device.buffer(4 * -(-paths // self.path_block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
@@ -141,7 +141,7 @@ class Wavefront:
         Large grids come first: what PoCL compiles for 2^16 or more work-items serves small grids too, but not the other
         way round.
         """
-        bounds = ("pixels", "slice_samples", "count_new", "path_count", "rays_per_item", "blocks_in_use")
+        bounds = ("pixels", "slice_samples", "count_new", "path_count", "rays_per_item", "path_block_count")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (min(self.pool_size, 2**17), 1):
             for name in self._stages:
@@ -223,9 +223,9 @@ class Wavefront:
 
     def _compact(self, paths: int) -> int:
         """Move the paths that continue to the front of the pool; returns how many these are."""
-        path_count, blocks = np.uint32(paths), -(-paths // self.block_size)
+        path_count, blocks = np.uint32(paths), -(-paths // self.path_block_size)
         self._launch("count_alive", blocks, path_count=path_count)
-        self._launch("scan_blocks", 1, blocks_in_use=np.uint32(blocks))
+        self._launch("scan_blocks", 1, path_block_count=np.uint32(blocks))
         self._launch("move_paths", blocks, path_count=path_count)
         arguments = self._arguments
         for name in self._path_state:

@@ -71,7 +71,7 @@ class Tracer:
         self.bvh = bvh
         self._stages.arguments.update(
             nodes=self._table(bvh.nodes),
-            blocks=self._table(bvh.blocks),
+            triangle_blocks=self._table(bvh.blocks),
             first_analytic=np.uint32(bvh.first_analytic),
             rays_per_item=np.uint32(7),
         )
