@@ -67,7 +67,7 @@ def from_batches(batches: np.ndarray) -> Estimate:
 def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
     """Independent images of a scene, (batches, height, width, 3) float64: one per wave of a single render.
 
-    So hierarchy and programs are built once, and only for small pools: PoCL compiles again for 2^16 paths and more. A
+    So BVH and programs are built once, and only for small pools: PoCL compiles again for 2^16 paths and more. A
     batch is a difference of float32 means, with a rounding error of up to batches * 2^-24 of its value. No sample may
     be rejected.
     """

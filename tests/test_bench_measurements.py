@@ -65,7 +65,7 @@ def test_intersection_tests_are_bounded_and_independent_of_the_pool():
         assert 0 < bounce.triangles < 8 * bounce.rays * blocks
 
 
-def test_without_a_hierarchy_every_ray_is_tested_against_all_triangles():
+def test_without_a_bvh_every_ray_is_tested_against_all_triangles():
     measured = small_prepared_scene()
     measured.wavefront.brute_force = True
     assert [(bounce.nodes, bounce.triangles) for bounce in count_tests(measured, [400, 100])] == [(0, 1600), (0, 400)]

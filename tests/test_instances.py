@@ -144,7 +144,7 @@ def test_groups_share_primitives_in_the_order_of_their_first_instance():
     assert compiled.analytics["kind"].tolist() == [structs.ANALYTIC_DISK, structs.ANALYTIC_SPHERE]
 
 
-def test_deep_hierarchies_fit_the_stack(monkeypatch):
+def test_deep_bvhs_fit_the_stack(monkeypatch):
     """A thousand nested triangles in a thousand instances of decreasing size."""
     random = np.random.default_rng(9)
     corners = (random.uniform(-1, 1, (1, 3, 3)) * np.geomspace(1e-6, 1e3, 1000)[:, None, None]).reshape(-1, 3)

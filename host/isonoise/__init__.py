@@ -1,4 +1,4 @@
-"""An OpenCL path tracer that distributes its samples until the noise is the same everywhere.
+"""An OpenCL path tracer that measures the noise of every pixel and samples where it is needed.
 
 Examples
 --------

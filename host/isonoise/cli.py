@@ -38,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="isonoise",
-        description="An OpenCL path tracer that distributes its samples until the noise is the same everywhere.",
+        description="An OpenCL path tracer that measures the noise of every pixel and samples where it is needed.",
         epilog="`isonoise COMMAND --help` lists a command's options.",
     )
     parser.add_argument("--version", action="version", version=f"isonoise {__version__}", help="print the version")

@@ -177,7 +177,8 @@ def render_loop(
         Linear RGB of a converged image and its standard error (or None), both (height, width, 3). With it the log rows
         hold true errors. The clock stands still while these are computed.
     should_stop : callable or None
-        Called after every bounce. If it returns True, the render ends after the paths in flight.
+        Called between waves, and within a wave as `Renderer.step` calls `should_continue`. Once it returns True, the
+        render ends after the paths in flight.
 
     Returns
     -------

@@ -156,8 +156,9 @@ class Renderer:
             Upper limit for the samples of the wave. The rest of a uniform wave comes with the next step; the rest of an
             adaptive one is dropped.
         should_continue : callable or None
-            Called after every bounce with the wave's samples that have entered the statistics. If it returns False, no
-            new paths start; those in flight are finished and counted.
+            Called with the wave's samples that have entered the statistics: before every slice, and after every bounce
+            while paths are left to start. Once it returns False no new paths start; those in flight are finished and
+            counted.
 
         Returns
         -------

@@ -1,6 +1,7 @@
 // Stages between two bounces: compaction moves the live paths to the front of the pool and keeps their order. New paths
 // are generated behind them, so the pool stays dense, and paths of the same depth, which behave alike, stay together.
-// Stable and without atomics: count per path block (PATHS_PER_BLOCK paths), scan the counts, move. One work-item per block.
+// Stable and without atomics: count per path block (PATHS_PER_BLOCK paths), scan the counts, move. One work-item per
+// path block.
 // Reads alive and the path state; writes total_alive and the other copy of the path state.
 #include "path/path_state.h"
 

@@ -113,8 +113,8 @@ def time_bounces(prepared: PreparedScene) -> list[BounceTimes]:
 def count_tests(prepared: PreparedScene, rays: list[int]) -> list[RayTests]:
     """Intersection tests of every bounce of a run; `rays` are its numbers of rays, from `time_bounces`.
 
-    Builds `intersect` once more with the feature COUNT_TESTS and traces the samples of the run again. Without a
-    hierarchy nothing is counted: every ray is tested against all triangles.
+    Builds `intersect` once more with the feature COUNT_TESTS and traces the samples of the run again. With
+    brute force nothing is counted: every ray is tested against all triangles.
     """
     if prepared.wavefront.brute_force:
         return [RayTests(number, 0, number * len(prepared.scene.faces)) for number in rays]

@@ -104,7 +104,7 @@ def measure_rays(
     name: str, scene: CompiledScene, device: MeasuredDevice, repeat: int, show: Callable[[float, str], None]
 ) -> dict[str, object]:
     """An entry of the JSON field `meshes`, with its coherent and incoherent rays. `is_triangles_only` must hold."""
-    show(0.0, "hierarchies")
+    show(0.0, "BVHs")
     isonoise, embree = IntersectStage(device, scene), EmbreeMesh(scene)
     origins, directions = camera_rays(scene)
     rows = [_row("coherent", isonoise, embree, (origins, directions), repeat)]

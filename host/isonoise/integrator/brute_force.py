@@ -1,4 +1,4 @@
-"""Scenes with so few primitives that testing all of them is faster than a hierarchy: kernels/geometry/brute_force.h."""
+"""Scenes with so few primitives that testing all of them is faster than a BVH: kernels/geometry/brute_force.h."""
 
 import numpy as np
 
@@ -18,6 +18,9 @@ def distinct_corners(scene: CompiledScene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def use_brute_force(scene: CompiledScene) -> bool:
-    """Whether rays are tested against all primitives of the scene. Scenes with instances need a hierarchy."""
+    """Whether the scene is small enough that rays can be tested against all its primitives; instances need the BVH.
+
+    `Wavefront` decides: the device must also process several lanes per work-item.
+    """
     primitives = len(scene.faces) + len(scene.analytics)
     return primitives <= MAX_PRIMITIVES and not len(scene.instances) and len(distinct_corners(scene)[0]) <= MAX_CORNERS

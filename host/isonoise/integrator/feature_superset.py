@@ -44,7 +44,7 @@ def dummy_buffers(
     Parameters
     ----------
     arguments : the arguments that the scene has, by name
-    brute_force : whether the scene has no hierarchy
+    brute_force : whether rays are tested against all primitives, without the BVH
 
     Returns
     -------

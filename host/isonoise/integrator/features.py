@@ -120,8 +120,8 @@ FEATURES = {
         {
             "triangles": _records(structs.TRIANGLE, "a triangle"),
             "triangle_blocks": f"{4 * BLOCK_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} triangles",
-            "corners": "12 bytes a corner, in scenes without a hierarchy",
-            "corner_indices": "12 bytes a triangle, in scenes without a hierarchy",
+            "corners": "12 bytes a corner, if all primitives are tested",
+            "corner_indices": "12 bytes a triangle, if all primitives are tested",
         },
     ),
     "VERTEX_NORMALS": Feature(
@@ -173,7 +173,7 @@ FEATURES = {
     ),
     **_bsdf_features(lambda kind: not kind.scatters),
     "TWOSIDED": Feature("two-sided materials", lambda use: use.has_bsdf_flag(structs.BSDF_TWOSIDED)),
-    "VOLPATH": Feature("pass-through surfaces and media: integrator volpath", lambda use: use.is_volpath),
+    "VOLPATH": Feature("media or pass-through surfaces, with the integrator volpath", lambda use: use.is_volpath),
     "MEDIA": Feature("media", lambda use: len(use.scene.media) > 0, {"media": _records(structs.MEDIUM, "a medium")}),
     "AREA_LIGHTS": Feature("area emitters", lambda use: use.light_bits & _AREA_LIGHTS != 0, _LIGHTS),
     "TEXTURED_LIGHTS": Feature("textured area emitters", lambda use: use.has_textured_lights),

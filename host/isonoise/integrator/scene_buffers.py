@@ -26,7 +26,7 @@ def scene_arguments(
     Parameters
     ----------
     features : what the kernels are built for; buffers that it does not need are None
-    brute_force : whether rays are tested against all primitives, without a hierarchy
+    brute_force : whether rays are tested against all primitives, without the BVH
 
     Returns
     -------
@@ -64,8 +64,8 @@ def _camera(device: Device, scene: CompiledScene, features: Mapping[str, bool]) 
 def _geometry(device: Device, scene: CompiledScene, bvh: Bvh, features: Mapping[str, bool]) -> dict[str, object]:
     normals = corner_normals(scene) if features["VERTEX_NORMALS"] else _EMPTY
     return {
-        "nodes": _table(device, bvh.nodes, "the hierarchy's nodes"),
-        "triangle_blocks": _table(device, bvh.blocks, "the hierarchy's triangles"),
+        "nodes": _table(device, bvh.nodes, "the BVH nodes"),
+        "triangle_blocks": _table(device, bvh.blocks, "the triangles of the BVH"),
         "first_analytic": np.uint32(bvh.first_analytic),
         "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
         "world_triangles": np.uint32(scene.group_offsets[0, 0]),

@@ -155,8 +155,8 @@ class Wavefront:
         Parameters
         ----------
         allocation : uint32 (height, width), samples per pixel
-        should_continue : called after every bounce, while there are paths to start, with the samples reduced so far;
-            once it returns False no new path starts, and the paths in flight finish
+        should_continue : called before every slice, and after every bounce while paths of the slice are left to start,
+            with the samples reduced so far; once it returns False no new path starts, and the paths in flight finish
 
         Returns
         -------

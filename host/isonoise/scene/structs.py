@@ -91,7 +91,7 @@ INSTANCE = np.dtype(
     [
         ("to_world", "f4", 12),  # from the group's space: rows of 3x4
         ("to_object", "f4", 12),  # its inverse
-        ("root", "u4"),  # the hierarchy's node where the group begins: 1 + its number
+        ("root", "u4"),  # the BVH node where the group begins: 1 + its number
     ]
 )
 """A group of shapes, compiled once in a space of its own, at one of its places."""

@@ -1,4 +1,8 @@
-"""isonoise's own strategies: a variance estimate, a rule that equalises the error, uniform waves in between."""
+"""isonoise's own adaptive strategies: a variance estimate, an allocation rule, uniform waves in between.
+
+A strategy's measure is what its rule acts on: `deficit` makes it equal in all pixels, `sqrt` minimises the mean of its
+square. `deficit` is the default of all but `pooled`.
+"""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -61,7 +65,7 @@ class Adaptive(Strategy):
 
     def allocate(self, statistics: Statistics, budget: int) -> np.ndarray:
         variance = self.variance(statistics, measures.image_floor(statistics.mean))
-        # Used as the wave index: it differs between waves, and is the same after a resume.
+        # The sample count serves as wave index: it grows with every wave and needs no state.
         wave_index = statistics.samples
         limits = {"clip": self.clip, "cap": self.cap}
         if self.rule == "proportional":
@@ -78,7 +82,7 @@ class Adaptive(Strategy):
 
 
 class RelativeMean(Adaptive):
-    """Equalises se / max(mean, floor), the relative standard error.
+    """Measure: se / max(mean, floor), the relative standard error.
 
     Parameters: those of `Adaptive`.
     """
@@ -91,7 +95,7 @@ class RelativeMean(Adaptive):
 
 @dataclass(kw_only=True, eq=False)
 class RelativeMedian(Adaptive):
-    """Equalises se / max(M_x, mean / kappa, floor), M_x the mean of the medians of chunks of samples.
+    """Measure: se / max(M_x, mean / kappa, floor), M_x the mean of the medians of chunks of samples.
 
     The proposal of Pajot, Barthe, Paulin, "Robust adaptive sampling for Monte-Carlo-based rendering", SIGGRAPH Asia
     2011 Posters, 49:1. The poster writes V(x_1..x_n) / M_x without saying what V is; here it is the standard error.
@@ -105,7 +109,7 @@ class RelativeMedian(Adaptive):
     batch : int
         Samples per entry, which is their mean, 1 to 1024.
     literal : bool
-        Take the poster's V as the variance: equalise se^2 / max(M_x, mean / kappa, floor).
+        Take the poster's V as the variance: se^2 / max(M_x, mean / kappa, floor) in place of the squared measure.
 
     Further parameters: those of `Adaptive`.
     """
@@ -134,7 +138,7 @@ class RelativeMedian(Adaptive):
 
 
 class Absolute(Adaptive):
-    """Equalises se, the standard error itself: plain variance-driven sampling. Bright pixels get the samples.
+    """Measure: se, the standard error itself: plain variance-driven sampling. Bright pixels get the samples.
 
     Parameters: those of `Adaptive`.
     """
@@ -147,7 +151,7 @@ class Absolute(Adaptive):
 
 @dataclass(kw_only=True, eq=False)
 class Tsallis(Adaptive):
-    """Equalises sqrt(1 - S_q / S_max), S_q the Tsallis entropy of the samples' shares of their sum.
+    """Measure: sqrt(1 - S_q / S_max), S_q the Tsallis entropy of the samples' shares of their sum.
 
     Xu, Sbert, Xing, Zhan, "Adaptive sampling based on Tsallis entropy", 2007. With q = 2 it is exactly `relative-mean`
     without a floor. Other q do not fall like 1 / sqrt(n) and so cannot make an error the same everywhere.
@@ -174,7 +178,9 @@ class Tsallis(Adaptive):
 
 @dataclass(kw_only=True, eq=False)
 class Pooled(Adaptive):
-    """Equalises the relative standard error, with variance and mean pooled over a window around the pixel.
+    """Measure: the relative standard error, with variance and mean pooled over a window around the pixel.
+
+    The default rule, `sqrt`, minimises the mean of the squared measure over the pixels for a given number of samples.
 
     A pixel with a bright outlier also raises its neighbours' variance, so samples go where outliers are to be expected.
     Without pooling they go only where one was seen, dilute it, and leave the image too dark.

@@ -37,7 +37,8 @@ class Strategy:
     name : str
         The name in messages and, for registered strategies, on the command line.
     needs : Needs
-        Optional statistics that `allocate` reads. A class attribute, or a property if it depends on parameters.
+        Optional statistics that `allocate` reads. The renderer reads it once, before the first wave. A class attribute;
+        if it depends on parameters, a property or set in `__init__`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Measures: per-pixel error estimates that strategies equalise, and the luminance floor of relative errors.
+"""Measures: per-pixel error estimates on which allocation rules act, and the luminance floor of relative errors.
 
 All take `Statistics` and return float64 of shape (height, width). n is the sample count, se the standard error. Unless
 stated otherwise a measure is inf where n < 2 (nothing is known) and 0 where all samples are equal.

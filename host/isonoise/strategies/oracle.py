@@ -15,7 +15,7 @@ LAYER = "variance"
 
 @dataclass(kw_only=True, eq=False)
 class Oracle(Adaptive):
-    """Equalises the relative error with variances from an independent long run: the bound for unbiased strategies.
+    """Measure: the relative error, with variances from an independent long run: the bound for unbiased strategies.
 
     Parameters
     ----------
