@@ -1,5 +1,8 @@
 """Shrinks noisy per-pixel variances, so that their distribution over the image is the true one. For `stated_error`.
 
+Shrinkage moves every estimate towards the value of its group. The larger the noise's share of the scatter in the
+group, the farther it moves.
+
 A variance estimated from a few skewed samples is itself noisy, and quantiles over the pixels of such variances are too
 far apart. The image is decomposed into sums over 2x2 groups, level by level (a Haar pyramid). On every level the
 scatter of the four children about their group's value is compared with the scatter that noise alone would cause.
@@ -23,16 +26,16 @@ import numpy as np
 
 LEVELS = 4
 """Variances are pooled over groups of up to 16x16 pixels."""
-BLOCK = 64
-"""Pixels per side of a block; on the top level, scatter is averaged over 4x4 groups, which is one block."""
+TILE_SIZE = 64
+"""Pixels per side of a tile; on the top level, scatter is averaged over 4x4 groups, which is one tile."""
 MAX_SCATTER = 1e3
 """A group's scatter of means is cut at this multiple of its noise."""
 MAX_SKEWNESS_SCATTER = 4.0
 """Groups whose means scatter by more than this multiple of their noise are not used to estimate the skewness."""
 
 
-def denoised_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.ndarray, floor: float) -> np.ndarray:
-    """(sigma_i / max(mean_i, floor))^2, sigma_i the standard error of the pixel's mean, both denoised.
+def shrunk_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.ndarray, floor: float) -> np.ndarray:
+    """(sigma_i / max(mean_i, floor))^2, with sigma_i the shrunk standard error and mean_i the smoothed mean of a pixel.
 
     Parameters
     ----------
@@ -54,15 +57,15 @@ def denoised_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np
     s2 = variance.reshape(-1)[order] * known
     dof = n - known
 
-    scale = _denoised_mean(n, x, dof, s2)
+    scale = _smoothed_mean(n, x, dof, s2)
     np.maximum(scale, floor, out=scale)
     x /= scale
     s2 /= scale
     s2 /= scale
-    return _denoised_variance(n, x, dof, s2)[known] / n[known]
+    return _shrunk_variance(n, x, dof, s2)[known] / n[known]
 
 
-def _denoised_mean(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:
+def _smoothed_mean(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:
     """Means without the noise that hides no structure: a Wiener filter in the Haar pyramid.
 
     Within a group the noise of a mean is assumed proportional to the mean, as for a count of rare events. So a pixel
@@ -88,8 +91,18 @@ def _denoised_mean(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray
     return result
 
 
-def _denoised_variance(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:
-    """The variances s2, shrunk; `x` are the means in the same scale."""
+def _shrunk_variance(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:
+    """The variances s2, shrunk; `x` are the means in the same scale.
+
+    From the largest groups down to the pixels, each level takes three steps:
+
+    1. scatter: the relative variance of the four children about their group's value;
+    2. factor: sqrt(true_share), true_share the part of the scatter that noise does not explain;
+    3. shrink: child = new value of the group + factor * (child - old value of the group).
+
+    For example, with many degrees of freedom, if the scatter is 0.50 and noise alone would cause 0.32, the true share
+    is 1 - 0.32 / 0.50 = 0.36 and the factor 0.6: in a group of value 1 a child of 2 becomes 1.6.
+    """
     pyramid = _pyramid(dof, s2)
     noise_by_level = _variance_noise(n, x, pyramid)
     result = pyramid[LEVELS][1]
@@ -100,17 +113,7 @@ def _denoised_variance(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.nda
         child_dof = _child_dof(weight)
         valid = (child_dof > 0) & (parent > 0)
         scatter = _divide((weight * deviation * deviation).sum(axis=0), child_dof * parent * parent)
-
-        # Averages over windows of 4x4 groups. With noise phi per degree of freedom, group shares are Dirichlet
-        # distributed as for gamma variables; the scatter has the mean phi w / (w + phi), w the group's total dof.
-        groups = _window_sum(valid)
-        scatter = _divide(_window_sum(scatter * valid), groups)
-        w = _divide(_window_sum(total * valid), groups)
-        child_w = _divide(_window_sum(total * valid), _window_sum((child_dof + 1) * valid))
-        phi = noise_by_level[level]
-        apparent = _divide(scatter, np.maximum(1 - _divide(scatter, w), 1e-6))
-        true_share = np.maximum(1 - _divide(phi, apparent), 0) * _divide(child_w, child_w + phi)
-        factor = np.sqrt(true_share)
+        factor = np.sqrt(_true_share(scatter, valid, total, child_dof, noise_by_level[level]))
 
         deviation = deviation.reshape(4, 16, -1)
         deviation *= factor
@@ -120,6 +123,23 @@ def _denoised_variance(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.nda
         lower_bound = (result.reshape(16, -1) * (1 - factor)).reshape(-1)
         result = np.maximum(deviation, lower_bound, out=deviation).reshape(-1)
     return result
+
+
+def _true_share(
+    scatter: np.ndarray, valid: np.ndarray, total: np.ndarray, child_dof: np.ndarray, phi: np.ndarray
+) -> np.ndarray:
+    """The part of the scatter that noise does not explain, 0 to 1, for windows of 4x4 groups.
+
+    `total` is a group's degrees of freedom, `phi` the noise per degree of freedom. The groups' shares are Dirichlet
+    distributed, as for gamma variables, so noise alone gives the scatter a mean of phi w / (w + phi), w the mean of
+    `total`. Solved for phi this is the apparent noise, which the scatter would need if all of it were noise.
+    """
+    groups = _window_sum(valid)
+    scatter = _divide(_window_sum(scatter * valid), groups)
+    w = _divide(_window_sum(total * valid), groups)
+    child_w = _divide(_window_sum(total * valid), _window_sum((child_dof + 1) * valid))
+    apparent_noise = _divide(scatter, np.maximum(1 - _divide(scatter, w), 1e-6))
+    return np.maximum(1 - _divide(phi, apparent_noise), 0) * _divide(child_w, child_w + phi)
 
 
 def _variance_noise(n: np.ndarray, x: np.ndarray, pyramid: list) -> list[np.ndarray]:
@@ -168,13 +188,13 @@ def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _pyramid_order(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Index into the flat image of every cell, and whether the cell is a pixel: the image is padded to full blocks."""
-    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
-    bits = BLOCK.bit_length() - 1
-    cells = np.arange(rows * columns * BLOCK * BLOCK).reshape([rows] + [2] * bits + [columns] + [2] * bits)
-    # Axes of the row's bits and the column's bits, finest first, then the blocks.
+    """Index into the flat image of every cell, and whether the cell is a pixel: the image is padded to full tiles."""
+    rows, columns = -(-height // TILE_SIZE), -(-width // TILE_SIZE)
+    bits = TILE_SIZE.bit_length() - 1
+    cells = np.arange(rows * columns * TILE_SIZE * TILE_SIZE).reshape([rows] + [2] * bits + [columns] + [2] * bits)
+    # Axes of the row's bits and the column's bits, finest first, then the tiles.
     axes = [axis for bit in range(bits) for axis in (bits - bit, 2 * bits + 1 - bit)]
     cells = cells.transpose([*axes, 0, bits + 1]).reshape(-1)
-    y, x = np.divmod(cells, columns * BLOCK)
+    y, x = np.divmod(cells, columns * TILE_SIZE)
     inside = (y < height) & (x < width)
     return np.where(inside, y * width + x, 0), inside

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from isonoise.error.shrinkage import BLOCK, denoised_relative_variance
+from isonoise.error.shrinkage import TILE_SIZE, shrunk_relative_variance
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import confidence, image_floor, relative_mean
 
@@ -22,12 +22,12 @@ BINS_PER_OCTAVE = 32
 
 
 def stated_error(statistics: Statistics, quantiles: Sequence[float], floor: float | None = None) -> np.ndarray:
-    """The stated error at each quantile q: the e for which the mean over the pixels of
+    """The stated error at each quantile q, an estimate of the quantile q of |x - r| / max(r, floor), r the true image.
 
-        P(|Z| sigma_i / max(mean_i, floor) <= e)
+    It is the e at which the mean over the pixels of P(|Z| sigma_i / scale_i <= e) is q, with Z standard normal, sigma_i
+    the shrunk standard error of the pixel's luminance (`shrinkage`), and
 
-    is q, with Z standard normal and sigma_i the standard error of the pixel's luminance, denoised (`shrinkage`). It
-    estimates the quantile q of |x - r| / max(r, floor), r the true image.
+        scale_i = max(mean_i, floor).
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def stated_error(statistics: Statistics, quantiles: Sequence[float], floor: floa
 
 
 def relative_standard_error(statistics: Statistics, floor: float) -> np.ndarray:
-    """se / max(mean, floor) of every pixel's luminance, not denoised, (height, width) float32; inf where n < 2."""
+    """se / max(mean, floor) of every pixel's luminance, not shrunk, (height, width) float32; inf where n < 2."""
     return relative_mean(statistics, floor).astype(np.float32)
 
 
@@ -87,13 +87,13 @@ def half_width_95(statistics: Statistics) -> np.ndarray:
 def _error_histogram(statistics: Statistics, floor: float) -> tuple[int, np.ndarray]:
     """The number of noiseless pixels; the others over log2 of the relative error, each split between two bins."""
     height, width = statistics.shape
-    rows = max(1, STRIP_PIXELS // (BLOCK * max(BLOCK, width))) * BLOCK
+    rows = max(1, STRIP_PIXELS // (TILE_SIZE * max(TILE_SIZE, width))) * TILE_SIZE
     size = 2 * OCTAVES * BINS_PER_OCTAVE + 1
     histogram = np.zeros(size)
     noiseless = 0
     for top in range(0, height, rows):
         strip = np.s_[top : top + rows]
-        variance = denoised_relative_variance(
+        variance = shrunk_relative_variance(
             statistics.count[strip], statistics.mean[strip], statistics.variance[strip], floor
         )
         noisy = variance[variance > 0]
