@@ -13,7 +13,7 @@ from isonoise.integrator.pixel_filter import CELLS
 from isonoise.scene import structs
 from isonoise.scene.accel.bvh import BLOCK_ROWS, BVH_WIDTH
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light import light_list
+from isonoise.scene.light import light_kinds, light_list
 from isonoise.scene.light.light_kinds import KINDS as LIGHT_KINDS
 from isonoise.scene.light.light_kinds import LightKind, light_bits
 from isonoise.scene.light.light_tree import LIGHT_NODE_ROWS, use_light_tree
@@ -41,8 +41,8 @@ class _Use:
     @cached_property
     def samples_lights(self) -> bool:
         """Whether next-event estimation can find light."""
-        kinds = bsdf_kinds.select(lambda kind: kind.scatters and not kind.is_delta)
-        can_scatter = self.bsdf_bits & bsdf_bits(*(kind.name for kind in kinds)) != 0
+        non_delta = bsdf_kinds.bits_where(lambda kind: kind.scatters and not kind.is_delta)
+        can_scatter = self.bsdf_bits & non_delta != 0
         return self.light_bits != 0 and can_scatter and (self.is_unlimited or self.scene.max_depth > 1)
 
     @cached_property
@@ -111,7 +111,7 @@ def _light_features() -> dict[str, Feature]:
     return {kind.feature: feature(name, kind) for name, kind in LIGHT_KINDS.items()}
 
 
-_AREA_LIGHTS = light_bits(*(name for name, kind in LIGHT_KINDS.items() if kind.is_area))
+_AREA_LIGHTS = light_kinds.bits_where(lambda kind: kind.is_area)
 
 FEATURES = {
     "TRIANGLES": Feature(

@@ -12,7 +12,7 @@ from isonoise.scene import structs
 from isonoise.scene.light import lights as lighting
 from isonoise.scene.light.alias_table import alias_table, selection_probabilities
 from isonoise.scene.light.envmap import EnvironmentMap
-from isonoise.scene.light.light_kinds import light_bits, select
+from isonoise.scene.light.light_kinds import bits_where
 from isonoise.scene.material.textures import Textures, is_constant
 from isonoise.scene.mesh.surfaces import Surface
 
@@ -74,16 +74,12 @@ def compile_lights(
         raise SceneError("the colour of an emitter exceeds the range of 32-bit floats")
     if is_textured.any() and scale > _MAX_FLOAT32:
         raise_too_dim()
-    is_environment = records["kind"] & _environment_bits() != 0
+    is_environment = records["kind"] & bits_where(lambda kind: kind.is_environment) != 0
     alias = alias_table(lighting.light_selection_pmf(records, bounds))
     records["selection_pmf"] = selection_probabilities(alias)
     records["radiance"][is_textured] = scale  # the kernel multiplies it by the texture
     environment_light = int(np.flatnonzero(is_environment)[0]) if is_environment.any() else -1
     return CompiledLights(records, alias, first_light, environment_light, scale)
-
-
-def _environment_bits() -> int:
-    return light_bits(*(kind.name for kind in select(lambda kind: kind.is_environment)))
 
 
 def raise_too_dim() -> None:

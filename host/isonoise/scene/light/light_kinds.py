@@ -5,7 +5,7 @@ From these rows come the device records, the power and the bounds of lights (`li
 parameters of a plugin are in `vocabulary.emitters`. How to add a kind: host/docs/extending.md.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.kind_macros import any_feature, define_lists
 from isonoise.scene.light import light_bounds
 from isonoise.scene.light.envmap import ENVIRONMENT, ENVIRONMENT_ROW
 from isonoise.scene.light.light_bounds import LightBounds, spot_solid_angle
@@ -149,8 +150,13 @@ def select(condition: Callable[[LightKind], bool]) -> tuple[LightKind, ...]:
     return tuple(kind for kind in KINDS.values() if condition(kind))
 
 
-def _any_feature(kinds: Iterable[LightKind]) -> str:
-    return " || ".join(f"FEATURE_{kind.feature}" for kind in kinds) or "0"
+def bits_where(condition: Callable[[LightKind], bool]) -> int:
+    """The bits of the kinds for which a condition holds."""
+    return light_bits(*(kind.name for kind in select(condition)))
+
+
+def _any_feature(condition: Callable[[LightKind], bool]) -> str:
+    return any_feature(kind.feature for kind in select(condition))
 
 
 @lru_cache(maxsize=1)
@@ -158,9 +164,9 @@ def light_macros() -> dict[str, int | str]:
     """Macros for the kernels: bits, and what the lights of a scene have in common."""
     return {
         **{f"LIGHT_{name.upper()}": light_bits(name) for name in KINDS},
-        "HAS_ANALYTIC_LIGHTS": _any_feature(select(lambda kind: kind.analytic is not None)),
-        "HAS_ENVIRONMENT_LIGHT": _any_feature(select(lambda kind: kind.is_environment)),
-        "HAS_OTHER_LIGHTS": _any_feature(select(lambda kind: kind.name != "triangle")),  # than triangles
+        "HAS_ANALYTIC_LIGHTS": _any_feature(lambda kind: kind.analytic is not None),
+        "HAS_ENVIRONMENT_LIGHT": _any_feature(lambda kind: kind.is_environment),
+        "HAS_OTHER_LIGHTS": _any_feature(lambda kind: kind.name != "triangle"),  # than triangles
     }
 
 
@@ -171,17 +177,13 @@ def light_header() -> str:
     FOR_LIGHTS_WITHOUT_SURFACE(DO) is DO(LIGHT_<NAME>, sample_<name>_light) for every kind without a surface,
     FOR_ANALYTIC_LIGHTS(DO) the same for analytic area lights.
     """
-    lines = []
-    for kind in KINDS.values():
-        name = kind.name.upper()
-        lines += [f"#if FEATURE_{kind.feature}", f"#define FOR_{name}(DO) DO(LIGHT_{name}, sample_{kind.name}_light)"]
-        lines += ["#else", f"#define FOR_{name}(DO)", "#endif"]
+    bits = {name: f"LIGHT_{name.upper()}" for name in KINDS}
+    entries = {bits[name]: (kind.feature, f"{bits[name]}, sample_{name}_light") for name, kind in KINDS.items()}
     lists = {
-        "FOR_LIGHTS_WITHOUT_SURFACE": select(lambda kind: not kind.is_area),
-        "FOR_ANALYTIC_LIGHTS": select(lambda kind: kind.analytic is not None),
+        "FOR_LIGHTS_WITHOUT_SURFACE": [bits[name] for name, kind in KINDS.items() if not kind.is_area],
+        "FOR_ANALYTIC_LIGHTS": [bits[name] for name, kind in KINDS.items() if kind.analytic is not None],
     }
-    for label, chosen in lists.items():
-        lines.append(f"#define {label}(DO) {' '.join(f'FOR_{kind.name.upper()}(DO)' for kind in chosen)}")
+    lines = define_lists(entries, lists)
     lines += [f'#include "{header}"' for header in dict.fromkeys(map(_header, KINDS.values()))]
     return "\n".join(lines)
 

@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from isonoise.scene.kind_macros import any_feature, define_lists
 from isonoise.scene.material.presets import MIRROR, conductors
 from isonoise.scene.material.rough_transmittance import NODES, inner_reflectance, rough_boundary
 
@@ -222,6 +223,11 @@ def bsdf_bits(*names: str) -> int:
     return sum(1 << list(KINDS).index(name) for name in names)
 
 
+def bits_where(condition: Callable[[BsdfKind], bool]) -> int:
+    """The bits of the kinds for which a condition holds."""
+    return bsdf_bits(*(kind.name for kind in select(condition)))
+
+
 def feature_of(kind: BsdfKind) -> str:
     """The name of the feature that compiles the kind's code."""
     return kind.feature or kind.name.upper()
@@ -233,7 +239,7 @@ def select(condition: Callable[[BsdfKind], bool]) -> tuple[BsdfKind, ...]:
 
 
 def _any_feature(kinds: Iterable[BsdfKind]) -> str:
-    return " || ".join(dict.fromkeys(f"FEATURE_{feature_of(kind)}" for kind in kinds)) or "0"
+    return any_feature(map(feature_of, kinds))
 
 
 def _any_bit(kinds: Iterable[BsdfKind]) -> str:
@@ -276,12 +282,9 @@ def bsdf_header() -> str:
     that next-event estimation evaluates.
     """
     kinds = select(lambda kind: kind.scatters)
-    lines = []
-    for kind in kinds:
-        name = kind.name.upper()
-        lines += [f"#if FEATURE_{feature_of(kind)}", f"#define FOR_{name}(DO) DO(BSDF_{name}, {kind.name})"]
-        lines += ["#else", f"#define FOR_{name}(DO)", "#endif"]
-    for label, chosen in (("FOR_BSDFS", kinds), ("FOR_NON_DELTA_BSDFS", (k for k in kinds if not k.is_delta))):
-        lines.append(f"#define {label}(DO) {' '.join(f'FOR_{kind.name.upper()}(DO)' for kind in chosen)}")
+    bits = {kind.name: f"BSDF_{kind.name.upper()}" for kind in kinds}
+    entries = {bits[kind.name]: (feature_of(kind), f"{bits[kind.name]}, {kind.name}") for kind in kinds}
+    non_delta = [bits[kind.name] for kind in kinds if not kind.is_delta]
+    lines = define_lists(entries, {"FOR_BSDFS": entries, "FOR_NON_DELTA_BSDFS": non_delta})
     lines += [f'#include "{kind.header or f"bsdf/{kind.name}.h"}"' for kind in kinds]
     return "\n".join(lines)

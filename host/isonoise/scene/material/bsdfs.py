@@ -9,7 +9,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import structs
-from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN, KINDS, BsdfKind, bsdf_bits, select
+from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN, KINDS, BsdfKind, bits_where, bsdf_bits, select
 from isonoise.scene.material.rough_transmittance import NODES
 from isonoise.scene.spectra import colour_to_rgb
 
@@ -69,7 +69,7 @@ class Bsdfs:
         if bsdf["type"] == "twosided":
             nested = [nested[0], nested[-1]]
             inner = self._records[nested[0]].copy()
-            if nested[0] == nested[1] and inner["kind"][0] & _scattering_bits():
+            if nested[0] == nested[1] and inner["kind"][0] & bits_where(lambda kind: kind.scatters):
                 inner["flags"] |= structs.BSDF_TWOSIDED  # needs no wrapper: it turns to the viewer itself
                 return self._add_record(inner)
         record = self._record(kind, bsdf)
@@ -105,10 +105,6 @@ class Bsdfs:
         return record
 
 
-def _scattering_bits() -> int:
-    return bsdf_bits(*(kind.name for kind in select(lambda kind: kind.scatters)))
-
-
 def mark_pass_through(records: np.ndarray) -> np.ndarray:
     """Which materials (b,) let part of the light go straight on; they get BSDF_PASS_THROUGH.
 
@@ -117,8 +113,8 @@ def mark_pass_through(records: np.ndarray) -> np.ndarray:
     SceneError
         If blends are nested deeper than the device can follow.
     """
-    marked = records["kind"] & bsdf_bits(*(kind.name for kind in select(lambda kind: kind.passes_through))) != 0
-    wrappers = bsdf_bits(*(kind.name for kind in select(lambda kind: kind.is_wrapper)))
+    marked = records["kind"] & bits_where(lambda kind: kind.passes_through) != 0
+    wrappers = bits_where(lambda kind: kind.is_wrapper)
     blends = np.zeros(len(records), int)
     for index, record in enumerate(records):  # nested materials come first
         inner = [int(nested) for nested in record["nested"] if nested != structs.NONE]
