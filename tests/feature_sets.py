@@ -176,14 +176,20 @@ def needs_of(features: dict[str, bool]) -> Needs:
 
 def scene_with(on: dict[str, bool], folder: Path) -> dict:
     """Returns a small scene with as many features of a set as possible, and no others; its files are in `folder`."""
+    (folder / "image.png").write_bytes(small_files.image_file("PNG"))
+    (folder / "sky.hdr").write_bytes(small_files.hdr())
+    image = {"type": "bitmap", "filename": str(folder / "image.png")}
+    materials = _materials(on, image)
+    scene = {"type": "scene", "integrator": _integrator(on), "sensor": _sensor(on)}
+    return {**scene, **_shapes(on, materials, folder), **_lights(on, materials, image, folder)}
+
+
+def _materials(on: dict[str, bool], image: dict) -> list[dict]:
     rough = {
         "distribution": "beckmann" if on["BECKMANN"] else "ggx",
         "alpha": 0.2,
         "sample_visible": not on["SAMPLE_ALL_NORMALS"],
     }
-    (folder / "image.png").write_bytes(small_files.image_file("PNG"))
-    (folder / "sky.hdr").write_bytes(small_files.hdr())
-    image = {"type": "bitmap", "filename": str(folder / "image.png")}
     simple = {
         feature_of(kind): {"type": kind.plugin} for kind in BSDF_KINDS.values() if kind.plugin and not kind.is_wrapper
     }
@@ -192,13 +198,6 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
     simple["DIFFUSE"]["reflectance"] = 0.6
     simple["PRINCIPLED"]["roughness"] = 0.4
     materials = [material for name, material in simple.items() if on[name]]
-    shapes = [
-        shape
-        for name, shape in zip(
-            ("TRIANGLES", "SPHERES", "DISKS", "CYLINDERS"), ("rectangle", "sphere", "disk", "cylinder"), strict=True
-        )
-        if on[name]
-    ]
     if materials:
         plain = materials[0]
         paint = {"type": "diffuse", "reflectance": 0.3}
@@ -218,15 +217,21 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
         for name in ("FRONT_BACK", "TWOSIDED", "CHECKERBOARDS", "BITMAPS"):
             wanted[name] &= on["DIFFUSE"]
         materials += [material for name, material in more.items() if wanted[name]]
+    return materials
 
+
+def _integrator(on: dict[str, bool]) -> dict:
     smooth = any(on[name] for name in NON_DELTA)
     lit = any(on[name] for name in LIGHTS)
-    integrator = {
+    return {
         "type": "volpath" if on["VOLPATH"] else "path",
         "max_depth": 6 if on["NEXT_EVENT"] or not (lit and smooth) else 1,
         "rr_depth": 2 if on["RUSSIAN_ROULETTE"] else 99,
         "hide_emitters": on["HIDE_EMITTERS"],
     }
+
+
+def _sensor(on: dict[str, bool]) -> dict:
     sensor: dict = {"type": "perspective", "fov": 60.0}
     if on["ORTHOGRAPHIC"]:
         sensor = {"type": "orthographic"}
@@ -234,8 +239,18 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
         sensor = {"type": "thinlens", "fov": 60.0, "aperture_radius": 0.1, "focus_distance": 5.0}
     rfilter = {"type": "gaussian" if on["FILTER_TABLE"] else "box"}
     sensor["film"] = {"type": "hdrfilm", "width": 9, "height": 7, "rfilter": rfilter}
-    scene: dict = {"type": "scene", "integrator": integrator, "sensor": sensor}
+    return sensor
 
+
+def _shapes(on: dict[str, bool], materials: list[dict], folder: Path) -> dict[str, dict]:
+    scene: dict = {}
+    shapes = [
+        shape
+        for name, shape in zip(
+            ("TRIANGLES", "SPHERES", "DISKS", "CYLINDERS"), ("rectangle", "sphere", "disk", "cylinder"), strict=True
+        )
+        if on[name]
+    ]
     number = max(len(shapes), len(materials)) if shapes and materials else 0
     for k in range(number):
         place = (0.9 * (k % 5) - 1.8, 0.8 * (k // 5) - 1.0, 4.0 + 0.3 * k)
@@ -256,7 +271,11 @@ def scene_with(on: dict[str, bool], folder: Path) -> dict:
         fog = {"type": "homogeneous", "sigma_t": 1.0, "albedo": 0.7}
         ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}
         scene["cloud"] = {**ball, "to_world": placed((0.0, 0.0, 4.5), 1.2)}
+    return scene
 
+
+def _lights(on: dict[str, bool], materials: list[dict], image: dict, folder: Path) -> dict[str, dict]:
+    scene: dict = {}
     radiance = {"type": "rgb", "value": [2.0, 1.5, 1.0]}
     lamps = zip(AREA_LIGHTS, ("rectangle", "sphere", "disk", "cylinder"), strict=True)
     for k, (name, shape) in enumerate(lamps):
