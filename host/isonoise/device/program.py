@@ -3,8 +3,9 @@
 One text can be hashed, cached and dumped, and an include path with a space cannot break it.
 """
 
+import functools
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
 
 import numpy as np
@@ -20,7 +21,12 @@ def kernel_source(name: str) -> str:
     return resources.files("isonoise.kernels").joinpath(name).read_text(encoding="utf-8")
 
 
-def flatten(name: str, headers: Mapping[str, str] | None = None, seen: set[str] | None = None) -> str:
+def flatten(
+    name: str,
+    headers: Mapping[str, str] | None = None,
+    seen: set[str] | None = None,
+    source: Callable[[str], str] = kernel_source,
+) -> str:
     """Text of a kernel file with every include in place, each once.
 
     `#line` directives let compiler messages name file and line.
@@ -31,6 +37,7 @@ def flatten(name: str, headers: Mapping[str, str] | None = None, seen: set[str] 
     headers : texts of generated headers, by the name under which kernels include them (`generated/NAME.h`). Without
         any, all of them are empty; that of the records is empty unless given.
     seen : files that are not included again; gets the names of those that are
+    source : reads a file of `kernels/`
 
     Raises
     ------
@@ -48,7 +55,7 @@ def flatten(name: str, headers: Mapping[str, str] | None = None, seen: set[str] 
         include = _INCLUDE.match(line)
         if include:
             if include[1] not in seen:
-                lines.append(flatten(include[1], headers, seen))
+                lines.append(flatten(include[1], headers, seen, source))
             lines.append(f'#line {number + 1} "{name}"')
         else:
             lines.append("" if _PRAGMA_ONCE.match(line) else line)
@@ -113,23 +120,41 @@ def stage_source(
     features : feature -> whether it is on
     headers : generated headers, see `flatten`
     """
-    files = [names] if isinstance(names, str) else list(names)
+    files = (names,) if isinstance(names, str) else tuple(names)
+    parts = (tuple(mapping.items()) for mapping in (structs, constants, headers or {}))
+    text, mentioned = _program_text(kernel_source, files, *parts)
+    return text, ("-cl-std=CL1.2", *(f"-DFEATURE_{name}={int(features[name])}" for name in mentioned))
+
+
+@functools.lru_cache(maxsize=64)
+def _program_text(
+    source: Callable[[str], str],
+    files: tuple[str, ...],
+    structs: tuple[tuple[str, np.dtype], ...],
+    constants: tuple[tuple[str, int | str], ...],
+    headers: tuple[tuple[str, str], ...],
+) -> tuple[str, tuple[str, ...]]:
+    """Text of a program, and the features that it mentions.
+
+    It takes tens of milliseconds and does not depend on the scene, so it is cached for the next render. `source` reads
+    the files; as an argument it is part of the key.
+    """
+    constant_of = dict(constants)
 
     def flattened(records: str) -> str:
         seen: set[str] = set()
-        return "\n".join(flatten(name, {**(headers or {}), _RECORDS: records}, seen) for name in files)
+        return "\n".join(flatten(name, {**dict(headers), _RECORDS: records}, seen, source) for name in files)
 
     words = set(re.findall(r"\w+", flattened("")))
-    todo = words & constants.keys()
+    todo = words & constant_of.keys()
     while todo:
-        todo = set(re.findall(r"\w+", " ".join(str(constants[key]) for key in todo))) - words
+        todo = set(re.findall(r"\w+", " ".join(str(constant_of[key]) for key in todo))) - words
         words |= todo
-        todo &= constants.keys()
-    body = flattened("\n".join(record_reader(key, dtype) for key, dtype in structs.items() if f"{key}_at" in words))
+        todo &= constant_of.keys()
+    body = flattened("\n".join(record_reader(key, dtype) for key, dtype in structs if f"{key}_at" in words))
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
-    macros = {key: f"({value})" if isinstance(value, str) else f"{value}u" for key, value in constants.items()}
+    macros = {key: f"({value})" if isinstance(value, str) else f"{value}u" for key, value in constants}
     prelude += [f"#define {key} {value}" for key, value in macros.items() if key in words]
-    prelude += [declare_struct(key, dtype) for key, dtype in structs.items() if key in words]
+    prelude += [declare_struct(key, dtype) for key, dtype in structs if key in words]
     mentioned = sorted(word.removeprefix("FEATURE_") for word in words if word.startswith("FEATURE_"))
-    options = ["-cl-std=CL1.2"] + [f"-DFEATURE_{key}={int(features[key])}" for key in mentioned]
-    return "\n".join([*prelude, body]) + "\n", tuple(options)
+    return "\n".join([*prelude, body]) + "\n", tuple(mentioned)
