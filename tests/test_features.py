@@ -1,4 +1,4 @@
-"""Features: every two build and run, and leave pictures as they are."""
+"""Features: every pair builds and runs, and features that a scene does not use change no bit of its image."""
 
 from pathlib import Path
 
@@ -30,13 +30,13 @@ def device():
     return Device()
 
 
-# Every two features build and run.
+# Every pair of features builds and runs.
 
 
-def rendered(
+def render_wave(
     device: Device, scene: CompiledScene, spp: int, needs: Needs = BASIC_NEEDS, feature_override=None
 ) -> Statistics:
-    """The statistics of a uniform wave; every kernel has been launched on nothing before."""
+    """Returns the statistics of a uniform wave, after a warm-up."""
     pool_size = min(2**17, scene.width * scene.height * spp)
     wavefront = Wavefront(
         device, scene, build_scene_bvh(scene), needs, pool_size=pool_size, feature_override=feature_override
@@ -46,26 +46,29 @@ def rendered(
     return wavefront.accumulator.statistics(scene.radiance_scale)
 
 
-def runs_as_specialised(device: Device, monkeypatch, row: dict[str, bool], folder: Path, of_scene=None) -> None:
-    """The program with the features of `row` builds without warnings and all its kernels run. The picture of a scene
-    that uses what it can of them is, to the bit, that of the program with what the scene uses alone; with UVS if the
-    row has them, since they may turn the lobes of rough materials about their normals. `of_scene`: the features that
-    the scene uses, if it is not to use all that it can.
+def assert_runs_as_specialised(
+    device: Device, monkeypatch, row: dict[str, bool], folder: Path, scene_features=None
+) -> None:
+    """Asserts that the program with the features of `row` builds without warnings, and that all its kernels run.
+
+    The image of a scene that uses these features has the same bits as that of the program with the features that the
+    scene uses, and UVS if `row` has them, since they may rotate the lobes of rough materials. `scene_features`: the
+    features that the scene may use, if not all of `row`.
     """
     build = Device.build
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
-    scene, needs = compile_scene(load(scene_with(of_scene or row, folder))), needs_of(row)
+    scene, needs = compile_scene(load(scene_with(scene_features or row, folder))), needs_of(row)
     used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "LIGHT_LIST", "UVS")}
-    for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # without which there is neither tree nor list
+    for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # tree and list need them
         used[name] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}
-    more, specialised = (rendered(device, scene, 16, needs, feature_override) for feature_override in (row, used))
+    more, specialised = (render_wave(device, scene, 16, needs, feature_override) for feature_override in (row, used))
     assert_same_bits(more, specialised)
     monkeypatch.setattr(Device, "build", build)
 
 
-def test_few_rows_hold_every_two_features():
-    """On and on, on and off, off and off: all that a scene can have."""
+def test_the_rows_cover_every_pair_of_features():
+    """All pairs of values that a scene can have: on and on, on and off, off and off."""
     rows, found = covering_rows(), set()
     assert len(rows) < 30
     for row in rows:
@@ -76,25 +79,25 @@ def test_few_rows_hold_every_two_features():
     assert {(a, True, b, True) for a in names for b in names if a < b} <= missing
     impossible = 4 * len(names) * (len(names) - 1) // 2 - len(missing)
     needed = sum(len(only(name)) and sum(only(name).values()) - 1 for name in names)
-    assert impossible <= needed  # a feature on without one that it cannot be without
+    assert impossible <= needed  # a feature is on without one that it needs
     assert missing <= found
 
 
-def test_none_run(device, monkeypatch, tmp_path):
-    runs_as_specialised(device, monkeypatch, only(), tmp_path)
+def test_no_features_run(device, monkeypatch, tmp_path):
+    assert_runs_as_specialised(device, monkeypatch, only(), tmp_path)
 
 
 @pytest.mark.long
-def test_all_run_a_scene_of_few(device, monkeypatch, tmp_path):
-    """All that change nothing, in the programs that take many paths a work-item."""
+def test_all_features_run_a_simple_scene(device, monkeypatch, tmp_path):
+    """All features that change nothing, in programs with several lanes, and a simple scene."""
     few = only("SPHERES", "TRIANGLES", "DIFFUSE", "CONDUCTOR", "NEXT_EVENT", "CONSTANT_LIGHT", "RUSSIAN_ROULETTE")
     row = all_but("LIGHT_TREE", "LIGHT_LIST", "HIDE_EMITTERS", "FILTER_TABLE", "VOLPATH")
-    runs_as_specialised(device, monkeypatch, row, tmp_path, few)
+    assert_runs_as_specialised(device, monkeypatch, row, tmp_path, few)
 
 
 @pytest.mark.parametrize(("lanes", "off"), [(1, ()), (64, ("VOLPATH",))])
-def test_all_build(device, lanes, off):
-    """What launches them takes twice as long, and is among the long tests."""
+def test_all_features_build(device, lanes, off):
+    """Builds all kernels; the long tests launch them, which takes twice as long."""
     constants = CONSTANTS | build_constants(EVERY_STATISTIC)
     constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
@@ -106,29 +109,29 @@ def test_all_build(device, lanes, off):
 
 @pytest.mark.long
 @pytest.mark.parametrize("off", [(), ("VOLPATH",)])
-def test_all_run(device, monkeypatch, tmp_path, off):
-    runs_as_specialised(device, monkeypatch, all_but(*off), tmp_path)
+def test_all_features_run(device, monkeypatch, tmp_path, off):
+    assert_runs_as_specialised(device, monkeypatch, all_but(*off), tmp_path)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", FEATURES)
-def test_each_alone_runs(device, monkeypatch, tmp_path, name):
-    runs_as_specialised(device, monkeypatch, only(name), tmp_path)
+def test_each_feature_runs_alone(device, monkeypatch, tmp_path, name):
+    assert_runs_as_specialised(device, monkeypatch, only(name), tmp_path)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("number", range(len(covering_rows())))
-def test_every_two_run(device, monkeypatch, tmp_path, number):
-    runs_as_specialised(device, monkeypatch, covering_rows()[number], tmp_path)
+def test_every_pair_of_features_runs(device, monkeypatch, tmp_path, number):
+    assert_runs_as_specialised(device, monkeypatch, covering_rows()[number], tmp_path)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", builtin_scenes())
 @pytest.mark.parametrize("volpath", [False, True])
-def test_everything_on_is_the_same_picture(device, name, volpath):
-    """To the bit, of 64 samples in each of 65,536 pixels: no compiler may reorder what is built without leave to."""
+def test_all_features_give_the_same_image(device, name, volpath):
+    """Bit-identical, 64 samples in each of 65,536 pixels: without fast-math no compiler may reorder operations."""
     scene = compile_scene(load(name))
     feature_override = feature_superset(features(scene), volpath)
-    full = rendered(device, scene, 64, EVERY_STATISTIC, feature_override)
-    specialised = rendered(device, scene, 64, EVERY_STATISTIC)
+    full = render_wave(device, scene, 64, EVERY_STATISTIC, feature_override)
+    specialised = render_wave(device, scene, 64, EVERY_STATISTIC)
     assert_same_bits(full, specialised)
