@@ -100,7 +100,7 @@ INLINE uint intersect_node(__global const float8* node, const Ray* ray, float t_
 }
 
 #if FEATURE_TRIANGLES
-// Intersects the 8 triangles of a block. Returns a bit mask of the hits in (0, t_max); t, u, v receive the distances
+// Intersects the triangles of a triangle block. Returns a bit mask of the hits in (0, t_max); t, u, v receive the distances
 // and the barycentric coordinates of the second and third corner. Woop, Benthin, Wald, "Watertight Ray/Triangle
 // Intersection", JCGT 2013, without the double-precision fallback: an edge function that rounds to zero counts as
 // inside for both neighbours, so there are no leaks. Edge functions use no fma: neighbours get exactly opposite values
