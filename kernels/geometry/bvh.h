@@ -100,12 +100,12 @@ INLINE uint intersect_node(__global const float8* node, const Ray* ray, float t_
 }
 
 #if FEATURE_TRIANGLES
-// Intersects the triangles of a triangle block. Returns a bit mask of the hits in (0, t_max); t, u, v receive the distances
-// and the barycentric coordinates of the second and third corner. Woop, Benthin, Wald, "Watertight Ray/Triangle
-// Intersection", JCGT 2013, without the double-precision fallback: an edge function that rounds to zero counts as
-// inside for both neighbours, so there are no leaks. Edge functions use no fma: neighbours get exactly opposite values
-// on a shared edge. A ray cannot hit again the plane that it starts or ends on, but rounding can produce such a hit:
-// the two primitives in `skip` are left out. This needs no epsilon.
+// Intersects the triangles of a triangle block. Returns a bit mask of the hits in (0, t_max); t, u, v receive the
+// distances and the barycentric coordinates of the second and third corner. Woop, Benthin, Wald, "Watertight
+// Ray/Triangle Intersection", JCGT 2013, without the double-precision fallback: an edge function that rounds to zero
+// counts as inside for both neighbours, so there are no leaks. Edge functions use no fma: neighbours get exactly
+// opposite values on a shared edge. A ray cannot hit again the plane that it starts or ends on, but rounding can
+// produce such a hit: the two primitives in `skip` are left out. This needs no epsilon.
 INLINE uint intersect_triangle_block(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t,
                                      float8* u, float8* v)
 {

@@ -71,8 +71,8 @@ INLINE void begin_traversal(Traversal* traversal, ulong* stack, Vec3 ray_origin,
     traversal->stack_size = 2u;
 }
 
-// Prefetches a child that goes on the stack: a whole node, or most of a block. Else it is not in the cache when it is
-// popped.
+// Prefetches a child that goes on the stack: a whole node, or most of a triangle block. Else it is not in the cache
+// when it is popped.
 INLINE void prefetch_child(__global const float8* nodes, __global const float8* triangle_blocks, int reference)
 {
     const size_t address = reference < 0 ? (size_t)(triangle_blocks + ~reference) : (size_t)(nodes + reference);

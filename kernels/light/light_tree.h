@@ -7,16 +7,17 @@
 #include "util/math.h"
 
 #if FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST
-// Rows of a node, each a float8 with one lane a child: 0-2 center and 3 radius of the bounding sphere, 4 fraction of
-// the power, 5-7 axis of the cone of normals, 8 cosine and 9 sine of its half angle, 10 cosine of the angle to a normal
-// up to which light is emitted, 11 child (int bits): > 0 a node, else ~light.
+// Rows of a node, each a float8 with one vector lane a child: 0-2 center and 3 radius of the bounding sphere, 4
+// fraction of the power, 5-7 axis of the cone of normals, 8 cosine and 9 sine of its half angle, 10 cosine of the angle
+// to a normal up to which light is emitted, 11 child (int bits): > 0 a node, else ~light.
 #define LIGHT_NODE_ROWS 12
 #define DEFENSIVE_FRACTION 0x1p-10f  // of the selections go by power alone, in case rounding makes an importance 0
 #define MIN_TOTAL_IMPORTANCE 1e-30f  // its inverse is finite; below it selections go by power alone
 
 typedef struct {
     __global const float8* nodes;
-    __global const uint* parents;  // 8 * parent node + slot, of every light, then of every node; NONE without a parent
+    // 8 * parent node + child slot, of every light, then of every node; NONE without a parent
+    __global const uint* parents;
     uint light_count;
 } LightTree;
 
@@ -28,7 +29,7 @@ INLINE float8 sqrt8(float8 v)
     return lanes.vector;
 }
 
-// Shift the lanes up by 1, 2 or 4 and fill with zeros.
+// Shift the vector lanes up by 1, 2 or 4 and fill with zeros.
 #define SHIFT_LANES_1(v) (float8)(0.0f, v.s0, v.s1, v.s2, v.s3, v.s4, v.s5, v.s6)
 #define SHIFT_LANES_2(v) (float8)(0.0f, 0.0f, v.s0, v.s1, v.s2, v.s3, v.s4, v.s5)
 #define SHIFT_LANES_4(v) (float8)(0.0f, 0.0f, 0.0f, 0.0f, v.s0, v.s1, v.s2, v.s3)
@@ -82,7 +83,7 @@ INLINE float child_pmf(float importance, float total, float power_fraction)
     return (1.0f - DEFENSIVE_FRACTION) / total * importance + DEFENSIVE_FRACTION * power_fraction;
 }
 
-// Index of the last lane that is set in a mask, from the exponent of its bits as a float; 0 if none is set.
+// Index of the last vector lane that is set in a mask, from the exponent of its bits as a float; 0 if none is set.
 INLINE uint last_set_lane(int8 mask)
 {
     return (as_uint((float)(mask_bits(mask) | 1u)) >> 23) - 127u;

@@ -102,7 +102,7 @@ INLINE void sample_lights(const SceneView* scene, const PathBuffers* paths, cons
 #endif
 
 #if FEATURE_TEXTURES
-// Texture values of all BSDF parameters, slot by slot.
+// Texture values of all BSDF parameters, BSDF slot by BSDF slot.
 INLINE void evaluate_textures(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
     int list[LANES + 1];

@@ -1,7 +1,7 @@
 // Stage: adds the samples of a slice to the per-pixel statistics. One work-item per pixel, which reads its samples in
-// order. Blocks of SAMPLES_PER_BLOCK samples, by sample index, are summed relative to the mean of all samples before
-// them, then merged. The unfinished block waits in the state, so the result depends on the samples alone and not on how
-// they were cut into waves. The same holds for chunks, of which medians are taken.
+// order. Sample blocks, SAMPLES_PER_BLOCK samples by sample index, are summed relative to the mean of all samples
+// before them, then merged. The unfinished sample block stays in the state, so the result depends on the samples alone
+// and not on how they were cut into waves. The same holds for chunks, of which medians are taken.
 #include "util/statistics.h"
 #include "util/math.h"
 

@@ -80,7 +80,7 @@ INLINE bool attenuate_surface(ShadowState* shadow, const SceneView* scene, const
 }
 
 #if FEATURE_TRIANGLES
-// Applies the hits in a block of triangles. Returns whether any light is left.
+// Applies the hits in a triangle block. Returns whether any light is left.
 INLINE bool attenuate_block(ShadowState* shadow, const SceneView* scene, const Traversal* traversal,
                             __global const float8* block, Vec3 origin, Vec3 direction, float t_max)
 {

@@ -1,5 +1,6 @@
-// Per-pixel statistics, used by `reduce` and `summarise`: access to the state, merging of blocks, medians.
-// The state consists of planes with one float per pixel, `stride` floats apart; a Compensated sum takes two planes.
+// Per-pixel statistics, used by `reduce` and `summarise`: access to the state, merging of sample blocks, medians. A
+// block is a sample block: SAMPLES_PER_BLOCK consecutive samples of a pixel, or the unfinished rest. The state consists
+// of planes with one float per pixel, `stride` floats apart; a Compensated sum takes two planes.
 #pragma once
 #include "util/compensated.h"
 
@@ -17,7 +18,7 @@ INLINE void store_sum(Compensated sum, __global float* plane, uint stride)
     plane[stride] = sum.low;
 }
 
-// Merges M2, the sum of squared differences from the mean, of n samples with a block of k more.
+// Merges M2, the sum of squared differences from the mean, of n samples with a sample block of k more.
 // Chan, Golub, LeVeque, "Algorithms for Computing the Sample Variance", 1983.
 // `block_sum`, `block_squares`: sums of x - shift and of its square over the block.
 // The mean of the n samples is shift + shift_error, `shift` being a float; for n = 0 `shift` is the block's first
@@ -46,7 +47,7 @@ INLINE void add_rgb(Compensated* sums, Vec3 rgb)
     sums[2] = add_compensated(sums[2], rgb.z);
 }
 
-// Sums over the full blocks of a pixel, and over its unfinished block.
+// Sums over the full sample blocks of a pixel, and over its unfinished one.
 typedef struct {
     Compensated sum[4];              // red, green, blue, x
     Compensated m2;                  // of x

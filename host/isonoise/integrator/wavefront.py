@@ -223,10 +223,10 @@ class Wavefront:
 
     def _compact(self, paths: int) -> int:
         """Move the paths that continue to the front of the pool; returns how many these are."""
-        path_count, blocks = np.uint32(paths), -(-paths // self.path_block_size)
-        self._launch("count_alive", blocks, path_count=path_count)
-        self._launch("scan_blocks", 1, path_block_count=np.uint32(blocks))
-        self._launch("move_paths", blocks, path_count=path_count)
+        path_count, path_blocks = np.uint32(paths), -(-paths // self.path_block_size)
+        self._launch("count_alive", path_blocks, path_count=path_count)
+        self._launch("scan_blocks", 1, path_block_count=np.uint32(path_blocks))
+        self._launch("move_paths", path_blocks, path_count=path_count)
         arguments = self._arguments
         for name in self._path_state:
             arguments[name], arguments[f"next_{name}"] = arguments[f"next_{name}"], arguments[name]

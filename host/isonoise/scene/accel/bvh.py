@@ -6,7 +6,8 @@ Layout on the device (all float8, see kernels/geometry/bvh.h):
 
 A reference >= 0 is a node: the index of its first row (a float8). A negative reference is a leaf; ~reference is the
 index of a block's first row or, beyond the rows of all blocks, an analytic primitive or an instance (see `build.py`).
-Unused slots of a node are boxes that no ray intersects. Unused lanes of a block are triangles of zero area.
+Unused child slots of a node are boxes that no ray intersects. Unused vector lanes of a triangle block are triangles of
+zero area.
 """
 
 from dataclasses import dataclass
