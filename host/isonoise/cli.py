@@ -55,7 +55,7 @@ def _add_render(commands) -> None:
         "render",
         help="render a scene until an error, a time or a number of samples is reached",
         description="Render a scene. --spp, --time and --error can be combined: the first one reached ends the\n"
-        "render. Without them the scene's own sample_count does. Ctrl-C ends a render with a valid image.",
+        "render. Without them the scene's own sample_count does. Ctrl-C ends a render and writes the image so far.",
     )
     render.epilog_name = "render_epilog"
     render.add_argument(

@@ -1,7 +1,7 @@
 """Renders references and single-sample variances in reference batches; called by `runner`; resumes from stored ones.
 
-Both are unbiased: every reference batch is an independent render, with a seed that no run has, of an allocation map that
-is fixed before its first sample. So no sample influences the number of samples.
+Both are unbiased: every reference batch is an independent render, with a seed that no run has, of an allocation map
+that is fixed before its first sample. So no sample influences the number of samples.
 """
 
 from collections.abc import Callable, Iterator
