@@ -9,7 +9,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from isonoise.errors import SceneError
+from isonoise.scene.light.light_kinds import AREA
+from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
+from isonoise.scene.light.lights import emitted, emitter_light
+from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN as BSDF_OF_PLUGIN
+from isonoise.scene.vocabulary import plugins_of
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 MAX_EDITS, MAX_FILES = 5, 4
@@ -171,3 +179,14 @@ def test_a_new_kind_takes_a_header_a_row_and_a_plugin(tmp_path, edits, scene):
     assert len({file for file, _, _ in edits}) + 1 <= MAX_FILES
     add_kind(tmp_path, edits)
     run(tmp_path, scene)
+
+
+def test_plugins_and_rows_belong_together():
+    assert set(BSDF_OF_PLUGIN) == set(plugins_of("bsdf"))
+    assert {AREA, *LIGHT_OF_PLUGIN} == set(plugins_of("emitter"))
+
+
+def test_an_emitter_without_a_row_is_an_error():
+    for compile_emitter in (emitted, lambda emitter: emitter_light(emitter, np.ones(3))):
+        with pytest.raises(SceneError, match="'torch' has no row in light_kinds.py"):
+            compile_emitter({"type": "torch", "intensity": 1.0})
