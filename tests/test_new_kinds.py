@@ -188,5 +188,5 @@ def test_plugins_and_rows_belong_together():
 
 def test_an_emitter_without_a_row_is_an_error():
     for compile_emitter in (emitted, lambda emitter: emitter_light(emitter, np.ones(3))):
-        with pytest.raises(SceneError, match="'torch' has no row in light_kinds.py"):
+        with pytest.raises(SceneError, match="'torch' has no row in light_kinds"):
             compile_emitter({"type": "torch", "intensity": 1.0})
