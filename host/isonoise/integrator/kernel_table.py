@@ -243,7 +243,7 @@ BRUTE_FORCE_KERNELS = {
         excludes="VOLPATH",
     ),
 }
-"""Kernels that replace those of the same name for scenes of few primitives, whose rays need no BVH."""
+"""Kernels that replace those of the same name if rays are tested against all primitives, without the BVH."""
 
 PROGRAMS = (
     ("list_samples.cl", "reduce.cl", "summarise.cl"),
@@ -300,7 +300,7 @@ PATH_BUFFERS = (
 
 
 def kernel_table(features: Mapping[str, bool], brute_force: bool) -> dict[str, Kernel]:
-    """The kernels that a scene needs; `brute_force`: whether it has so few primitives that it needs no BVH."""
+    """The kernels that a scene needs; `brute_force`: whether rays are tested against all primitives."""
     table = KERNELS | (BRUTE_FORCE_KERNELS if brute_force else {})
     return {name: kernel for name, kernel in table.items() if kernel.is_launched(features)}
 
