@@ -4,8 +4,6 @@
 #include "bsdf/nested.h"
 #include "bsdf/thin_dielectric.h"
 
-#define MAX_NESTED_BLENDS 8u  // host/isonoise/scene/material/bsdfs.py admits no more
-
 // Share of the light that goes straight through; the weighted sum over the BSDFs that a wrapper holds.
 INLINE Vec3 pass_through_transmittance(BsdfContext* ctx)
 {

@@ -18,6 +18,9 @@ from isonoise.scene.material.rough_transmittance import NODES, inner_reflectance
 DEFAULT_ALPHA = 0.1
 """Mitsuba 3's roughness if none is given."""
 
+MAX_NESTED_BLENDS = 8
+"""Blends within one another for which kernels/bsdf/pass_through.h has room."""
+
 
 @dataclass(frozen=True)
 class Slot:
@@ -249,7 +252,7 @@ def _any_bit(kinds: Iterable[BsdfKind]) -> str:
 @lru_cache(maxsize=1)
 def bsdf_macros() -> dict[str, int | str]:
     """Macros for the kernels: bits, slots, constants, sets of kinds, and what the kinds of a scene have in common."""
-    macros: dict[str, int | str] = {"BSDF_SLOTS": SLOT_COUNT}
+    macros: dict[str, int | str] = {"BSDF_SLOTS": SLOT_COUNT, "MAX_NESTED_BLENDS": MAX_NESTED_BLENDS}
     for kind in KINDS.values():
         name = kind.name.upper()
         macros[f"BSDF_{name}"] = bsdf_bits(kind.name)

@@ -9,7 +9,15 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import structs
-from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN, KINDS, BsdfKind, bits_where, bsdf_bits, select
+from isonoise.scene.material.bsdf_kinds import (
+    KIND_OF_PLUGIN,
+    KINDS,
+    MAX_NESTED_BLENDS,
+    BsdfKind,
+    bits_where,
+    bsdf_bits,
+    select,
+)
 from isonoise.scene.material.rough_transmittance import NODES
 from isonoise.scene.spectra import colour_to_rgb
 
@@ -21,9 +29,6 @@ _FLAGS = {
     ("use_shadowing_function", False): structs.BSDF_NO_BUMP_SHADOWING,
 }
 """(parameter, value) -> flag of the record."""
-
-MAX_NESTED_BLENDS = 8
-"""Blends within one another for which kernels/bsdf/pass_through.h has room."""
 
 
 class Bsdfs:
