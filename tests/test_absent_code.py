@@ -52,7 +52,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     if cpp is None:
         pytest.skip("no C preprocessor 'cpp' on PATH")
     constants = CONSTANTS | build_constants(EVERY_STATISTIC)
-    constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
+    constants |= {"LANES": lanes, "PATH_BLOCK_SIZE": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     # the text is the same for all sets
     text, options = stage_source(file, STRUCTS, constants, all_but(), generated_headers())

@@ -99,7 +99,7 @@ def test_all_features_run_a_simple_scene(device, monkeypatch, tmp_path):
 def test_all_features_build(device, lanes, off):
     """Builds all kernels; the long tests launch them, which takes twice as long."""
     constants = CONSTANTS | build_constants(EVERY_STATISTIC)
-    constants |= {"LANES": lanes, "PATHS_PER_BLOCK": 64}
+    constants |= {"LANES": lanes, "PATH_BLOCK_SIZE": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     for few in (False, True):
         for file in dict.fromkeys(row.file for row in kernel_table(all_but(*off), few).values()):

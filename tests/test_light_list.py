@@ -165,8 +165,8 @@ def test_probabilities_are_those_of_float64(device, kernel):
     # 5e-6 from the roots, and cancellation in the cosine of a sum of angles
     np.testing.assert_allclose(found, expected, rtol=5e-5, atol=5e-6)
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=2e-6)
-    assert ((found > 0) == (scene.lights["selection_pmf"] > 0)).all()
-    assert (scene.lights["selection_pmf"] == 0).any()
+    assert ((found > 0) == (scene.lights["power_pmf"] > 0)).all()
+    assert (scene.lights["power_pmf"] == 0).any()
 
 
 def test_lanes_and_single_paths_agree(device):

@@ -157,7 +157,7 @@ class Lit:
         """Returns the solid-angle pdf times the probability of the light."""
         places = np.broadcast_to(reference, position.shape)
         found = self._run("density", (np.uint32(light),), (places, position, normal), 1)[:, 0].astype(np.float64)
-        return found * self.scene.lights["selection_pmf"][light]
+        return found * self.scene.lights["power_pmf"][light]
 
 
 @pytest.fixture(scope="module")

@@ -134,14 +134,14 @@ def test_every_light_with_power_has_one_place(count, beyond):
     used = tree.nodes[:, 4] > 0
     np.testing.assert_allclose(tree.nodes[:, 4].sum(axis=1), 1.0, atol=1e-6)
     leaves = ~references[used & (references < 0)]
-    assert sorted(leaves) == np.flatnonzero(scene.lights["selection_pmf"] > 0).tolist()
+    assert sorted(leaves) == np.flatnonzero(scene.lights["power_pmf"] > 0).tolist()
     inner = references[used & (references >= 0)]
     assert sorted(inner) == list(range(1, len(tree.nodes)))
     for child in np.concatenate([leaves, lights + inner]):
         node, slot = divmod(int(tree.parents[child]), BVH_WIDTH)
         assert references[node, slot] == (child - lights if child >= lights else ~child)
     assert tree.parents[lights] == structs.NONE
-    dark = np.flatnonzero(scene.lights["selection_pmf"] == 0)
+    dark = np.flatnonzero(scene.lights["power_pmf"] == 0)
     assert len(dark) == 1
     assert tree.parents[dark].tolist() == [structs.NONE]
 
@@ -255,7 +255,7 @@ def test_probabilities_of_all_lights_sum_to_one(device):
         tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), 64)
     ).reshape(64, lights)
     np.testing.assert_allclose(computed.sum(axis=1), 1.0, atol=1e-5)
-    power = scene.lights["selection_pmf"]
+    power = scene.lights["power_pmf"]
     assert ((computed > 0) == (power > 0)).all()
 
 

@@ -17,6 +17,8 @@ from isonoise.scene.light.light_kinds import AREA
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
 from isonoise.scene.light.lights import emitted, emitter_light
 from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN as BSDF_OF_PLUGIN
+from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
+from isonoise.scene.material.bsdf_kinds import select as select_bsdfs
 from isonoise.scene.vocabulary import plugins_of
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -184,6 +186,15 @@ def test_a_new_kind_takes_a_header_a_row_and_a_plugin(tmp_path, edits, scene):
 def test_plugins_and_rows_belong_together():
     assert set(BSDF_OF_PLUGIN) == set(plugins_of("bsdf"))
     assert {AREA, *LIGHT_OF_PLUGIN} == set(plugins_of("emitter"))
+
+
+def test_rows_with_a_plastic_base_have_its_parameters_at_the_same_positions():
+    """kernels/bsdf/plastic_base.h reads them by the numbers of the kind `plastic`."""
+    base = BSDF_KINDS["plastic"].slots
+    assert [slot.name for slot in base] == ["specular_reflectance", "diffuse_reflectance", "ior"]
+    for kind in select_bsdfs(lambda kind: "PLASTIC_BASE" in kind.helpers):
+        assert kind.slots[: len(base)] == base, kind.name
+        assert next(iter(kind.constants)) == "inner_reflectance", kind.name
 
 
 def test_an_emitter_without_a_row_is_an_error():

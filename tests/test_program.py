@@ -31,7 +31,7 @@ HEADERS = generated_headers()
 CONSTANTS = CONSTANTS | build_constants(Needs(batch=2))
 CONSTANTS |= {
     "LANES": 1,
-    "PATHS_PER_BLOCK": 64,
+    "PATH_BLOCK_SIZE": 64,
     "MAX_CORNERS": MAX_CORNERS,
     "MAX_LISTED_LIGHTS": 8,
 }

@@ -61,7 +61,7 @@ def test_alias_table_sums_exactly_to_the_stated_probabilities():
             c={"type": "point", "intensity": 0.7},
         )
     )
-    assert np.array_equal(selection_probabilities(scene.light_alias).astype(np.float32), scene.lights["selection_pmf"])
+    assert np.array_equal(selection_probabilities(scene.light_alias).astype(np.float32), scene.lights["power_pmf"])
 
 
 def test_lights_of_a_shape_follow_its_primitives():
@@ -108,7 +108,7 @@ def test_selection_is_proportional_to_power():
             4 * np.pi**2 * radius_squared * 19.0,
         ]
     )
-    np.testing.assert_allclose(scene.lights["selection_pmf"], powers / powers.sum(), rtol=2e-6)
+    np.testing.assert_allclose(scene.lights["power_pmf"], powers / powers.sum(), rtol=2e-6)
     assert scene.environment_light == 7
 
 
@@ -124,13 +124,13 @@ def test_dark_and_degenerate_primitives_are_never_selected():
             },
         )
     )
-    assert scene.lights["selection_pmf"].tolist() == [0, 0, 0, 1]
+    assert scene.lights["power_pmf"].tolist() == [0, 0, 0, 1]
 
 
 def test_lights_without_power_and_scenes_without_light():
     dark = compile_scene(scene_with(sky={"type": "constant", "radiance": 0.0}))
     assert dark.radiance_scale == 1.0
-    assert dark.lights["selection_pmf"].tolist() == [1.0]
+    assert dark.lights["power_pmf"].tolist() == [1.0]
     none = compile_scene(scene_with())
     assert none.radiance_scale == 1.0
     assert len(none.lights) == len(none.light_alias) == 0
@@ -175,7 +175,7 @@ def test_a_million_emissive_triangles():
     scene = compile_scene(scene_with(field=shape))
     assert len(scene.lights) == 2 * (side - 1) ** 2 > 10**6
     areas = scene.lights["area"].astype(float)
-    np.testing.assert_allclose(scene.lights["selection_pmf"], areas / areas.sum(), rtol=2e-6)
+    np.testing.assert_allclose(scene.lights["power_pmf"], areas / areas.sum(), rtol=2e-6)
 
 
 def test_emitters_without_bsdf_are_black():

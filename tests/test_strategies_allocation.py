@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from isonoise.strategies.allocation import deficit, proportional, proportional_to_error
+from isonoise.strategies.allocation import deficit, distribute_in_proportion, proportional_to_error
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
@@ -235,7 +235,7 @@ def test_proportional_equals_rational_arithmetic():
         total = sum(Fraction(float(w)) for w in weights.ravel())
         for budget in (0, 1, 29, 1000, 10**6 + 1):
             shares = [Fraction(float(w)) * budget / total for w in weights.ravel()]
-            counts = proportional(weights, budget, 0)
+            counts = distribute_in_proportion(weights, budget, 0)
             assert counts.ravel().tolist() == largest_remainders(shares, budget)
             assert counts.dtype == np.uint32
 
@@ -243,13 +243,13 @@ def test_proportional_equals_rational_arithmetic():
 def test_proportional_with_extreme_weights():
     alone = np.zeros((7, 5))
     alone[3, 2] = 1e-310
-    assert proportional(alone, 2**32 - 1, 0)[3, 2] == 2**32 - 1
+    assert distribute_in_proportion(alone, 2**32 - 1, 0)[3, 2] == 2**32 - 1
     for budget in (2**32, -1):
         with pytest.raises(ValueError, match="out of range"):
-            proportional(alone, budget, 0)
-    assert int(proportional(np.full((7, 5), 1e308), 2**33 + 3, 0).sum(dtype=np.int64)) == 2**33 + 3
-    assert (proportional(np.zeros((7, 5)), 70, 0) == 2).all()
-    ties = [proportional(np.ones((7, 5), np.uint32), 10, wave) for wave in range(50)]
+            distribute_in_proportion(alone, budget, 0)
+    assert int(distribute_in_proportion(np.full((7, 5), 1e308), 2**33 + 3, 0).sum(dtype=np.int64)) == 2**33 + 3
+    assert (distribute_in_proportion(np.zeros((7, 5)), 70, 0) == 2).all()
+    ties = [distribute_in_proportion(np.ones((7, 5), np.uint32), 10, wave) for wave in range(50)]
     assert len({tie.tobytes() for tie in ties}) > 45
     assert all(tie.sum() == 10 and tie.max() == 1 for tie in ties)
 

@@ -18,7 +18,8 @@ def render_epilog() -> str:
     lines += ["  module:Class for your own", ""]
     lines.append("columns of --log (those with the prefix true_ only with --reference):")
     lines.append(label_lines(columns(true_errors=True).items(), indent="  ", wrap=110))
-    lines += ["", "exit codes: 0 done; 1 --error not reached within the other limits; 2 bad input; 130 after Ctrl-C"]
+    lines += ["", "exit codes: 0 done; 1 --error not reached within the other limits; 2 bad input;"]
+    lines.append("130 after Ctrl-C; 143 after SIGTERM")
     return "\n".join(lines)
 
 

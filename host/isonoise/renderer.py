@@ -228,9 +228,9 @@ class Renderer:
         """The map, scaled down in proportion to at most `max_samples`."""
         if max_samples is None or int(allocation.sum(dtype=np.int64)) <= max_samples:
             return allocation
-        from isonoise.strategies.allocation import proportional  # uniform renders never need it
+        from isonoise.strategies.allocation import distribute_in_proportion  # uniform renders never need it
 
-        return proportional(allocation, max_samples, self._wave_index)
+        return distribute_in_proportion(allocation, max_samples, self._wave_index)
 
     def _checked(self, allocation: np.ndarray, budget: int | None) -> np.ndarray:
         """The map of a strategy, after checking type, shape and sum."""

@@ -92,7 +92,7 @@ INLINE Vec3 to_world(const BsdfContext* ctx, Vec3 v)
 typedef struct {
     Vec3 direction;  // unit, in world space
     Vec3 weight;     // bsdf * |cos| / pdf; 0 if the path ends
-    float pdf;       // solid angle; negative if the lobe is a delta function
+    float pdf;       // solid angle; PDF_WITHOUT_MIS (negative) where NEE could not have found this direction
     float eta;       // index of refraction on the side of `direction` over that of the incident side
     bool is_null;    // the path goes straight on, as if there was no surface
 } BsdfSample;

@@ -5,7 +5,9 @@
 #include "bsdf/context.h"
 
 #if HAS_PLASTIC_BASE
-// Both kinds have these slots and constants at the same numbers.
+// A row with the helper PLASTIC_BASE begins with the slots of _PLASTIC and has inner_reflectance as its first constant:
+// the numbers are positions (host/isonoise/scene/material/bsdf_kinds.py).
+
 // Reflectance of the base, with interreflection below the coat, over the coat's index of refraction squared.
 INLINE Vec3 diffuse_base_reflectance(const BsdfContext* ctx)
 {

@@ -15,7 +15,7 @@ typedef struct {
     // Woop's shear constants: x and y belong to the next two axes, z to `axis`
     float shear_x[PACKET_SIZE], shear_y[PACKET_SIZE], shear_z[PACKET_SIZE];
     uint start_primitive[PACKET_SIZE], end_primitive[PACKET_SIZE];  // what the ray starts and ends on: not tested
-    float t_max[PACKET_SIZE];              // of the nearest hit so far; negative for an unused lane
+    float t_max[PACKET_SIZE];              // of the nearest hit so far; negative for an unused ray
     float u[PACKET_SIZE], v[PACKET_SIZE];  // barycentric coordinates of the second and third corner
     uint primitive[PACKET_SIZE];
 } RayPacket;
@@ -103,7 +103,7 @@ INLINE void intersect_triangle(RayPacket* packet, uint ray, const ShearedVertex*
     const bool hit = ((min_edge >= 0.0f) | (max_edge <= 0.0f)) & (determinant != 0.0f) & (t > 0.0f) &
                      (t < packet->t_max[ray]) & (triangle != packet->start_primitive[ray]) &
                      (triangle != packet->end_primitive[ray]);
-    // written for every lane: reading back after a partial (masked) store is slow
+    // written for every ray: reading back after a partial (masked) store is slow
     packet->t_max[ray] = hit ? t : packet->t_max[ray];
     packet->u[ray] = hit ? edge_b * inverse : packet->u[ray];
     packet->v[ray] = hit ? edge_c * inverse : packet->v[ray];

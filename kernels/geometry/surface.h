@@ -75,7 +75,7 @@ typedef struct {
 #endif
 #if FEATURE_INSTANCES
     __global const Instance* instances;
-    uint world_triangles;  // triangles below this number belong to no instance group
+    uint world_triangle_count;  // triangles below this number belong to no instance group
 #endif
 #if FEATURE_MEDIA
     __global const Medium* media;

@@ -15,7 +15,7 @@ INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 norm
 #elif FEATURE_LIGHT_TREE
     return is_mis_weighted(pdf) ? light_tree_pmf(&scene->light_tree, light, point, normal) : 0.0f;
 #elif FEATURE_MANY_LIGHTS
-    return Light_at(scene->lights, light).selection_pmf;
+    return Light_at(scene->lights, light).power_pmf;
 #else
     return 1.0f;
 #endif
@@ -53,7 +53,7 @@ INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 
     selected.light = select_from_tree(&scene->light_tree, reference, normal, u, u_low, &selected.probability);
 #elif FEATURE_MANY_LIGHTS
     selected.light = select_light_by_power(scene->light_alias, scene->light_count, u, u_low);
-    selected.probability = Light_at(scene->lights, selected.light).selection_pmf;
+    selected.probability = Light_at(scene->lights, selected.light).power_pmf;
 #else
     selected.light = 0u;
     selected.probability = 1.0f;

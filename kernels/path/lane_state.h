@@ -8,7 +8,8 @@
 #define COMPACT_ESCAPED (LANES > 1 && HAS_ENVIRONMENT_LIGHT)
 
 #if LANES > 1
-// Bits of LANE_FLAGS.
+// Bits of LANE_FLAGS. With HAS_NESTED_BSDFS, advance_to_vertices also uses LANE_FLAG_SCATTERS for lanes whose BSDF,
+// which may be nested, is still to be resolved.
 #define LANE_FLAG_SCATTERS 1u       // the path is scattered at the surface
 #define LANE_FLAG_HIT_EMITTER 2u    // the surface emits towards the path
 #define LANE_FLAG_SAMPLES_LIGHT 4u  // next-event estimation is done for the path

@@ -10,8 +10,8 @@
 #define PATH_SAMPLE_INDEX 2u     // index of the sample within its pixel
 #define PATH_DEPTH 3u
 
-// A work-item processes LANES paths. On CPUs, where the compiler does not vectorise across work-items, it vectorises
-// the loops over lanes instead, VECTOR_WIDTH lanes at a time. Every lane writes to memory of its own, so
+// A work-item processes LANES paths. PoCL's CPU devices do not vectorise across work-items, but vectorise these loops
+// over lanes, VECTOR_WIDTH lanes at a time. On all other devices LANES is 1. Every lane writes to memory of its own, so
 // `assume_safety` holds.
 #if LANES > 1
 #define VECTOR_WIDTH 16u

@@ -16,7 +16,7 @@ typedef struct {
 // A path at the end of its ray.
 typedef struct {
     Vec3 origin, direction, throughput;
-    float direction_pdf;   // negative if a delta lobe was sampled
+    float direction_pdf;   // PDF_WITHOUT_MIS (negative) where next-event estimation could not have found this direction
     float eta;             // relative index of refraction so far, for Russian roulette
     float distance, u, v;  // of the hit
     uint primitive;        // that was hit, NONE if the ray escaped
@@ -92,7 +92,7 @@ INLINE bool hits_coplanar_neighbour(const SceneView* scene, const PathBuffers* p
                                     const Surface* s)
 {
 #if FEATURE_INSTANCES
-    const bool both_in_world = p->start_primitive < scene->world_triangles && paths->instance[i] == NONE;
+    const bool both_in_world = p->start_primitive < scene->world_triangle_count && paths->instance[i] == NONE;
 #else
     const bool both_in_world = !(p->start_primitive & ANALYTIC_BIT);
 #endif

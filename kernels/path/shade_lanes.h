@@ -67,7 +67,7 @@ INLINE void sample_light_lane(const SceneView* scene, const PathBuffers* paths, 
     }
 }
 
-#if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
+#if FEATURE_TRIANGLE_LIGHTS && HAS_NON_TRIANGLE_LIGHTS
 INLINE bool selected_triangle_light(const SceneView* scene, const float* lane_state, size_t lane)
 {
     return Light_at(scene->lights, load_lane_uint(lane_state, LANE_SELECTED_LIGHT, lane)).kind & LIGHT_TRIANGLE;
@@ -77,7 +77,7 @@ INLINE bool selected_triangle_light(const SceneView* scene, const float* lane_st
 INLINE void sample_lights(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, float* lane_state)
 {
     const uint count = hits->count;
-#if FEATURE_TRIANGLE_LIGHTS && HAS_OTHER_LIGHTS
+#if FEATURE_TRIANGLE_LIGHTS && HAS_NON_TRIANGLE_LIGHTS
     int list[LANES + 1];
     COMPACT_LANES(
         list, other_count, k, count,
@@ -116,7 +116,7 @@ INLINE void evaluate_textures(const SceneView* scene, const HitLanes* hits, floa
             const Surface s = load_surface_lane(lane_state, list[j]);
             const TexturePoint point = texture_point(&s);
             __global const Bsdf* bsdf = scene->bsdfs + load_lane_uint(lane_state, LANE_BSDF, list[j]);
-            const bool is_number = bsdf->numbers & (1u << slot);
+            const bool is_number = bsdf->number_slots & (1u << slot);
             const Vec3 value = is_number ? splat3(texture_float(&scene->textures, bsdf->textures[slot], &point))
                                          : texture_rgb(&scene->textures, bsdf->textures[slot], &point);
             store_lane3(value, lane_state, LANE_PARAMETERS + 3u * slot, list[j]);

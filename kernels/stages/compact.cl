@@ -1,6 +1,6 @@
 // Stages between two bounces: compaction moves the live paths to the front of the pool and keeps their order. New paths
 // are generated behind them, so the pool stays dense, and paths of the same depth, which behave alike, stay together.
-// Stable and without atomics: count per path block (PATHS_PER_BLOCK paths), scan the counts, move. One work-item per
+// Stable and without atomics: count per path block (PATH_BLOCK_SIZE paths), scan the counts, move. One work-item per
 // path block.
 // Reads alive and the path state; writes total_alive and the other copy of the path state.
 #include "path/path_state.h"
@@ -10,9 +10,9 @@ __kernel void count_alive(
 )
 {
     const uint block = get_global_id(0);
-    const uint begin = block * PATHS_PER_BLOCK;
+    const uint begin = block * PATH_BLOCK_SIZE;
     if (begin >= path_count) return;
-    const uint end = MIN(begin + PATHS_PER_BLOCK, path_count);
+    const uint end = MIN(begin + PATH_BLOCK_SIZE, path_count);
     uint sum = 0;
     for (uint i = begin; i < end; ++i) sum += alive[i];
     path_block_alive[block] = sum;
@@ -54,10 +54,10 @@ __kernel void move_paths(
 )
 {
     const uint block = get_global_id(0);
-    const uint begin = block * PATHS_PER_BLOCK;
+    const uint begin = block * PATH_BLOCK_SIZE;
     if (begin >= path_count) return;
-    const uint end = MIN(begin + PATHS_PER_BLOCK, path_count), first_target = path_block_alive[block];
-    uint source_slots[PATHS_PER_BLOCK], count = 0;
+    const uint end = MIN(begin + PATH_BLOCK_SIZE, path_count), first_target = path_block_alive[block];
+    uint source_slots[PATH_BLOCK_SIZE], count = 0;
     for (uint i = begin; i < end; ++i) {
         source_slots[count] = i;
         count += alive[i];

@@ -1,7 +1,7 @@
 // Stage: finds the closest hit of the ray of every path by BVH traversal.
-// Reads ray_origin, ray_direction, path (the primitive that the ray starts on); writes hit = (t, u, v, primitive bits).
-// With instances: `instance` holds the instance that the ray starts in and receives that of the hit; NONE is the world.
-// With COUNT_TESTS: writes how many nodes and triangle blocks each ray was tested against.
+// Reads ray_origin, ray_direction, path_ids (the primitive that the ray starts on); writes hit = (t, u, v, primitive
+// bits). With instances: `instance` holds the instance that the ray starts in and receives that of the hit; NONE is the
+// world. With COUNT_TESTS: writes how many nodes and triangle blocks each ray was tested against.
 #include "geometry/traverse.h"
 
 typedef struct {
@@ -23,12 +23,12 @@ INLINE void update_from_block(ClosestHit* closest, const Traversal* traversal, _
     u.vector = u8;
     v.vector = v8;
     for (; hits; hits &= hits - 1u) {
-        const uint lane = lowest_set_bit(hits);
-        if (t.lane[lane] < closest->t) {
-            closest->t = t.lane[lane];
-            closest->u = u.lane[lane];
-            closest->v = v.lane[lane];
-            closest->primitive = ((__global const uint*)(block + 9))[lane];
+        const uint triangle = lowest_set_bit(hits);
+        if (t.lane[triangle] < closest->t) {
+            closest->t = t.lane[triangle];
+            closest->u = u.lane[triangle];
+            closest->v = v.lane[triangle];
+            closest->primitive = ((__global const uint*)(block + 9))[triangle];
 #if FEATURE_INSTANCES
             closest->instance = traversal->instance;
 #endif
@@ -75,11 +75,11 @@ __kernel void intersect(
                         (uint2)(PLANE(PATH_START_PRIMITIVE, path_ids, plane_stride)[i], NONE));
 
 #if FEATURE_COUNT_TESTS
-        uint blocks_tested = 0u;
+        uint triangle_blocks_tested = 0u;
 #endif
         for (uint leaf; (leaf = next_leaf(&traversal, stack, nodes, triangle_blocks, closest.t, true)) != NO_LEAF;) {
 #if FEATURE_COUNT_TESTS
-            blocks_tested += leaf < first_analytic ? 1u : 0u;
+            triangle_blocks_tested += leaf < first_analytic ? 1u : 0u;
 #endif
 #if FEATURE_TRIANGLES
             if (leaf < first_analytic) update_from_block(&closest, &traversal, triangle_blocks + leaf);
@@ -93,7 +93,7 @@ __kernel void intersect(
         instance[i] = closest.instance;
 #endif
 #if FEATURE_COUNT_TESTS
-        tests[i] = (uint2)(traversal.nodes_tested, blocks_tested);
+        tests[i] = (uint2)(traversal.nodes_tested, triangle_blocks_tested);
 #endif
     }
 }

@@ -1,5 +1,5 @@
 // Stage: adds the samples of a slice to the per-pixel statistics. One work-item per pixel, which reads its samples in
-// order. Sample blocks, SAMPLES_PER_BLOCK samples by sample index, are summed relative to the mean of all samples
+// order. Sample blocks, SAMPLE_BLOCK_SIZE samples by sample index, are summed relative to the mean of all samples
 // before them, then merged. The unfinished sample block stays in the state, so the result depends on the samples alone
 // and not on how they were cut into waves. The same holds for chunks, of which medians are taken.
 #include "util/statistics.h"
@@ -33,7 +33,7 @@ INLINE void store_moments(const Moments* m, __global float* sums, __global float
 // Adds the n-th sample, with luminance x.
 INLINE void add_to_moments(Moments* m, uint n, Vec3 rgb, float x)
 {
-    const uint index = n % SAMPLES_PER_BLOCK;
+    const uint index = n % SAMPLE_BLOCK_SIZE;
     if (index == 0) {
         m->block_rgb = splat3(0.0f);
         m->shift = n ? divide_compensated(m->sum[3], n).high : x;
@@ -43,7 +43,7 @@ INLINE void add_to_moments(Moments* m, uint n, Vec3 rgb, float x)
     m->block_rgb = add3(m->block_rgb, rgb);
     m->block_sum += difference;
     m->block_squares += difference * difference;
-    if (index == SAMPLES_PER_BLOCK - 1) merge_block(m, n - index, SAMPLES_PER_BLOCK);
+    if (index == SAMPLE_BLOCK_SIZE - 1) merge_block(m, n - index, SAMPLE_BLOCK_SIZE);
 }
 
 #if FEATURE_CHUNK_MEDIANS

@@ -2,11 +2,12 @@
 // roulette. Reads hit and the path state; adds emission to samples; writes the next ray, the shadow ray and whether the
 // path is alive.
 //
-// Two forms compute the same. `shade_path` shades one path and keeps it in registers: on GPUs, and with
-// FEATURE_VOLPATH. `shade_lanes` shades LANES paths, on CPUs: every step is a loop over the lanes, because the compiler
-// vectorises short loops only, and values go from step to step as lane state. On cornell, vectorised loops made this
-// stage 2.9 times as fast, and a loop for every step 1.25 times again. One form for both would spill 70 floats a path
-// to memory on GPUs, and would have to keep in the lane state what a medium changes of a path.
+// Two forms compute the same. `shade_lanes` shades LANES paths: on CPUs with PoCL, without FEATURE_VOLPATH. Every step
+// is a loop over the lanes, because the compiler vectorises short loops only, and values go from step to step as lane
+// state. On cornell, vectorised loops made this stage 2.9 times as fast, and a loop for every step 1.25 times again.
+// `shade_path` shades one path and keeps it in registers: on all other devices, and with FEATURE_VOLPATH. One form for
+// both would spill 70 floats a path to memory on GPUs, and the lane state would have to hold what a medium changes of a
+// path.
 //
 //   step                    shade_path                            shade_lanes
 //   environment, hits       advance_to_vertex                     handle_escaped_rays, advance_to_vertices

@@ -88,15 +88,15 @@ INLINE bool attenuate_block(ShadowState* shadow, const SceneView* scene, const T
     uint hits =
         intersect_triangle_block(block, &traversal->ray, traversal->skip, t_max, &t.vector, &u.vector, &v.vector);
     for (; hits; hits &= hits - 1u) {
-        const uint lane = lowest_set_bit(hits), primitive = ((__global const uint*)(block + 9))[lane];
+        const uint triangle = lowest_set_bit(hits), primitive = ((__global const uint*)(block + 9))[triangle];
         if (!(Triangle_at(scene->triangles, primitive).flags & SHAPE_PASS_THROUGH)) return false;
 #if FEATURE_INSTANCES
         const Surface s = instanced_surface_of_hit(scene, traversal->instance, primitive, origin, direction,
-                                                   t.lane[lane], u.lane[lane], v.lane[lane]);
+                                                   t.lane[triangle], u.lane[triangle], v.lane[triangle]);
 #else
-        const Surface s = triangle_surface(scene, primitive, u.lane[lane], v.lane[lane]);
+        const Surface s = triangle_surface(scene, primitive, u.lane[triangle], v.lane[triangle]);
 #endif
-        if (!attenuate_surface(shadow, scene, &s, direction, t.lane[lane])) return false;
+        if (!attenuate_surface(shadow, scene, &s, direction, t.lane[triangle])) return false;
     }
     return true;
 }

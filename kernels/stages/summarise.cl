@@ -1,5 +1,6 @@
-// Stage: turns the state of `reduce` into the statistics that the host reads, in the device's units. One work-item per
-// pixel of a strip of at most `stride` pixels. Reads the state; writes `summary`, one plane after another:
+// Stage: turns the state of `reduce` into the statistics that the host reads. Radiance is radiance_scale times that of
+// the scene (host/isonoise/scene/compiled_scene.py). One work-item per pixel of a strip of at most `stride` pixels.
+// Reads the state; writes `summary`, one plane after another:
 // mean of x (high, low), variance, mean RGB (three floats a pixel), M_x, mean power (high, low), mean RGB of the half.
 #include "util/statistics.h"
 #include "util/vec.h"
@@ -11,7 +12,7 @@ __kernel void summarise(
     const uint i = get_global_id(0);
     if (i >= pixels) return;
     const uint pixel = first_pixel + i;
-    const uint n = count[pixel], pending_count = n % SAMPLES_PER_BLOCK;
+    const uint n = count[pixel], pending_count = n % SAMPLE_BLOCK_SIZE;
     const uint divisor = MAX(n, 1u);  // without samples every sum is 0
 
     Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);

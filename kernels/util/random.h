@@ -3,7 +3,8 @@
 #pragma once
 #include "util/vec.h"
 
-// Dimension blocks. The camera has one; every path vertex has BLOCKS_PER_VERTEX, whatever the features.
+// Dimension blocks, by random_vertex_index. The camera has one. A path vertex has four: BSDF and light are numbered
+// together, materials and media in ranges of their own. So the numbers of a block do not depend on the features.
 #define BLOCK_CAMERA 0u  // filter x, filter y, lens x, lens y
 #define BLOCKS_PER_VERTEX 2u
 #define BLOCK_BSDF(depth) (1u + BLOCKS_PER_VERTEX * (depth))   // lobe, direction x, direction y, Russian roulette

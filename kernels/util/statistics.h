@@ -1,5 +1,5 @@
 // Per-pixel statistics, used by `reduce` and `summarise`: access to the state, merging of sample blocks, medians. A
-// block is a sample block: SAMPLES_PER_BLOCK consecutive samples of a pixel, or the unfinished rest. The state consists
+// block is a sample block: SAMPLE_BLOCK_SIZE consecutive samples of a pixel, or the unfinished rest. The state consists
 // of planes with one float per pixel, `stride` floats apart; a Compensated sum takes two planes.
 #pragma once
 #include "util/compensated.h"

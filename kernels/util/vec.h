@@ -40,7 +40,7 @@
 #define FMA(a, b, c) fma(a, b, c)
 #endif
 
-// a * b + c for 8 lanes of `a` and scalars b, c: rounded once where the device has a fast fma, else twice.
+// a * b + c for 8 vector lanes of `a` and scalars b, c: rounded once where the device has a fast fma, else twice.
 #if defined(__FMA__) && HAS_BUILTIN(__builtin_ia32_vfmaddps256)
 #define MAD8(a, b, c) __builtin_ia32_vfmaddps256(a, (float8)(b), (float8)(c))
 #elif defined(FP_FAST_FMAF)
@@ -224,7 +224,7 @@ INLINE bool is_finite(float x)
     return (as_uint(x) & 0x7F800000u) != 0x7F800000u;
 }
 
-// Vectors whose lanes can be accessed by index.
+// Vectors whose elements (vector lanes) can be accessed by index.
 typedef union {
     float8 vector;
     float lane[8];
@@ -235,7 +235,7 @@ typedef union {
     float lane[4];
 } Float4Lanes;
 
-// One bit per lane of a mask. Builtins need one or two instructions.
+// One bit per vector lane of a mask. Builtins need one or two instructions.
 INLINE uint mask_bits(int8 mask)
 {
 #if defined(__AVX512VL__) && defined(__AVX512DQ__) && HAS_BUILTIN(__builtin_ia32_cvtd2mask256)

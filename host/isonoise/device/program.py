@@ -1,4 +1,4 @@
-"""From kernel sources to one text per stage, which is what is built: includes flattened, records declared, flags set.
+"""Makes the text of each program from kernel files: includes flattened, records and constants defined.
 
 One text can be hashed, cached and dumped, and an include path with a space cannot break it.
 """
@@ -34,20 +34,20 @@ def flatten(
     Parameters
     ----------
     name : file of `kernels/`, or one of `headers`
-    headers : texts of generated headers, by the name under which kernels include them (`generated/NAME.h`). Without
-        any, all of them are empty; that of the records is empty unless given.
+    headers : texts of generated headers, by the name under which kernels include them (`generated/NAME.h`). None or
+        empty: all generated headers are empty. The header of the records is empty unless it is given.
     seen : files that are not included again; gets the names of those that are
     source : reads a file of `kernels/`
 
     Raises
     ------
     KeyError
-        If a header is included that is not among `headers`.
+        If `headers` has entries, but not an included header other than that of the records.
     """
     seen = set() if seen is None else seen
     seen.add(name)
     if not name.startswith("generated/"):
-        text = kernel_source(name)
+        text = source(name)
     else:
         text = headers[name] if headers and name != _RECORDS else (headers or {}).get(name, "")
     lines = [f'#line 1 "{name}"']
@@ -75,8 +75,8 @@ def declare_struct(name: str, dtype: np.dtype) -> str:
 def record_reader(name: str, dtype: np.dtype) -> str:
     """C function `<name>_at`: a copy of a table's record, of which compilers leave out the members that nobody reads.
 
-    It reads words at signed places. What several paths read at once is then gathered by places of 32 bits; of members
-    behind a pointer it is by addresses of 64, and takes twice the instructions.
+    It reads words at signed indices. When several paths read at once, compilers then gather with 32-bit indices.
+    Members behind a pointer are gathered with 64-bit addresses, which takes twice the instructions.
     """
     lines, word = [], 0
     kinds = sorted({_C_TYPES[dtype[field].base.str[1:]] for field in dtype.names})

@@ -1,5 +1,7 @@
 """Shrinks noisy per-pixel variances, so that their distribution over the image is the true one. For `stated_error`.
 
+The means in the denominator of relative variances are smoothed first (`_smoothed_mean`).
+
 Shrinkage moves every estimate towards the value of its group. The larger the noise's share of the scatter in the
 group, the farther it moves.
 

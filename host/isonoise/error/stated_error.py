@@ -27,7 +27,7 @@ def stated_error(statistics: Statistics, quantiles: Sequence[float], floor: floa
     It is the e at which the mean over the pixels of P(|Z| sigma_i / scale_i <= e) is q, with Z standard normal, sigma_i
     the shrunk standard error of the pixel's luminance (`shrinkage`), and
 
-        scale_i = max(mean_i, floor).
+        scale_i = max(mean_i, floor), mean_i the smoothed mean of the pixel's luminance (`shrinkage`).
 
     Parameters
     ----------

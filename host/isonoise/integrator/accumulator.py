@@ -5,20 +5,21 @@ import numpy as np
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
 
-SAMPLES_PER_BLOCK = 16
+SAMPLE_BLOCK_SIZE = 16
 """Samples that are summed before they are merged into the statistics (kernels/stages/reduce.cl). A power of two."""
 
 STRIP_PIXELS = 2**16
 """Pixels that are summarised and read at a time, so that a strip stays in a CPU's cache."""
 
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and M2 over full sample blocks
-# Planes of the unfinished sample block: sums of red, green, blue; shift; sums of x - shift and its square.
+# Planes of the unfinished sample block: sums of red, green, blue; shift, the mean of x before the block; sums of
+# x - shift and of its square.
 _BLOCK_SUMS = 6
 
 
 def build_constants(needs: Needs) -> dict[str, int]:
     """Build constants of the stages `reduce` and `summarise`."""
-    return {"SAMPLES_PER_BLOCK": SAMPLES_PER_BLOCK, "CHUNK_SIZE": needs.chunk, "BATCH_SIZE": needs.batch}
+    return {"SAMPLE_BLOCK_SIZE": SAMPLE_BLOCK_SIZE, "CHUNK_SIZE": needs.chunk, "BATCH_SIZE": needs.batch}
 
 
 class Accumulator:

@@ -19,7 +19,7 @@ DUMMY_BYTES = 4096
 """Size of a dummy buffer: room for any record."""
 
 ALTERNATIVES = ("LIGHT_TREE", "LIGHT_LIST", "HIDE_EMITTERS", "FILTER_TABLE", "COUNT_TESTS")
-"""Features that select another algorithm. They cannot be on beside the ones that a scene uses."""
+"""Features that select another algorithm or image. They stay as the scene has them."""
 
 
 def feature_superset(used: Mapping[str, bool], volpath: bool) -> dict[str, bool]:

@@ -84,8 +84,8 @@ class Feature:
     description: str
     is_used: Callable[[_Use], bool]
     buffers: Mapping[str, str] = field(default_factory=dict)
-    """Buffers that exist for the feature, by the names of the kernel arguments, with their sizes in words. Several
-    features may share a buffer."""
+    """Buffers that exist for the feature, by the names of the kernel arguments, with a description of their sizes.
+    Several features may share a buffer."""
 
 
 def _records(dtype: np.dtype, item: str) -> str:

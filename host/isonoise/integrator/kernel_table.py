@@ -110,7 +110,7 @@ ARGUMENT_FEATURES = {
         bsdf_kinds.feature_of(kind) for kind in bsdf_kinds.select(lambda kind: "ROUGH_TRANSMITTANCE" in kind.helpers)
     ),
     **dict.fromkeys(_ENVMAP.split(), ("ENVIRONMENT_MAP",)),
-    **dict.fromkeys(("instances", "first_instance", "world_triangles"), ("INSTANCES",)),
+    **dict.fromkeys(("instances", "first_instance", "world_triangle_count"), ("INSTANCES",)),
     **dict.fromkeys(("media", "sensor_medium", "scene_sphere"), ("MEDIA",)),
     **dict.fromkeys(("light_nodes", "light_parents"), ("LIGHT_TREE",)),
     "light_bounds": ("LIGHT_LIST",),
@@ -189,7 +189,8 @@ KERNELS = {
     ),
     "shade": _kernel(
         "shade.cl",
-        "path_count plane_stride max_depth rr_depth light_count environment_light seed textured_slots world_triangles",
+        "path_count plane_stride max_depth rr_depth light_count environment_light seed textured_slots "
+        "world_triangle_count",
         f"sample_pixel {_SURFACES} rough_transmittances lights light_alias {_ENVMAP} {_LIGHT_SELECTION} media",
         "PATH_STATE hit shadow_origin shadow_direction shadow_radiance samples alive",
     ),
@@ -267,7 +268,7 @@ SCENE_VIEW = {
         for name in ["triangles", "faces", "corner_normals", "uvs", "analytics", "shapes", "bsdfs", "instances"]
     },
     **{name: name for name in ["lights", "light_alias", "light_count", "environment_light", "seed", "media"]},
-    **{name: name for name in ["rough_transmittances", "textured_slots", "world_triangles"]},
+    **{name: name for name in ["rough_transmittances", "textured_slots", "world_triangle_count"]},
     **{"textures.records": "textures", "textures.bytes": "texel_bytes", "textures.floats": "texel_floats"},
     **{"textures.srgb": "srgb", "textures.attributes": "attributes", "textures.faces": "faces"},
     **{"envmap.record": "environment", "envmap.texels": "environment_texels"},

@@ -68,7 +68,7 @@ def _geometry(device: Device, scene: CompiledScene, bvh: Bvh, features: Mapping[
         "triangle_blocks": _table(device, bvh.blocks, "the triangles of the BVH"),
         "first_analytic": np.uint32(bvh.first_analytic),
         "first_instance": np.uint32(bvh.first_analytic + len(scene.analytics)),
-        "world_triangles": np.uint32(scene.group_offsets[0, 0]),
+        "world_triangle_count": np.uint32(scene.group_offsets[0, 0]),
         "triangle_count": np.uint32(len(scene.faces)),
         "analytic_count": np.uint32(len(scene.analytics)),
         **dict.fromkeys(("corners", "corner_indices")),

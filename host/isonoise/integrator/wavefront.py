@@ -90,7 +90,7 @@ class Wavefront:
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
         constants = CONSTANTS | build_constants(needs)
-        constants |= {"LANES": self.lanes, "PATHS_PER_BLOCK": self.path_block_size}
+        constants |= {"LANES": self.lanes, "PATH_BLOCK_SIZE": self.path_block_size}
         constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
         small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
         self._stages = Stages(
@@ -136,10 +136,10 @@ class Wavefront:
         }
 
     def warm_up(self) -> None:
-        """Launch every kernel on nothing, because some drivers compile only now, for a local size and a class of grid.
+        """Launch every kernel on nothing, because some drivers compile only now, for a local and a global size.
 
-        Large grids come first: what PoCL compiles for 2^16 or more work-items serves small grids too, but not the other
-        way round.
+        PoCL compiles a kernel separately for global sizes below 2^16. What it compiles for larger ones also runs small
+        ones, so the large launches come first.
         """
         bounds = ("pixels", "slice_samples", "count_new", "path_count", "rays_per_item", "path_block_count")
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))

@@ -42,7 +42,7 @@ class CompiledScene:
     texel_bytes: np.ndarray  # (b, 4) uint8: texels of 8-bit images
     texel_floats: np.ndarray  # (f, 4) float32: texels of all other images
     attributes: np.ndarray  # (a, 3) float32: mesh attributes that textures read
-    lights: np.ndarray  # (L,) structs.LIGHT; selection_pmf sums to 1
+    lights: np.ndarray  # (L,) structs.LIGHT; power_pmf sums to 1
     light_alias: np.ndarray  # (L,) structs.ALIAS
     environment_light: int  # index of the LIGHT_CONSTANT or LIGHT_ENVIRONMENT_MAP light, -1 if there is none
     environment: EnvironmentMap | None

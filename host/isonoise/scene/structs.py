@@ -104,7 +104,7 @@ BSDF = np.dtype(
         ("values", "f4", 3 * BSDF_SLOTS),  # a colour a slot; a number in all three channels
         ("constants", "f4", BSDF_CONSTANTS),  # computed by the host
         ("textures", "u4", BSDF_SLOTS),  # that replace the values; NONE
-        ("numbers", "u4"),  # bits of the slots whose texture is read as a number
+        ("number_slots", "u4"),  # bits of the slots whose texture is read as a number
     ]
 )
 
@@ -120,7 +120,7 @@ LIGHT = np.dtype(
     [
         ("kind", "u4"),
         ("primitive", "u4"),  # triangle or analytic index, NONE for lights without surface
-        ("selection_pmf", "f4"),  # probability that next-event estimation picks this light
+        ("power_pmf", "f4"),  # probability of this light where lights are selected by power
         ("area", "f4"),  # world area of the primitive, 0 for lights without surface
         # radiance; point, spot: radiant intensity; directional: irradiance. All times radiance_scale
         ("radiance", "f4", 3),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from isonoise.selftest.cases import Case, Context, array_case, count_case
-from isonoise.strategies.allocation import deficit, proportional, proportional_to_error
+from isonoise.strategies.allocation import deficit, distribute_in_proportion, proportional_to_error
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
 SHAPE = (64, 96)
@@ -61,7 +61,7 @@ def beyond_32_bits(context: Context) -> Iterator[Case]:
     for budget in (2**32 - 1, 2**32, 2**32 + 1, 2**40 + 12345):
         allocations = [
             uniform_allocation(SHAPE, budget, 3),
-            proportional(np.sqrt(variance), budget // 4, 3),
+            distribute_in_proportion(np.sqrt(variance), budget // 4, 3),
             deficit(count, variance, budget, 3),
             proportional_to_error(count, variance, budget, 3),
         ]

@@ -108,7 +108,7 @@ def closed_bodies(context: Context) -> Iterator[Case]:
                 yield count_case(name, missing, "none allowed: it is closed")
                 continue
             maximum = MAX_LOST * (4 + offset / scale) * (DEPTH - 1) * paths
-            basis = "2^-17 of the rays, over size / distance from the origin: `in_plane`, 20 roundings beside an edge"
+            basis = "2^-17 of the rays, over size / distance from the origin: false coplanar hits beside an edge"
             yield Case(name, missing, 0, maximum, basis)
 
 

@@ -43,7 +43,8 @@ class Adaptive(Strategy):
     clip : float
         V is cut at this quantile of the pixels with V > 0, 0.5 to 1; 1 is off.
     cap : float
-        No pixel multiplies its count by more than this in one wave; a whole number from 2, or inf.
+        No pixel multiplies its count by more than this in one wave while others are below their cap; a whole number
+        from 2, or inf.
     """
 
     rule: str = "deficit"

@@ -9,12 +9,12 @@ from isonoise.strategies.uniform_allocation import MAX_COUNT, check_budget, firs
 SUBSAMPLE_PIXELS = 2**14
 """Pixels from which the first guess of the water level is computed."""
 MAX_ITERATIONS = 200
-"""Of the search for the water level. A handful is usual; bisection of any bracket of floats needs fewer."""
+"""Limit of the search for the water level. Some 5 are usual; bisection of any bracket of floats needs fewer."""
 SUM_ROUNDING = 1e-13
 """Relative rounding error of a sum of millions of float64 numbers: the water level cannot be known better."""
 
 
-def proportional(weights: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
+def distribute_in_proportion(weights: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
     """Distribute samples in proportion to weights, rounded by largest remainders.
 
     Parameters
@@ -56,13 +56,13 @@ def deficit(
 ) -> np.ndarray:
     """Water-filling: make the error V_i / n_i equal over the pixels, as far as the budget allows.
 
-    With V the variance of one sample, n the samples so far and g the cap, find lambda with
+    With V the variance of one sample, n the samples so far and g the cap, find the water level t with
 
-        sum over i of min(max(0, V_i / lambda - n_i), (g - 1) n_i) = budget
+        sum over i of min(max(0, t V_i - n_i), (g - 1) n_i) = budget
 
-    exactly: the left side is piecewise linear in 1 / lambda and changes slope at n_i / V_i and g n_i / V_i. If all
-    pixels with V > 0 reach their cap, the rest is spread evenly over the pixels below theirs; if all pixels do, evenly
-    over the image. If no pixel has a variance, all count as equal. Shares are rounded by largest remainders.
+    exactly: the left side is piecewise linear in t and changes slope at n_i / V_i and g n_i / V_i. If all pixels
+    with V > 0 reach their cap, the rest is spread evenly over the pixels below theirs; if all pixels do, evenly over
+    the image. If no pixel has a variance, all count as equal. Shares are rounded by largest remainders.
 
     Parameters
     ----------
@@ -186,9 +186,10 @@ def _water_fill(slope: np.ndarray, offset: np.ndarray, capacity: np.ndarray, bud
 
 
 def _find_level(slope, offset, capacity, budget: float, first_guess: float | None) -> tuple[float, np.ndarray]:
-    """The t at which the shares sum to the budget, and the shares: Newton's method with bisection as a safeguard.
+    """The water level t, at which the shares sum to the budget, and the shares.
 
-    The sum is piecewise linear in t, so the method ends when it has found the right piece.
+    Newton's method with bisection as a safeguard. The sum is piecewise linear in t, so the method ends when it has
+    found the right piece.
     """
     low, high = 0.0, np.inf
     t = first_guess or (budget + float(offset.sum())) / float(slope.sum())  # exact if every pixel gets a share

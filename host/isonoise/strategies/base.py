@@ -45,7 +45,7 @@ class Strategy:
     Samples in proportion to the standard deviation, after 16 uniform samples per pixel:
 
     >>> import isonoise, numpy as np
-    >>> from isonoise.strategies.allocation import proportional
+    >>> from isonoise.strategies.allocation import distribute_in_proportion
     >>> class ByDeviation(isonoise.Strategy):
     ...     name = "by-deviation"
     ...
@@ -55,7 +55,7 @@ class Strategy:
     ...             yield isonoise.Wave("adaptive", 16)
     ...
     ...     def allocate(self, statistics, budget):
-    ...         return proportional(np.sqrt(statistics.variance), budget, statistics.samples)
+    ...         return distribute_in_proportion(np.sqrt(statistics.variance), budget, statistics.samples)
     """
 
     name: ClassVar[str]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isonoise.statistics import Statistics
-from isonoise.strategies.allocation import proportional
+from isonoise.strategies.allocation import distribute_in_proportion
 from isonoise.strategies.base import Strategy, Wave
 from isonoise.strategies.parameters import ranged
 from isonoise.strategies.schedule import warmup_then_adaptive
@@ -71,7 +71,7 @@ class LuxCore(Strategy):
             self._last_image, self._last_samples = statistics.rgb.copy(), samples
         if self._weights is None:
             return uniform_allocation(statistics.shape, budget, samples)
-        return proportional(self._weights, budget, samples)
+        return distribute_in_proportion(self._weights, budget, samples)
 
 
 def change(image: np.ndarray, last_image: np.ndarray) -> np.ndarray:

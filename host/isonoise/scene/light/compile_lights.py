@@ -75,8 +75,8 @@ def compile_lights(
     if is_textured.any() and scale > _MAX_FLOAT32:
         raise_too_dim()
     is_environment = records["kind"] & bits_where(lambda kind: kind.is_environment) != 0
-    alias = alias_table(lighting.light_selection_pmf(records, bounds))
-    records["selection_pmf"] = selection_probabilities(alias)
+    alias = alias_table(lighting.light_power_pmf(records, bounds))
+    records["power_pmf"] = selection_probabilities(alias)
     records["radiance"][is_textured] = scale  # the kernel multiplies it by the texture
     environment_light = int(np.flatnonzero(is_environment)[0]) if is_environment.any() else -1
     return CompiledLights(records, alias, first_light, environment_light, scale)

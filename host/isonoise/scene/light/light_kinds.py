@@ -166,7 +166,7 @@ def light_macros() -> dict[str, int | str]:
         **{f"LIGHT_{name.upper()}": light_bits(name) for name in KINDS},
         "HAS_ANALYTIC_LIGHTS": _any_feature(lambda kind: kind.analytic is not None),
         "HAS_ENVIRONMENT_LIGHT": _any_feature(lambda kind: kind.is_environment),
-        "HAS_OTHER_LIGHTS": _any_feature(lambda kind: kind.name != "triangle"),  # than triangles
+        "HAS_NON_TRIANGLE_LIGHTS": _any_feature(lambda kind: kind.name != "triangle"),
     }
 
 

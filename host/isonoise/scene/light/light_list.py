@@ -23,7 +23,7 @@ def use_light_list(lights: np.ndarray) -> bool:
 
 def build_light_list(scene: CompiledScene) -> np.ndarray:
     """structs.LIGHT_BOUND of all lights, (lights,); zeros for lights without power."""
-    with_power = np.flatnonzero(scene.lights["selection_pmf"])
+    with_power = np.flatnonzero(scene.lights["power_pmf"])
     lights = compute_light_bounds(scene, scene.lights[with_power])
     squared_size = float((np.ptp(scene.bounds.astype(np.float64), axis=0) ** 2).sum()) or 1.0
     share = np.maximum(lights.intensity / lights.intensity.sum(), MIN_POWER_SHARE)

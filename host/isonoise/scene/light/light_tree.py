@@ -38,12 +38,12 @@ class LightTree:
 
 def use_light_tree(lights: np.ndarray) -> bool:
     """Whether structs.LIGHT records are enough for selection by light bounds instead of the alias table."""
-    return np.count_nonzero(lights["selection_pmf"]) >= MIN_TREE_LIGHTS
+    return np.count_nonzero(lights["power_pmf"]) >= MIN_TREE_LIGHTS
 
 
 def build_light_tree(scene: CompiledScene) -> LightTree:
     """The tree over all lights that have power; there has to be at least one."""
-    with_power = np.flatnonzero(scene.lights["selection_pmf"])
+    with_power = np.flatnonzero(scene.lights["power_pmf"])
     leaves = compute_light_bounds(scene, scene.lights[with_power])
     tree = build_binary_tree(leaves.lower.astype(np.float32), leaves.upper.astype(np.float32))
     bounds = bound_tree_nodes(tree, leaves)

@@ -71,7 +71,7 @@ def _kind(emitter: dict) -> LightKind:
     return KIND_OF_PLUGIN[emitter["type"]]
 
 
-def light_selection_pmf(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+def light_power_pmf(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     """Probabilities (l,) float64 in proportion to power, summing to 1.
 
     Power is pi A L for a surface, 4 pi I for a point, that of the cone for a spot; directional and environment lights
@@ -95,7 +95,7 @@ def compute_light_bounds(scene: CompiledScene, lights: np.ndarray) -> LightBound
     count = len(lights)
     made = LightBounds(*(np.zeros((3, count)) for _ in range(3)), *(np.zeros(count) for _ in range(4)))
     for kind, of_kind in _by_kind(lights):
-        power = lights["selection_pmf"][of_kind].astype(np.float64)
+        power = lights["power_pmf"][of_kind].astype(np.float64)
         made[of_kind] = kind.bounds(scene, lights[of_kind], power)
     return made
 

@@ -102,7 +102,7 @@ class Bsdfs:
             value = slot.value(bsdf) if slot.value else bsdf[slot.name]
             if isinstance(value, dict) and value["type"] not in ("rgb", "spectrum"):
                 record["textures"][0, number] = self._texture(value, slot.type)
-                record["numbers"] |= (slot.type == "number") << number
+                record["number_slots"] |= (slot.type == "number") << number
             else:
                 values[number] = value if isinstance(value, np.ndarray) else colour_to_rgb(value, slot.type)
         for number, compute in enumerate(kind.constants.values()):
