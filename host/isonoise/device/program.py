@@ -10,9 +10,9 @@ from importlib import resources
 
 import numpy as np
 
-_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
-_PRAGMA_ONCE = re.compile(r"^\s*#pragma\s+once")
+_INCLUDE = re.compile(r'#include\s+"([^"]+)"')
 _RECORDS = "generated/records.h"  # included by util/vec.h
+_RECORDS_LINE = f'#line 1 "{_RECORDS}"'
 _C_TYPES = {"f4": "float", "u4": "uint", "i4": "int"}
 
 
@@ -35,7 +35,7 @@ def flatten(
     ----------
     name : file of `kernels/`, or one of `headers`
     headers : texts of generated headers, by the name under which kernels include them (`generated/NAME.h`). None or
-        empty: all generated headers are empty. The header of the records is empty unless it is given.
+        empty: all generated headers are empty. That of the records is empty too: `stage_source` adds its text.
     seen : files that are not included again; gets the names of those that are
     source : reads a file of `kernels/`
 
@@ -46,19 +46,20 @@ def flatten(
     """
     seen = set() if seen is None else seen
     seen.add(name)
+    text = ""
     if not name.startswith("generated/"):
         text = source(name)
-    else:
-        text = headers[name] if headers and name != _RECORDS else (headers or {}).get(name, "")
+    elif headers and name != _RECORDS:
+        text = headers[name]
     lines = [f'#line 1 "{name}"']
     for number, line in enumerate(text.splitlines(), start=1):
-        include = _INCLUDE.match(line)
-        if include:
-            if include[1] not in seen:
-                lines.append(flatten(include[1], headers, seen, source))
+        if line.startswith("#include"):
+            included = _INCLUDE.match(line)[1]
+            if included not in seen:
+                lines.append(flatten(included, headers, seen, source))
             lines.append(f'#line {number + 1} "{name}"')
         else:
-            lines.append("" if _PRAGMA_ONCE.match(line) else line)
+            lines.append("" if line.startswith("#pragma once") else line)
     return "\n".join(lines)
 
 
@@ -141,17 +142,16 @@ def _program_text(
     """
     constant_of = dict(constants)
 
-    def flattened(records: str) -> str:
-        seen: set[str] = set()
-        return "\n".join(flatten(name, {**dict(headers), _RECORDS: records}, seen, source) for name in files)
-
-    words = set(re.findall(r"\w+", flattened("")))
+    seen: set[str] = set()
+    body = "\n".join(flatten(name, dict(headers), seen, source) for name in files)
+    words = set(re.findall(r"\w+", body))
     todo = words & constant_of.keys()
     while todo:
         todo = set(re.findall(r"\w+", " ".join(str(constant_of[key]) for key in todo))) - words
         words |= todo
         todo &= constant_of.keys()
-    body = flattened("\n".join(record_reader(key, dtype) for key, dtype in structs if f"{key}_at" in words))
+    readers = [record_reader(key, dtype) for key, dtype in structs if f"{key}_at" in words]
+    body = body.replace(_RECORDS_LINE, "\n".join([_RECORDS_LINE, *readers]), 1)
     prelude = ["#pragma OPENCL FP_CONTRACT OFF"]
     macros = {key: f"({value})" if isinstance(value, str) else f"{value}u" for key, value in constants}
     prelude += [f"#define {key} {value}" for key, value in macros.items() if key in words]
