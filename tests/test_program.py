@@ -99,6 +99,8 @@ def test_a_path_with_spaces(tmp_path, monkeypatch):
     folder = tmp_path / "a folder, with spaces" / "kernels"
     shutil.copytree(FOLDER, folder)
     expected = {name: stage_source(name, STRUCTS, CONSTANTS, all_but(), HEADERS) for name in STAGES}
+    program.kernel_source.cache_clear()
+    program._program_text.cache_clear()
     monkeypatch.setattr(program.resources, "files", lambda package: folder)
     assert {name: stage_source(name, STRUCTS, CONSTANTS, all_but(), HEADERS) for name in STAGES} == expected
     for text, options in expected.values():

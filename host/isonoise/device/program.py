@@ -16,6 +16,7 @@ _RECORDS_LINE = f'#line 1 "{_RECORDS}"'
 _C_TYPES = {"f4": "float", "u4": "uint", "i4": "int"}
 
 
+@functools.cache
 def kernel_source(name: str) -> str:
     """Text of one file of `kernels/`."""
     return resources.files("isonoise.kernels").joinpath(name).read_text(encoding="utf-8")
