@@ -47,13 +47,8 @@ def flatten(
     """
     seen = set() if seen is None else seen
     seen.add(name)
-    text = ""
-    if not name.startswith("generated/"):
-        text = source(name)
-    elif headers and name != _RECORDS:
-        text = headers[name]
     lines = [f'#line 1 "{name}"']
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(_text_of(name, headers, source).splitlines(), start=1):
         if line.startswith("#include"):
             included = _INCLUDE.match(line)[1]
             if included not in seen:
@@ -62,6 +57,18 @@ def flatten(
         else:
             lines.append("" if line.startswith("#pragma once") else line)
     return "\n".join(lines)
+
+
+def _text_of(name: str, headers: Mapping[str, str] | None, source: Callable[[str], str]) -> str:
+    """Text of a file of `kernels/` or of a generated header."""
+    if not name.startswith("generated/"):
+        return source(name)
+    return headers[name] if headers and name != _RECORDS else ""
+
+
+@functools.cache
+def _words(text: str) -> frozenset[str]:
+    return frozenset(re.findall(r"\w+", text))
 
 
 def declare_struct(name: str, dtype: np.dtype) -> str:
@@ -141,14 +148,14 @@ def _program_text(
     It takes tens of milliseconds and does not depend on the scene, so it is cached for the next render. `source` reads
     the files; as an argument it is part of the key.
     """
-    constant_of = dict(constants)
+    constant_of, header_of = dict(constants), dict(headers)
 
     seen: set[str] = set()
-    body = "\n".join(flatten(name, dict(headers), seen, source) for name in files)
-    words = set(re.findall(r"\w+", body))
+    body = "\n".join(flatten(name, header_of, seen, source) for name in files)
+    words = set().union(*(_words(_text_of(name, header_of, source)) for name in seen))
     todo = words & constant_of.keys()
     while todo:
-        todo = set(re.findall(r"\w+", " ".join(str(constant_of[key]) for key in todo))) - words
+        todo = set().union(*(_words(str(constant_of[key])) for key in todo)) - words
         words |= todo
         todo &= constant_of.keys()
     readers = [record_reader(key, dtype) for key, dtype in structs if f"{key}_at" in words]

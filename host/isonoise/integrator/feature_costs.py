@@ -50,8 +50,8 @@ def stages_with(name: str) -> tuple[str, ...]:
 
 def features_in(file: str) -> set[str]:
     """Features that the text of a stage, or a macro in it, tests."""
-    text, _ = stage_source(file, STRUCTS, CONSTANTS, dict.fromkeys(FEATURES, True), generated_headers())
-    return set(re.findall(r"\bFEATURE_(\w+)", text))
+    _, options = stage_source(file, STRUCTS, CONSTANTS, dict.fromkeys(FEATURES, True), generated_headers())
+    return set(re.findall(r"-DFEATURE_(\w+)", " ".join(options)))
 
 
 @functools.cache
