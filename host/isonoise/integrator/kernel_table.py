@@ -5,7 +5,7 @@ From these tables come the kernels' parameter lists and the code that unpacks th
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from isonoise.scene import structs
 from isonoise.scene.light import envmap
@@ -36,8 +36,7 @@ CONSTANTS: dict[str, int | str] = {
 """Macros of the kernels that no scene changes."""
 
 
-@dataclass(frozen=True)
-class PathField:
+class PathField(NamedTuple):
     """A buffer of path state: it is kept between bounces and moved when the paths are compacted.
 
     The buffer exists if any of `features` is on, or always if there are none. `planes` is the number of 4-byte members,
@@ -129,8 +128,7 @@ def _names(arguments: str) -> tuple[str, ...]:
     return tuple(name for word in arguments.split() for name in state.get(word, [word]))
 
 
-@dataclass(frozen=True)
-class Kernel:
+class Kernel(NamedTuple):
     """A kernel: its file, the values that are passed to it, the buffers it reads and those it writes.
 
     It is launched if all features of `needs` are on and those of `excludes` are off.

@@ -6,8 +6,9 @@ parameters of a plugin are in `vocabulary.emitters`. How to add a kind: host/doc
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,7 @@ AREA = "area"
 """The plugin that makes a shape emit; its kinds are those of primitives."""
 
 
-@dataclass(frozen=True)
-class LightKind:
+class LightKind(NamedTuple):
     """A kind of light. `name` gives its names in the kernels: the bit LIGHT_<NAME>, the file light/<name>_light.h.
 
     That file has `sample_<name>_light(scene, light, reference, u, &sample)`; of an area light's primitive other than
@@ -42,7 +42,7 @@ class LightKind:
     record: Callable[[dict], Mapping[str, object]] = lambda emitter: {}  # further members of `LIGHT`
     analytic: int | None = None  # structs.ANALYTIC_...: the primitive of an area light; None: a triangle
     is_environment: bool = False  # emits from infinity, from all directions: a scene has at most one
-    buffers: Mapping[str, str] = field(default_factory=dict)  # as in `features.Feature`
+    buffers: Mapping[str, str] = MappingProxyType({})  # as in `features.Feature`
     header: str = ""  # '': light/<name>_light.h
 
     @property

@@ -6,8 +6,9 @@ kernels, the macros and the header of `bsdf_macros` and `bsdf_header`. The param
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,7 @@ MAX_NESTED_BLENDS = 8
 """Blends within one another for which kernels/bsdf/pass_through.h has room."""
 
 
-@dataclass(frozen=True)
-class Slot:
+class Slot(NamedTuple):
     """A parameter that may be a texture. Kernels read it as `bsdf_rgb(ctx, SLOT_<KIND>_<NAME>)` or `bsdf_float`."""
 
     name: str
@@ -31,8 +31,7 @@ class Slot:
     value: Callable[[dict], object] | None = None  # from the description; None: the parameter `name`
 
 
-@dataclass(frozen=True)
-class BsdfKind:
+class BsdfKind(NamedTuple):
     """A kind of BSDF. `name` gives the names of everything else that belongs to it.
 
     In the kernels: the file kernels/bsdf/<name>.h with `<name>_sample(ctx, u)` and, unless `is_delta`,
@@ -43,7 +42,7 @@ class BsdfKind:
     description: str  # what the feature is, for `isonoise info`
     plugin: str = ""  # Mitsuba 3's name; '' if it is not a plugin of the kind 'bsdf'
     slots: tuple[Slot, ...] = ()
-    constants: Mapping[str, Callable[[dict, list], float]] = field(default_factory=dict)
+    constants: Mapping[str, Callable[[dict, list], float]] = MappingProxyType({})
     """Numbers that the host computes: `material(ctx).constants[CONSTANT_<KIND>_<NAME>]`. The functions get the
     description and the list of tables of rough transmittance, to which they may append."""
     helpers: tuple[str, ...] = ()  # shared kernel code: a name X sets HAS_X
@@ -55,7 +54,7 @@ class BsdfKind:
     transmits: Callable[[dict], bool] | None = None  # whether light gets to the other side; None: never
     is_anisotropic: Callable[[Mapping[str, float]], bool] | None = None  # for these values of the slots; None: never
     skips_compaction: bool = False  # so cheap that it is computed for all lanes: compacting would cost more
-    buffers: Mapping[str, str] = field(default_factory=dict)  # as in `features.Feature`
+    buffers: Mapping[str, str] = MappingProxyType({})  # as in `features.Feature`
     feature: str = ""  # '': its own, FEATURE_<NAME>
     header: str = ""  # '': bsdf/<name>.h
 
