@@ -85,7 +85,7 @@ def error_plot(summary: Mapping, scene: Mapping, metric: str) -> "Figure":
 
     label, form = METRICS[metric]
     figure = Figure(figsize=(7.2, 4.8), dpi=150)
-    axes = figure.add_axes((0.1, 0.1, 0.56, 0.88))
+    axes = figure.add_axes((0.125, 0.1, 0.535, 0.88))
     axes.set(xscale="log", yscale="log")
     bold = {summary["baseline"], summary["default"]}
     titles = strategy_titles(summary)
