@@ -181,8 +181,8 @@ def test_powers_do_not_overflow(power, scale):
 
 def test_images_larger_than_a_strip(monkeypatch):
     """Pixels on both sides of the borders of strips, and in the last, narrower strip."""
-    monkeypatch.setattr(accumulator, "STRIP_PIXELS", 1000)
-    reducer = Reducer(Device(), 2 * accumulator.STRIP_PIXELS + 100, ALL)
+    monkeypatch.setattr(accumulator, "SUMMARY_STRIP_PIXELS", 1000)
+    reducer = Reducer(Device(), 2 * accumulator.SUMMARY_STRIP_PIXELS + 100, ALL)
     pixels = reducer.accumulator.pixels
     for k in range(3):
         reducer.add(list(np.arange(pixels, dtype=np.float32)[:, None] + k))

@@ -49,7 +49,7 @@ def test_measures_are_their_formulas():
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 5), (3, 2)])
 @pytest.mark.parametrize("window", [1, 3, 5, 31])
 def test_pooled_is_a_plain_loop_over_the_window(shape, window, monkeypatch):
-    monkeypatch.setattr(measures, "STRIP_PIXELS", 10)  # a few rows at a time
+    monkeypatch.setattr(measures, "MEASURE_STRIP_PIXELS", 10)  # a few rows at a time
     rng = np.random.default_rng(3)
     s = make_statistics(rng.integers(2, 50, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape))
     n, reach = s.count.astype(float), window // 2

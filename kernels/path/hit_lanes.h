@@ -5,7 +5,8 @@
 #include "path/lane_state.h"
 
 #if LANES > 1
-// The paths of a work-item that hit something.
+// The paths of a work-item that the shading steps treat. Without COMPACT_ESCAPED these are all its paths, escaped
+// ones too.
 typedef struct {
     size_t begin;          // first path of the work-item
     const int* hit_lanes;  // lanes that hit something, where escaped rays are compacted apart; else unused
@@ -121,7 +122,7 @@ INLINE void prepare_bsdf_lane(const SceneView* scene, const PathBuffers* paths, 
 {
     BsdfContext ctx;
     if (prepare_bsdf(scene, p, s, &ctx)) {
-#if HAS_PASS_THROUGH
+#if HAS_NULL_BSDFS
         continue_behind_unweighted(paths, i, p, s);
 #endif
         store_lane_uint(0u, lane_state, LANE_BSDF_KIND, lane);

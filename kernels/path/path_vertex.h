@@ -68,8 +68,8 @@ INLINE Vec4 path_random(const SceneView* scene, const Path* p, uint block)
     return random_block(scene->seed, p->pixel, p->index, block);
 }
 
-// Index of the vertex among all that consume random numbers: pass-through surfaces do, although they do not add to the
-// depth.
+// Index of the vertex among all that consume random numbers: with FEATURE_VOLPATH, pass-through surfaces do, although
+// they do not add to the depth.
 INLINE uint random_vertex_index(const Path* p)
 {
     return p->depth + p->null_bounces;
@@ -118,7 +118,7 @@ INLINE bool is_false_coplanar_hit(const SceneView* scene, const PathBuffers* pat
 }
 #endif
 
-#if (FEATURE_HIDE_EMITTERS && FEATURE_AREA_LIGHTS) || (HAS_PASS_THROUGH && !FEATURE_VOLPATH)
+#if (FEATURE_HIDE_EMITTERS && FEATURE_AREA_LIGHTS) || (HAS_NULL_BSDFS && !FEATURE_VOLPATH)
 // Continues the path behind a surface in the same direction, as if the surface was not there.
 INLINE void continue_behind(const PathBuffers* paths, size_t i, const Path* p, const Surface* s)
 {
@@ -129,7 +129,7 @@ INLINE void continue_behind(const PathBuffers* paths, size_t i, const Path* p, c
 }
 #endif
 
-#if HAS_PASS_THROUGH && !FEATURE_VOLPATH
+#if HAS_NULL_BSDFS && !FEATURE_VOLPATH
 // The same at a pass-through BSDF. In the integrator `path`, shadow rays stop at this surface, so emission found behind
 // it gets no MIS weight.
 INLINE void continue_behind_unweighted(const PathBuffers* paths, size_t i, const Path* p, const Surface* s)

@@ -45,7 +45,7 @@ INLINE void shade_path(const SceneView* scene, const PathBuffers* paths, size_t 
 #endif
     BsdfContext ctx;
     const bool passes_through = prepare_bsdf(scene, &p, &s, &ctx);
-#if HAS_PASS_THROUGH && !FEATURE_VOLPATH
+#if HAS_NULL_BSDFS && !FEATURE_VOLPATH
     if (passes_through) {
         continue_behind_unweighted(paths, i, &p, &s);
         return;

@@ -68,7 +68,7 @@ def shrunk_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.n
 
 
 def _smoothed_mean(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:
-    """Means without the noise that hides no structure: a Wiener filter in the Haar pyramid.
+    """Means of the pixels, smoothed where neighbours differ by noise alone: a Wiener filter in the Haar pyramid.
 
     Within a group the noise of a mean is assumed proportional to the mean, as for a count of rare events. So a pixel
     with a firefly is smoothed, and a dark pixel beside a bright one stays dark.

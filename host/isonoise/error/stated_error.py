@@ -13,7 +13,7 @@ from isonoise.error.shrinkage import TILE_SIZE, shrunk_relative_variance
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import confidence, image_floor, relative_mean
 
-STRIP_PIXELS = 2**17
+HISTOGRAM_STRIP_PIXELS = 2**17
 """Pixels processed at a time, so that the temporary arrays stay in the cache."""
 OCTAVES = 32
 """The histogram of errors covers 2^-32 to 2^32."""
@@ -87,7 +87,7 @@ def half_width_95(statistics: Statistics) -> np.ndarray:
 def _error_histogram(statistics: Statistics, floor: float) -> tuple[int, np.ndarray]:
     """The number of noiseless pixels; the others over log2 of the relative error, each split between two bins."""
     height, width = statistics.shape
-    rows = max(1, STRIP_PIXELS // (TILE_SIZE * max(TILE_SIZE, width))) * TILE_SIZE
+    rows = max(1, HISTOGRAM_STRIP_PIXELS // (TILE_SIZE * max(TILE_SIZE, width))) * TILE_SIZE
     size = 2 * OCTAVES * BINS_PER_OCTAVE + 1
     histogram = np.zeros(size)
     noiseless = 0

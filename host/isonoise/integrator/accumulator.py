@@ -8,7 +8,7 @@ from isonoise.statistics import Needs, Statistics
 SAMPLE_BLOCK_SIZE = 16
 """Samples that are summed before they are merged into the statistics (kernels/stages/reduce.cl). A power of two."""
 
-STRIP_PIXELS = 2**16
+SUMMARY_STRIP_PIXELS = 2**16
 """Pixels that are summarised and read at a time, so that a strip stays in a CPU's cache."""
 
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and M2 over full sample blocks
@@ -44,8 +44,8 @@ class Accumulator:
         # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
         medians = 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
         summary = 6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half  # kernels/stages/summarise.cl
-        self._summary = self._device.buffer(4 * summary * STRIP_PIXELS, "the summary of the statistics")
-        self._summary_floats = summary * STRIP_PIXELS
+        self._summary = self._device.buffer(4 * summary * SUMMARY_STRIP_PIXELS, "the summary of the statistics")
+        self._summary_floats = summary * SUMMARY_STRIP_PIXELS
         stages.arguments.update(
             total_pixels=np.uint32(self.pixels),
             count=self.count,
@@ -53,7 +53,7 @@ class Accumulator:
             sums=planes(_SUMS, "the statistics"),
             sample_block_sums=planes(_BLOCK_SUMS, "the statistics of unfinished sample blocks"),
             summary=self._summary,
-            stride=np.uint32(STRIP_PIXELS),
+            stride=np.uint32(SUMMARY_STRIP_PIXELS),
         )
         if needs.median:
             stages.arguments["medians"] = planes(medians, "the chunk medians")
@@ -84,12 +84,12 @@ class Accumulator:
             power=np.empty(n) if needs.power is not None else None,
             half=np.empty((n, 3), np.float32) if needs.half else None,
         )
-        for begin in range(0, n, STRIP_PIXELS):
-            pixels = min(STRIP_PIXELS, n - begin)
+        for begin in range(0, n, SUMMARY_STRIP_PIXELS):
+            pixels = min(SUMMARY_STRIP_PIXELS, n - begin)
             bounds = {"first_pixel": np.uint32(begin), "pixels": np.uint32(pixels)}
             self._stages.launch("summarise", pixels, **bounds)
             with self._device.mapped(self._summary, np.float32, self._summary_floats) as summary:
-                self._read_strip(flat, slice(begin, begin + pixels), summary.reshape(-1, STRIP_PIXELS), scale)
+                self._read_strip(flat, slice(begin, begin + pixels), summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
         planes = {name: plane for name, plane in vars(flat).items() if plane is not None}
         for name, plane in planes.items():
             planes[name] = plane.reshape(*self._shape, *plane.shape[1:])

@@ -46,7 +46,7 @@ class _Use:
         return self.light_bits != 0 and can_scatter and (self.is_unlimited or self.scene.max_depth > 1)
 
     @cached_property
-    def weighs_lights(self) -> bool:
+    def selects_lights_by_importance(self) -> bool:
         """Whether lights are selected by their importance for a point."""
         return self.samples_lights and use_light_tree(self.scene.lights)
 
@@ -181,7 +181,7 @@ FEATURES = {
     "MANY_LIGHTS": Feature("more than one light", lambda use: len(use.scene.lights) > 1),
     "LIGHT_TREE": Feature(
         "light tree: one of many lights is selected by its importance for a point",
-        lambda use: use.weighs_lights and not use.uses_light_list,
+        lambda use: use.selects_lights_by_importance and not use.uses_light_list,
         {
             "light_nodes": f"{4 * LIGHT_NODE_ROWS * BVH_WIDTH} bytes for up to {BVH_WIDTH} lights or nodes",
             "light_parents": "4 bytes a light and node",
@@ -189,7 +189,7 @@ FEATURES = {
     ),
     "LIGHT_LIST": Feature(
         "light list: one of a few lights is selected by its importance for a point",
-        lambda use: use.weighs_lights and use.uses_light_list,
+        lambda use: use.selects_lights_by_importance and use.uses_light_list,
         {"light_bounds": _records(structs.LIGHT_BOUND, "a light")},
     ),
     "NEXT_EVENT": Feature("next-event estimation", lambda use: use.samples_lights),
@@ -222,7 +222,7 @@ FEATURES = {
     "HALF_BUFFER": Feature("mean of every second sample", lambda use: use.needs.half, {"halves": "24 bytes a pixel"}),
     "COUNT_TESTS": Feature("node and triangle tests, counted for measurements", lambda use: False),
 }
-"""All features, in the order in which they are printed. Buffers of every program, such as `bsdfs`, are in none."""
+"""All features, in the order in which they are printed. Buffers of every program belong to no feature."""
 
 
 def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool]:

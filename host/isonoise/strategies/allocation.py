@@ -78,8 +78,8 @@ def deficit(
     clip : float
         V is cut at this quantile of the pixels with V > 0; 1 is off.
     cap : float
-        g, a whole number of at least 2, or inf for none. No pixel more than g-folds its count while others are below
-        their cap.
+        g, a whole number of at least 2, or inf for none. No pixel's count grows by more than a factor g while others
+        are below their cap.
 
     Returns
     -------

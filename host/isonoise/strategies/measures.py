@@ -9,7 +9,7 @@ import numpy as np
 from isonoise.statistics import Statistics
 from isonoise.student_t import quantile
 
-STRIP_PIXELS = 2**15
+MEASURE_STRIP_PIXELS = 2**15
 """Pixels that are pooled at a time, so that the temporary arrays stay in the cache."""
 
 
@@ -60,7 +60,7 @@ def pooled_variance(statistics: Statistics, floor: float, window: int) -> np.nda
     """
     height, width = statistics.shape
     result = np.empty((height, width))
-    radius, rows = window // 2, max(1, STRIP_PIXELS // width)
+    radius, rows = window // 2, max(1, MEASURE_STRIP_PIXELS // width)
     for top in range(0, height, rows):
         begin, end = max(top - radius, 0), min(top + rows + radius, height)
         inside = np.s_[top - begin : min(top + rows, height) - begin]

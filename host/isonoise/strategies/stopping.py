@@ -11,7 +11,7 @@ from isonoise.strategies.base import Strategy, Wave
 from isonoise.strategies.schedule import warmup_then_adaptive
 
 MAX_HALVINGS = 64
-"""Of the threshold between two tests. If all pixels have converged even then, none has any error."""
+"""Most halvings of the threshold between two tests. If all pixels have converged even then, none has any error."""
 MIN_WAVE_DIVISOR = 64
 """A wave has at least 1 / 64 of the samples so far, unless a pixel would more than double its count."""
 MAX_WAVE_SAMPLES_PER_PIXEL = 2**20

@@ -268,7 +268,7 @@ def bsdf_macros() -> dict[str, int | str]:
             kind for kind in non_delta if kind.transmits and not kind.is_phase_function
         ),
         "HAS_NESTED_BSDFS": _any_feature(select(lambda kind: kind.is_wrapper)),
-        "HAS_PASS_THROUGH": _any_feature(select(lambda kind: kind.passes_through and not kind.scatters)),
+        "HAS_NULL_BSDFS": _any_feature(select(lambda kind: kind.passes_through and not kind.scatters)),
         "DELTA_BSDFS": _any_bit(delta),
         "PHASE_FUNCTIONS": _any_bit(select(lambda kind: kind.is_phase_function)),
         "FRAMED_BSDFS": _any_bit(select(lambda kind: kind.scatters and "SHADING_FRAME" in kind.helpers)),
