@@ -157,3 +157,18 @@ def textured_glb() -> bytes:
     scene.add_geometry(mesh, node_name="outer", transform=np.diag([2, 1, 1, 1.0]))
     scene.add_geometry(mesh.copy(), node_name="inner", parent_node_name="outer")
     return scene.export(file_type="glb")
+
+
+def write_images(folder: Path) -> Path:
+    """Write 7 x 5 texels as `rgb.png`, `grey.png`, `deep.png` (16 bits) and `linear.exr`; returns the folder."""
+    from PIL import Image
+
+    from isonoise.film.exr import write_exr
+
+    random = np.random.default_rng(4)
+    rgb = random.integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    Image.fromarray(rgb).save(folder / "rgb.png")
+    Image.fromarray(rgb[..., 0]).save(folder / "grey.png")
+    Image.fromarray(random.integers(0, 65536, (5, 7), dtype=np.uint16)).save(folder / "deep.png")
+    write_exr(folder / "linear.exr", {"": random.random((5, 7, 3), dtype=np.float32)}, {})
+    return folder

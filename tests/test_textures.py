@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from kernel_build import build_kernels
 from PIL import Image
+from small_files import write_images
 
 from isonoise.device.opencl import Device
 from isonoise.scene import structs
@@ -74,16 +75,7 @@ def lookup(device):
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """A folder of images of 7 x 5 texels."""
-    folder, random = tmp_path_factory.mktemp("images"), np.random.default_rng(4)
-    rgb = random.integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    Image.fromarray(rgb).save(folder / "rgb.png")
-    Image.fromarray(rgb[..., 0]).save(folder / "grey.png")
-    Image.fromarray(random.integers(0, 65536, (5, 7), dtype=np.uint16)).save(folder / "deep.png")
-    linear = random.random((5, 7, 3), dtype=np.float32)
-    from isonoise.film.exr import write_exr
-
-    write_exr(folder / "linear.exr", {"": linear}, {})
-    return folder
+    return write_images(tmp_path_factory.mktemp("images"))
 
 
 def random_uv(count: int, seed: int, size=(7, 5), margin: float = 0.0) -> np.ndarray:
