@@ -52,7 +52,10 @@ INLINE BsdfSample chalk_sample(const BsdfContext* ctx, Vec3 u)
 #endif
 """
 CHALK_ROW = """    BsdfKind(
-        *("chalk", "chalk", "chalk", (Slot("colour"),)),
+        name="chalk",
+        description="chalk",
+        plugin="chalk",
+        slots=(Slot("colour"),),
         constants={"brightness": lambda bsdf, tables: bsdf["brightness"]},
     ),
 """
@@ -80,7 +83,11 @@ INLINE void sample_torch_light(const SceneView* scene, const Light* light, Vec3 
 #endif
 """
 TORCH_ROW = """    LightKind(
-        *("torch", "TORCH_LIGHTS", "torches", "torch", "intensity"),
+        name="torch",
+        feature="TORCH_LIGHTS",
+        description="torches",
+        plugin="torch",
+        emission="intensity",
         power_factor=lambda lights, radius: np.pi,
         bounds=light_bounds.point_bounds,
         record=lambda emitter: {"position": _to_world(emitter)[:3, 3], "axis": _unit(_to_world(emitter)[:3, 2])},
@@ -159,7 +166,7 @@ def run(folder: Path, lines: str) -> None:
         pytest.param(
             [
                 ("kernels/bsdf/chalk.h", "", CHALK),
-                ("scene/material/bsdf_kinds.py", '    BsdfKind(\n        *("dielectric",', CHALK_ROW),
+                ("scene/material/bsdf_kinds.py", '    BsdfKind(\n        name="dielectric",', CHALK_ROW),
                 ("scene/vocabulary/bsdfs.py", '    Plugin("bsdf", "dielectric",', CHALK_PLUGIN),
             ],
             CHALK_SCENE,
@@ -168,7 +175,7 @@ def run(folder: Path, lines: str) -> None:
         pytest.param(
             [
                 ("kernels/light/torch_light.h", "", TORCH),
-                ("scene/light/light_kinds.py", '    LightKind(\n        *("point",', TORCH_ROW),
+                ("scene/light/light_kinds.py", '    LightKind(\n        name="point",', TORCH_ROW),
                 ("scene/vocabulary/emitters.py", '    Plugin(\n        "emitter",\n        "point",', TORCH_PLUGIN),
             ],
             TORCH_SCENE,

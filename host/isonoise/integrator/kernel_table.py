@@ -60,7 +60,9 @@ PATH_STATE = {
     "mis_distance": PathField("float", 1, ("VOLPATH",), initial="0.0f", default="0.0f"),
     "medium": PathField("uint", 1, ("MEDIA",), initial="sensor_medium", default="0u"),
     "mis_normal": PathField(
-        *("float", 4, ("LIGHT_TREE", "LIGHT_LIST")),
+        "float",
+        4,
+        ("LIGHT_TREE", "LIGHT_LIST"),
         initial="vec4(0.0f, 0.0f, 0.0f, 0.0f)",
         default="vec4(0.0f, 0.0f, 0.0f, 0.0f)",
     ),
@@ -85,17 +87,20 @@ ELEMENT_TYPES = {
     **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_aliases"), "uint"),
     **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected"), "uint"),
     **dict.fromkeys(("alive", "path_block_alive", "total_alive"), "uint"),
-    **{"tests": "uint2", "texel_bytes": "uchar"},
-    **{
-        "camera": "Camera",
-        "triangles": "Triangle",
-        "analytics": "Analytic",
-        "shapes": "Shape",
-        "instances": "Instance",
-        "bsdfs": "Bsdf",
-    },
-    **{"textures": "Texture", "lights": "Light", "light_alias": "Alias", "light_bounds": "LightBound"},
-    **{"environment": "Environment", "media": "Medium"},
+    "tests": "uint2",
+    "texel_bytes": "uchar",
+    "camera": "Camera",
+    "triangles": "Triangle",
+    "analytics": "Analytic",
+    "shapes": "Shape",
+    "instances": "Instance",
+    "bsdfs": "Bsdf",
+    "textures": "Texture",
+    "lights": "Light",
+    "light_alias": "Alias",
+    "light_bounds": "LightBound",
+    "environment": "Environment",
+    "media": "Medium",
 }
 """C types of the elements of a buffer, where that is not `float`; those of the path state are in `PATH_STATE`."""
 
@@ -246,7 +251,7 @@ BRUTE_FORCE_KERNELS = {
 
 PROGRAMS = (
     ("list_samples.cl", "reduce.cl", "summarise.cl"),
-    *[("generate.cl", "compact.cl", "intersect.cl", "intersect_brute_force.cl", "shadow.cl", "shadow_brute_force.cl")],
+    ("generate.cl", "compact.cl", "intersect.cl", "intersect_brute_force.cl", "shadow.cl", "shadow_brute_force.cl"),
 )
 """Files that are built as one program. Every other file is a program of its own.
 
@@ -260,23 +265,27 @@ LANE_KERNELS = {"generate", "shade"}
 SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "move_paths"}
 """Kernels of which a work-item of a CPU processes several rays, or a run of paths, one after the other."""
 
+_VIEW_MEMBERS = (
+    "triangles faces corner_normals uvs analytics shapes bsdfs instances lights light_alias light_count "
+    "environment_light seed media rough_transmittances textured_slots world_triangle_count"
+)
 SCENE_VIEW = {
-    **{
-        name: name
-        for name in ["triangles", "faces", "corner_normals", "uvs", "analytics", "shapes", "bsdfs", "instances"]
-    },
-    **{name: name for name in ["lights", "light_alias", "light_count", "environment_light", "seed", "media"]},
-    **{name: name for name in ["rough_transmittances", "textured_slots", "world_triangle_count"]},
-    **{"textures.records": "textures", "textures.bytes": "texel_bytes", "textures.floats": "texel_floats"},
-    **{"textures.srgb": "srgb", "textures.attributes": "attributes", "textures.faces": "faces"},
-    **{"envmap.record": "environment", "envmap.texels": "environment_texels"},
-    **{"envmap.rows": "environment_rows", "envmap.aliases": "environment_aliases"},
-    **{"light_list.bounds": "light_bounds", "light_list.light_count": "light_count"},
-    **{
-        "light_tree.nodes": "light_nodes",
-        "light_tree.parents": "light_parents",
-        "light_tree.light_count": "light_count",
-    },
+    **{name: name for name in _VIEW_MEMBERS.split()},
+    "textures.records": "textures",
+    "textures.bytes": "texel_bytes",
+    "textures.floats": "texel_floats",
+    "textures.srgb": "srgb",
+    "textures.attributes": "attributes",
+    "textures.faces": "faces",
+    "envmap.record": "environment",
+    "envmap.texels": "environment_texels",
+    "envmap.rows": "environment_rows",
+    "envmap.aliases": "environment_aliases",
+    "light_list.bounds": "light_bounds",
+    "light_list.light_count": "light_count",
+    "light_tree.nodes": "light_nodes",
+    "light_tree.parents": "light_parents",
+    "light_tree.light_count": "light_count",
 }
 """Member of the struct `SceneView` (kernels/geometry/surface.h) -> kernel argument."""
 

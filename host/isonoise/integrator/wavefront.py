@@ -94,7 +94,11 @@ class Wavefront:
         constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
         small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
         self._stages = Stages(
-            *(device, table, self.features, constants, STRUCTS),
+            device,
+            table,
+            self.features,
+            constants,
+            STRUCTS,
             file_constants={"stages/shade.cl": {"LANES": self.shade_lanes}},
             small_groups=small_groups if device.lanes > 1 else (),
         )
