@@ -50,7 +50,7 @@ def one_ray(origin, target, up=(0.0, 1.0, 0.0), **more) -> dict:
 def radiance(scene: dict, spp: int = 16, seed: int = 1) -> tuple[np.ndarray, float]:
     """Returns the RGB of a scene of one pixel, and the relative standard error of its luminance."""
     statistics = isonoise.render(scene, spp=spp, strategy="uniform", seed=seed).statistics
-    mean, error = statistics.mean.item(), math.sqrt(statistics.variance.item() / statistics.count.item())
+    mean, error = statistics.mean.item(), math.sqrt(statistics.variance_of_mean().item())
     assert statistics.rejected.sum() == 0
     return statistics.rgb[0, 0].astype(float), error / mean if mean else 0.0
 

@@ -85,7 +85,7 @@ def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
 def from_statistics(statistics: list[Statistics]) -> Estimate:
     """Estimate of the luminance from renders with equal counts and different seeds, using their sample variances."""
     mean = np.mean([s.mean for s in statistics], axis=0)
-    squared = np.mean([s.variance / s.count for s in statistics], axis=0) / len(statistics)
+    squared = np.mean([s.variance_of_mean() for s in statistics], axis=0) / len(statistics)
     dof = sum(s.count.astype(np.float64) - 1 for s in statistics)
     return Estimate(mean[..., None], np.sqrt(squared)[..., None], dof[..., None])
 

@@ -16,7 +16,7 @@ def _as_rgb(image) -> np.ndarray:
     return grey(image) if image.ndim == 2 else image
 
 
-def make_statistics(count, mean, variance=0.0, *, median=None, half=None, rejected=0) -> Statistics:
+def make_statistics(count, mean, variance=0.0, *, median=None, half=None, rejected=0, design_effect=None) -> Statistics:
     """Statistics of the shape of `mean`, which is grey (height, width) or RGB. `half` is the mean unless given."""
     rgb = _as_rgb(mean)
     shape = rgb.shape[:2]
@@ -24,7 +24,8 @@ def make_statistics(count, mean, variance=0.0, *, median=None, half=None, reject
     count, rejected = (np.broadcast_to(np.asarray(values, np.uint32), shape).copy() for values in (count, rejected))
     variance = np.broadcast_to(np.asarray(variance, np.float64), shape).copy()
     median = None if median is None else np.broadcast_to(np.asarray(median, np.float64), shape).copy()
-    return Statistics(count, rejected, rgb, mean, variance, median, None, rgb if half is None else _as_rgb(half))
+    half = rgb if half is None else _as_rgb(half)
+    return Statistics(count, rejected, rgb, mean, variance, median, None, half, design_effect)
 
 
 def statistics_of_samples(x: np.ndarray, chunk: int | None = None) -> Statistics:

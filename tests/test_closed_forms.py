@@ -104,7 +104,7 @@ def assert_radiance(statistics, colour: np.ndarray, pattern=1.0) -> None:
     assert (statistics.count == SPP).all()
     assert (statistics.rejected == 0).all()
     expected = luminance(colour) * pattern
-    se = np.sqrt(statistics.variance / statistics.count)
+    se = np.sqrt(statistics.variance_of_mean())
     deviation = np.abs(statistics.mean - expected)
     assert (deviation <= Z * se + ROUNDING * expected).all(), (
         f"{statistics.mean} for {expected}: off by {np.max(deviation / np.maximum(se, 1e-30)):.1f} standard errors"

@@ -105,7 +105,7 @@ def test_white_furnace_with_an_instance(scale):
     scene = with_instances(group, matrix, sensor=sensor, integrator=integrator, sky=sky)
     statistics = render(scene, spp=64, strategy="uniform:wave_spp=64").statistics
     # the MIS weights of light and BSDF samples sum to 1 only in expectation
-    noise = np.sqrt(statistics.variance / statistics.count)
+    noise = np.sqrt(statistics.variance_of_mean())
     assert (np.abs(statistics.mean - 1) <= 5 * noise + 1e-4).all()
     assert statistics.mean.mean() == pytest.approx(1, abs=2e-3)
 

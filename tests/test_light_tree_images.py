@@ -109,7 +109,7 @@ def test_ten_thousand_triangles_are_as_good_as_a_rectangle():
                 renderer.step()
             statistics = renderer.statistics()
             lit = statistics.mean > 0
-            relative = statistics.variance[lit] / statistics.count[lit] / statistics.mean[lit] ** 2
+            relative = statistics.variance_of_mean()[lit] / statistics.mean[lit] ** 2
             errors[name].append(np.sqrt(relative.mean()))
     assert np.median(errors["tiled"]) <= 1.5 * np.median(errors["whole"])
 

@@ -108,7 +108,7 @@ def test_another_seed_gives_other_samples(thirty_spp):
     for a, b in itertools.combinations(means, 2):
         assert (a != b)[noisy].all()
         # two estimates of the same image: 5.2 standard errors of the difference, false alarms 2e-7 by the normal law
-        se = np.sqrt(2 * thirty_spp.variance.sum() / 30)
+        se = np.sqrt(2 * thirty_spp.variance_of_mean().sum())
         assert abs(a.sum() - b.sum()) < 5.2 * se
 
 
@@ -137,7 +137,7 @@ def test_rows_and_columns_are_not_mixed_up():
         for size in ((9, 5), (1, 5))
     )
     a, b = wide.mean[:, 4], narrow.mean[:, 0]
-    se = np.sqrt((wide.variance[:, 4] + narrow.variance[:, 0]) / 4096)
+    se = np.sqrt(wide.variance_of_mean()[:, 4] + narrow.variance_of_mean()[:, 0])
     assert (np.abs(a - b) <= 5.2 * se).all()  # false alarms: 1e-6 over the five pixels
     assert a.max() > 0
 

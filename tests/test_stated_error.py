@@ -4,6 +4,8 @@ Simulations have fixed seeds. Their tolerances are those promised for the estima
 sampling noise: a quantile of 256x256 pixels has a standard error of 0.5 % at p50 and 0.8 % at p99 (density of |Z|).
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_statistics import make_statistics, statistics_of_samples
@@ -168,6 +170,16 @@ def test_varying_counts():
     for count in (rng.choice([4, 8, 16, 32, 64], size=sigma.shape), np.clip(1600 * sigma**2, 4, 64).astype(int)):
         s = of_counts(x, count)
         assert stated_error(s, QUANTILES) == pytest.approx(true_quantiles(s, np.ones(s.shape)), rel=0.05)
+
+
+@pytest.mark.parametrize("d", [0.1, 1.7])
+def test_the_design_effect_scales_the_error(d):
+    """Normal samples of equal variance: every error is sqrt(d) times that of independent samples."""
+    s = statistics_of_samples(1 + 0.1 * np.random.default_rng(90).normal(size=(16, 130, 67)))
+    correlated = replace(s, design_effect=np.full(s.shape, d))
+    assert stated_error(correlated, QUANTILES) == pytest.approx(np.sqrt(d) * stated_error(s, QUANTILES), rel=0.02)
+    assert half_width_95(correlated) == pytest.approx(np.sqrt(d) * half_width_95(s))
+    assert relative_standard_error(correlated, 0.1) == pytest.approx(np.sqrt(d) * relative_standard_error(s, 0.1))
 
 
 def test_relative_standard_error_is_plain():

@@ -46,6 +46,28 @@ def test_measures_are_their_formulas():
     assert variance_per_sample(s, relative_mean(s, 0.1))[0] == pytest.approx([1.0, 1.0, 1.0, 400.0])
 
 
+def test_the_design_effect_multiplies_the_variance_of_the_mean():
+    """Statistics with the design effect d have the errors of samples with the variance d s^2, in every measure."""
+    shape = (9, 13)
+    rng = np.random.default_rng(4)
+    count, mean, variance = rng.integers(0, 9, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape)
+    d = rng.uniform(0.05, 2, size=shape)
+    s = make_statistics(count, mean, variance, median=mean, design_effect=d)
+    scaled = make_statistics(count, mean, d * variance, median=mean)
+    assert (s.variance_of_mean() == scaled.variance_of_mean()).all()
+    assert (s.variance_of_mean()[count >= 2] == (d * variance / np.maximum(count, 1))[count >= 2]).all()
+    assert np.isposinf(s.variance_of_mean()[count < 2]).all()
+    assert (s.variance == variance).all()
+    for measure in (
+        standard_error,
+        lambda s: relative_mean(s, 0.1),
+        lambda s: relative_median(s, 0.1),
+        lambda s: pooled_variance(s, 0.1, 3),
+        lambda s: confidence(s, 0.05),
+    ):
+        assert (measure(s) == measure(scaled)).all()
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 5), (3, 2)])
 @pytest.mark.parametrize("window", [1, 3, 5, 31])
 def test_pooled_is_a_plain_loop_over_the_window(shape, window, monkeypatch):

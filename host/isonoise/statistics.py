@@ -79,6 +79,9 @@ class Statistics:
         Mean of max(x, 0)^q, or of x ln x for q = 1; None unless needed.
     half : (height, width, 3) float32 or None
         Mean RGB of samples 2, 4, 6, ...; None unless needed.
+    design_effect : (height, width) float64 or None
+        Variance of the mean over that of as many independent samples (Kish 1965, "Survey sampling"). None: 1
+        everywhere.
     """
 
     count: np.ndarray
@@ -89,6 +92,18 @@ class Statistics:
     median: np.ndarray | None
     power: np.ndarray | None = None
     half: np.ndarray | None = None
+    design_effect: np.ndarray | None = None
+
+    def variance_of_mean(self) -> np.ndarray:
+        """d s^2 / n, d the design effect: the squared standard error of the mean of x, a new array; inf where n < 2."""
+        result = np.full(self.shape, np.inf)
+        return np.divide(self.variance_per_sample(), self.count, out=result, where=self.count >= 2)
+
+    def variance_per_sample(self, rows: slice = slice(None)) -> np.ndarray:
+        """d s^2: the variance of independent samples, as many, with the same error of the mean. Do not write to it."""
+        if self.design_effect is None:
+            return self.variance[rows]
+        return self.design_effect[rows] * self.variance[rows]
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -69,7 +69,9 @@ class BatchSums:
         total = self.count + n
         difference = statistics.mean - self.mean
         weight = n / np.maximum(total, 1)
-        self.m2 = self.m2 + statistics.variance * np.maximum(n - 1, 0) + difference**2 * self.count * weight
+        self.m2 = (
+            self.m2 + statistics.variance_per_sample() * np.maximum(n - 1, 0) + difference**2 * self.count * weight
+        )
         self.mean = self.mean + difference * weight
         self.count = total
 
@@ -78,7 +80,7 @@ class BatchSums:
         return np.sqrt(self.rgb_m2 / (self.batches * (self.batches - 1)))
 
     def relative_variance(self) -> np.ndarray:
-        """s^2 / max(mean, floor)^2 of the luminance of one sample, float64 (height, width)."""
+        """d s^2 / max(mean, floor)^2 of the luminance of one sample, d the design effect, float64 (height, width)."""
         variance = self.m2 / np.maximum(self.count - 1, 1)
         scale = np.maximum(self.mean, image_floor(self.mean))
         return np.divide(variance, scale**2, out=np.zeros_like(variance), where=scale > 0)
@@ -126,7 +128,7 @@ def ensure_reference(
 def ensure_variance(
     make: MakeRenderer, scene: SceneEntry, directory: Path, budget: Stops, log: Callable[[str], None], show: Show
 ) -> None:
-    """Render the file of the strategy `oracle`: layer `variance`, s^2 / max(mean, floor)^2 of one sample.
+    """Render the file of the strategy `oracle`: layer `variance`, d s^2 / max(mean, floor)^2 of one sample.
 
     The batches are uniform; they have the budget of a reference. Parameters as of `ensure_reference`.
     """

@@ -26,6 +26,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from isonoise.statistics import Statistics
+
 LEVELS = 4
 """Variances are pooled over groups of up to 16x16 pixels."""
 TILE_SIZE = 64
@@ -36,13 +38,17 @@ MAX_SKEWNESS_SCATTER = 4.0
 """Groups whose means scatter by more than this multiple of their noise are not used to estimate the skewness."""
 
 
-def shrunk_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.ndarray, floor: float) -> np.ndarray:
+def shrunk_relative_variance(statistics: Statistics, rows: slice, floor: float) -> np.ndarray:
     """(sigma_i / max(mean_i, floor))^2, with sigma_i the shrunk standard error and mean_i the smoothed mean of a pixel.
+
+    The design effect varies slowly over the image and multiplies the shrunk variances.
 
     Parameters
     ----------
-    count, mean, variance : (height, width)
-        As in `Statistics`.
+    statistics : Statistics
+        Of the image.
+    rows : slice
+        Rows of the image, from a multiple of TILE_SIZE on.
     floor : float
         Above 0.
 
@@ -51,20 +57,22 @@ def shrunk_relative_variance(count: np.ndarray, mean: np.ndarray, variance: np.n
     1-D float64
         The values of all pixels with two or more samples, in no particular order.
     """
+    count = statistics.count[rows]
     order, inside = _pyramid_order(*count.shape)
     n = np.where(inside, count.reshape(-1)[order], 0).astype(np.float64)
     known = n > 1
     n *= known
-    x = mean.reshape(-1)[order] * known
-    s2 = variance.reshape(-1)[order] * known
+    x = statistics.mean[rows].reshape(-1)[order] * known
+    s2 = statistics.variance[rows].reshape(-1)[order] * known
+    d = 1.0 if statistics.design_effect is None else statistics.design_effect[rows].reshape(-1)[order]
     dof = n - known
 
-    scale = _smoothed_mean(n, x, dof, s2)
+    scale = _smoothed_mean(n, x, dof, d * s2)
     np.maximum(scale, floor, out=scale)
     x /= scale
     s2 /= scale
     s2 /= scale
-    return _shrunk_variance(n, x, dof, s2)[known] / n[known]
+    return (_shrunk_variance(n, x, dof, s2) * d)[known] / n[known]
 
 
 def _smoothed_mean(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def relative_standard_error(statistics: Statistics, floor: float) -> np.ndarray:
 def half_width_95(statistics: Statistics) -> np.ndarray:
     """Half the width of every pixel's 95 % confidence interval, (height, width) float64; inf where n < 2.
 
-    Student's t at n - 1 degrees of freedom times the luminance's standard error, in the scene's units.
+    Student's t at n - 1 degrees of freedom times the standard error of the luminance, in the scene's units.
     """
     return confidence(statistics, significance=0.05)
 
@@ -93,9 +93,7 @@ def _error_histogram(statistics: Statistics, floor: float) -> tuple[int, np.ndar
     noiseless = 0
     for top in range(0, height, rows):
         strip = np.s_[top : top + rows]
-        variance = shrunk_relative_variance(
-            statistics.count[strip], statistics.mean[strip], statistics.variance[strip], floor
-        )
+        variance = shrunk_relative_variance(statistics, strip, floor)
         noisy = variance[variance > 0]
         noiseless += variance.size - noisy.size
         position = np.log2(noisy, out=noisy)

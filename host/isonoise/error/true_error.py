@@ -44,7 +44,7 @@ class TrueError:
     rel_mse_floor_trimmed: float = _formula("the same without the worst 0.1 % of the pixels")
     energy_ratio: float = _formula("mean luminance of the image / mean luminance of the reference")
     energy_ratio_se: float = _formula(
-        "standard error of energy_ratio, from s^2 / n and the reference's standard errors"
+        "standard error of energy_ratio, from the standard errors of the image and of the reference"
     )
     coverage: float = _formula(
         "share of the pixels with |x - r| <= sqrt(h^2 + (1.96 se_ref)^2), h half the width of the 95 % interval"
@@ -139,9 +139,7 @@ def _energy_ratio(x: np.ndarray, r: np.ndarray, r_se: np.ndarray, statistics: St
     ratio = x.sum() / total
     if statistics is None:
         return float(ratio), float("nan")
-    if (statistics.count < 2).any():
-        return float(ratio), float("inf")
-    variance = (statistics.variance / statistics.count).sum() + ratio**2 * np.square(r_se).sum()
+    variance = statistics.variance_of_mean().sum() + ratio**2 * np.square(r_se).sum()
     return float(ratio), float(np.sqrt(variance) / total)
 
 

@@ -41,7 +41,7 @@ def render_mean(context: Context, description: dict, spp: int, seed: int = 1) ->
     wavefront = Wavefront(context.device, compiled, build_scene_bvh(compiled), seed=seed, pool_size=pool)
     wavefront.trace(np.full(shape, spp, np.uint32))
     statistics = wavefront.accumulator.statistics(compiled.radiance_scale)
-    variance_sum = (statistics.variance / np.maximum(statistics.count, 1)).sum()
+    variance_sum = statistics.variance_of_mean().sum()
     return ImageMean(statistics, float(statistics.mean.mean()), float(np.sqrt(variance_sum) / statistics.count.size))
 
 

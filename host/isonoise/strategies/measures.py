@@ -30,9 +30,8 @@ def image_floor(mean: np.ndarray) -> float:
 
 
 def standard_error(statistics: Statistics) -> np.ndarray:
-    """se = s / sqrt(n) of the luminance mean."""
-    error = np.full(statistics.shape, np.inf)
-    np.divide(statistics.variance, statistics.count, out=error, where=statistics.count >= 2)
+    """se = sqrt(d s^2 / n) of the luminance mean, d the design effect."""
+    error = statistics.variance_of_mean()
     return np.sqrt(error, out=error)
 
 
@@ -53,10 +52,10 @@ def relative_median(statistics: Statistics, floor: float, kappa: float = 8.0) ->
 
 
 def pooled_variance(statistics: Statistics, floor: float, window: int) -> np.ndarray:
-    """V = s^2 / max(mean, floor)^2, the relative variance of one sample, with s^2 and mean pooled over a window.
+    """V = d s^2 / max(mean, floor)^2, the relative variance of one sample, with d s^2 and mean pooled over a window.
 
-    Every sample has the same weight: s^2 is sum n s^2 / sum n, the mean sum n mean / sum n, over `window` x `window`
-    pixels (odd) around the pixel, as far as they are inside the image.
+    d is the design effect. Every sample has the same weight: d s^2 is sum n d s^2 / sum n, the mean sum n mean / sum n,
+    over `window` x `window` pixels (odd) around the pixel, as far as they are inside the image.
     """
     height, width = statistics.shape
     result = np.empty((height, width))
@@ -70,7 +69,7 @@ def pooled_variance(statistics: Statistics, floor: float, window: int) -> np.nda
         scale = window_sum(weight * statistics.mean[strip], window)[inside]
         scale /= samples
         np.maximum(scale, floor, out=scale)
-        variance = window_sum(np.multiply(weight, statistics.variance[strip], out=weight), window)[inside]
+        variance = window_sum(np.multiply(weight, statistics.variance_per_sample(strip), out=weight), window)[inside]
         variance /= samples
         result[top : top + rows] = _divide(_divide(variance, scale), scale)
     result[statistics.count < 2] = np.inf
@@ -94,7 +93,8 @@ def tsallis(statistics: Statistics, q: float) -> np.ndarray:
     """sqrt(1 - S_q / S_max) with S_q = (1 - sum p^q) / (q - 1), p_i = x_i / sum x, S_max = (1 - n^(1-q)) / (q - 1).
 
     For q = 1 their limits, Shannon's entropy and ln n. Computed as (sum p^q - n^(1-q)) / (1 - n^(1-q)); for q = 2 that
-    is se^2 / mean^2. It depends only on the samples' shares and needs no floor. 0 where n < 2 or all samples are 0.
+    is s^2 / (n mean^2). It knows no design effect. It depends only on the samples' shares and needs no floor. 0 where
+    n < 2 or all samples are 0.
     Source: Xu, Sbert, Xing, Zhan, "Adaptive sampling based on Tsallis entropy", 2007.
     """
     n = np.maximum(statistics.count, 2).astype(np.float64)
