@@ -75,6 +75,20 @@ def deviate(counts: np.ndarray, expected: np.ndarray) -> float:
     return ((chi2 / freedom) ** (1 / 3) - (1 - 2 / (9 * freedom))) / np.sqrt(2 / (9 * freedom))
 
 
+def assert_inverts_cdf(picked, rescaled, u, before, pmf, tolerance: float):
+    """Whether 48-bit numbers u (n, 2) in order select lights by the inverse CDF and are rescaled within them.
+
+    `before` (lights,) are the sums of the probabilities `pmf` (lights,) before each; they are off by `tolerance`.
+    """
+    x = (u[:, 0] + u[:, 1] * 2.0**-24) * 2.0**-24
+    assert (before[picked] - tolerance <= x).all()
+    assert (x <= before[picked] + pmf[picked] + tolerance).all()
+    assert (np.diff(before[picked]) >= 0).all()
+    exact = np.clip((x - before[picked]) / pmf[picked], 0, 1)
+    assert (np.abs(rescaled - exact) <= 1e-6 + 2 * tolerance / pmf[picked]).all()
+    assert (np.diff(rescaled)[np.diff(picked.astype(int)) == 0] > 0).all()
+
+
 def grid_of_triangles(side: int) -> dict:
     """A square of 2 side^2 emissive triangles that face upwards."""
     x, y = np.meshgrid(np.linspace(-1, 1, side + 1), np.linspace(-1, 1, side + 1), indexing="ij")

@@ -160,7 +160,7 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
         "rough_transmittances": len(scene.rough_transmittances),
         "media": len(scene.media),
         "lights": lights,
-        "light_alias": lights,
+        "light_cdf": lights,
         "environment": 1,
         "environment_texels": sky.texels.shape[0] * sky.texels.shape[1],
         "environment_rows": len(sky.rows),

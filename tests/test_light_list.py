@@ -6,7 +6,7 @@ Chi-square statistics are compared as standard normal deviates at Z = 5: 6e-7 fo
 import numpy as np
 import pytest
 from kernel_build import build_kernels
-from many_lights import compiled, deviate, mixed_lights, some_points
+from many_lights import assert_inverts_cdf, compiled, deviate, mixed_lights, some_points
 
 from isonoise.device.opencl import Device
 from isonoise.integrator.features import features
@@ -38,9 +38,10 @@ __kernel void pick(__global const LightBound* bounds, uint lights, __global cons
     if (i >= n) return;
     const LightList list = {bounds, lights};
     const Vec4 normal = vec4(normals[4 * i], normals[4 * i + 1], normals[4 * i + 2], normals[4 * i + 3]);
-    float p;
-    out[2 * i] = as_float(select_from_list(&list, LOAD3(i, points), normal, u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p));
-    out[2 * i + 1] = p;
+    float p, x = u[i].x * 0x1p-24f;
+    out[3 * i] = as_float(select_from_list(&list, LOAD3(i, points), normal, &x, u[i].y * 0x1p-24f, &p));
+    out[3 * i + 1] = p;
+    out[3 * i + 2] = x;
 }
 
 #if LANES > 1
@@ -81,8 +82,9 @@ __kernel void pick_all(__global const LightBound* bounds, uint lights, __global 
     }
     select_lights_from_list(&list, at, at + 3u * LANES, random, picks, count);
     for (uint k = 0u; k < count; ++k) {
-        out[2 * (begin + k)] = load_lane(picks, 0u, k);
-        out[2 * (begin + k) + 1] = load_lane(picks, 1u, k);
+        out[3 * (begin + k)] = load_lane(picks, 0u, k);
+        out[3 * (begin + k) + 1] = load_lane(picks, 1u, k);
+        out[3 * (begin + k) + 2] = load_lane(random, 0u, k);
     }
 }
 #endif
@@ -112,10 +114,11 @@ class OnDevice:
         return self.run(kernel, bounds, points, normals, np.asarray(which, np.uint32), 1)[:, 0].astype(np.float64)
 
     def pick(self, bounds, point, normal, u, kernel="pick"):
-        """Returns sampled lights and their stated probabilities, for one point and random numbers (n, 2) of 24 bits."""
+        """Returns sampled lights, their stated probabilities and the rescaled random numbers, for one point and random
+        numbers (n, 2) of 24 bits."""
         points, normals = (np.tile(v, (len(u), 1)) for v in (point, normal))
-        out = self.run(kernel, bounds, points, normals, u.astype(np.uint32), 2)
-        return out[:, 0].copy().view(np.uint32), out[:, 1].astype(np.float64)
+        out = self.run(kernel, bounds, points, normals, u.astype(np.uint32), 3)
+        return out[:, 0].copy().view(np.uint32), *out[:, 1:].T.astype(np.float64)
 
 
 @pytest.fixture(scope="module")
@@ -179,8 +182,8 @@ def test_lanes_and_single_paths_agree(device):
     assert (alone == device.probability(bounds, points, normals, which, "answer_all")).all()
     u = u.astype(np.uint32)
     assert (
-        device.run("pick", bounds, points, normals, u, 2).view(np.uint32)
-        == device.run("pick_all", bounds, points, normals, u, 2).view(np.uint32)
+        device.run("pick", bounds, points, normals, u, 3).view(np.uint32)
+        == device.run("pick_all", bounds, points, normals, u, 3).view(np.uint32)
     ).all()
 
 
@@ -192,10 +195,24 @@ def test_picks_have_the_stated_probabilities(device, kernel, seed):
     points, normals = some_points(rng, 2)
     point, normal = points[seed % 2], normals[seed % 2]
     u = rng.integers(0, 2**24, (1 << 17, 2))
-    picked, stated = device.pick(bounds, point, normal, u, kernel)
+    picked, stated, _ = device.pick(bounds, point, normal, u, kernel)
     expected = all_probabilities(device, bounds, point[None], normal[None])[0]
     np.testing.assert_allclose(stated, expected[picked], rtol=1e-6)
     assert abs(deviate(np.bincount(picked, minlength=len(bounds)), len(u) * expected)) < Z
+
+
+@pytest.mark.parametrize("kernel", ["pick", "pick_all"])
+def test_stratified_numbers_stay_stratified(device, kernel):
+    """One number in each of 2^14 strata, in order: lights and rescaled numbers are those of the inverse CDF."""
+    rng = np.random.default_rng(2)
+    bounds = build_light_list(compiled(**mixed_lights(20)))
+    points, normals = some_points(rng, 1)
+    u = np.stack([1024 * np.arange(2**14) + rng.integers(0, 1024, 2**14), rng.integers(0, 2**24, 2**14)], axis=1)
+    picked, _, rescaled = device.pick(bounds, points[0], normals[0], u, kernel)
+    pmf = all_probabilities(device, bounds, points, normals)[0]
+    assert_inverts_cdf(picked, rescaled, u, np.cumsum(pmf) - pmf, pmf, tolerance=2e-6)
+    assert rescaled.min() >= 0
+    assert rescaled.max() < 1
 
 
 @pytest.mark.parametrize("kernel", ["pick", "pick_all"])
@@ -209,7 +226,7 @@ def test_all_48_bits_count(device, kernel):
         before = bounds["power_fraction"][:tiny].astype(np.float64).sum()
         high = int(before * 2**24)  # the 24-bit number whose interval contains the light
         u = np.stack([np.full(len(low), high), low], axis=1)
-        picked, stated = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), u, kernel)
+        picked, stated, _ = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), u, kernel)
         values = (high + low * 2.0**-24) * 2.0**-24
         inside = (values >= before) & (values < before + 2.0**-30)
         if tiny < 3:  # a remainder by rounding at the end goes to a likely light
@@ -217,7 +234,9 @@ def test_all_48_bits_count(device, kernel):
             np.testing.assert_array_equal(picked == tiny, inside)
         assert (stated[picked == tiny] == np.float32(2.0**-30)).all()
     bounds["power_fraction"] = (0.5, 0, 0.5, 0)
-    picked, _ = device.pick(bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), np.array([[0, 0], [2**24 - 1] * 2]), kernel)
+    picked, _, _ = device.pick(
+        bounds, np.zeros(3), np.array([0, 0, 1.0, 0]), np.array([[0, 0], [2**24 - 1] * 2]), kernel
+    )
     assert picked.tolist() == [0, 2]
 
 

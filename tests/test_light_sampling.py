@@ -43,17 +43,17 @@ SceneView scene({GEOMETRY})
 }}
 
 __kernel void sample({GEOMETRY},
-                     __global const Alias* table, uint count, __global const float* reference, __global const float* u,
+                     __global const ulong* cdf, uint count, __global const float* reference, __global const float* u,
                      __global float* out, uint n)
 {{
     const uint i = get_global_id(0);
     if (i >= n) return;
     SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
-    g.light_alias = table;
+    g.light_cdf = cdf;
     g.light_count = count;
     const Vec4 no_side = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-    const LightSelection pick = select_light(&g, LOAD3(i, reference), no_side, u[4 * i], u[4 * i + 3]);
-    const LightSample light = sample_light(&g, pick, LOAD3(i, reference), vec2(u[4 * i + 1], u[4 * i + 2]));
+    const LightSelection pick = select_light(&g, LOAD3(i, reference), no_side, u[4 * i], u[4 * i + 2]);
+    const LightSample light = sample_light(&g, pick, LOAD3(i, reference), u[4 * i + 1]);
     STORE3(light.direction, 0, out + 16 * i);
     STORE3(light.radiance, 1, out + 16 * i);
     STORE3(light.position, 2, out + 16 * i);
@@ -134,7 +134,7 @@ class Lit:
         arrays = (triangle_records(scene), scene.faces, scene.uvs, scene.analytics, scene.shapes)
         arrays += (scene.textures, scene.texel_bytes, textures.SRGB, scene.lights)
         self.buffers = tuple(device.buffer(a, "the scene") if a.size else None for a in arrays)
-        self.table = device.buffer(scene.light_alias, "the lights"), np.uint32(len(scene.lights))
+        self.table = device.buffer(scene.light_cdf, "the lights"), np.uint32(len(scene.lights))
 
     def _run(self, kernel: str, first, arrays, columns: int) -> np.ndarray:
         n = len(arrays[0])

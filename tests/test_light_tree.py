@@ -53,11 +53,11 @@ __kernel void pick(__global const float8* nodes, __global const uint* places, ui
     const uint i = get_global_id(0);
     const LightTree tree = {nodes, places, lights};
     if (i >= n) return;
-    float p;
-    const Vec3 point = LOAD3(i, points);
-    const uint light = select_from_tree(&tree, point, LOAD4(i, normals), u[i].x * 0x1p-24f, u[i].y * 0x1p-24f, &p);
-    out[2 * i] = as_float(light);
-    out[2 * i + 1] = p;
+    float p, x = u[i].x * 0x1p-24f;
+    const uint light = select_from_tree(&tree, LOAD3(i, points), LOAD4(i, normals), &x, u[i].y * 0x1p-24f, &p);
+    out[3 * i] = as_float(light);
+    out[3 * i + 1] = p;
+    out[3 * i + 2] = x;
 }
 """
 
@@ -84,10 +84,14 @@ class TreeKernels:
 
     def pick(self, tree, lights, point, normal, count, seed):
         """Returns sampled lights and their stated probabilities, for one point."""
-        u = np.random.default_rng(seed).integers(0, 2**24, (count, 2)).astype(np.uint32)
-        points, normals = (np.tile(v, (count, 1)) for v in (point, normal))
-        out = self.run("pick", tree, lights, points, normals, u, 2)
-        return out[:, 0].copy().view(np.uint32), out[:, 1].astype(np.float64)
+        u = np.random.default_rng(seed).integers(0, 2**24, (count, 2))
+        return self.pick_by(tree, lights, point, normal, u)[:2]
+
+    def pick_by(self, tree, lights, point, normal, u):
+        """The same and the rescaled random numbers, for random numbers (n, 2) of 24 bits."""
+        points, normals = (np.tile(v, (len(u), 1)) for v in (point, normal))
+        out = self.run("pick", tree, lights, points, normals, u.astype(np.uint32), 3)
+        return out[:, 0].copy().view(np.uint32), *out[:, 1:].T.astype(np.float64)
 
 
 @pytest.fixture(scope="module")
@@ -272,6 +276,32 @@ def test_picks_have_the_stated_probabilities(device, seed):
     )
     np.testing.assert_allclose(stated, expected[sampled], rtol=1e-6)
     assert abs(deviate(np.bincount(sampled, minlength=lights), count * expected)) < Z
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_stratified_numbers_stay_stratified(device, seed):
+    """One number in each of 2^18 strata: as many as expected select a light, and the rescaled ones are stratified.
+
+    A light's part of [0, 1) is one interval, and one more for each of its ancestors, of 2^-10 of all. Each interval
+    is off by one stratum at each end.
+    """
+    scene, count = compiled(**mixed_lights(90)), 2**18
+    tree, lights = build_light_tree(scene), len(scene.lights)
+    rng = np.random.default_rng(seed)
+    points, normals = some_points(rng, 1)
+    u = np.stack([64 * np.arange(count) + rng.integers(0, 64, count), rng.integers(0, 2**24, count)], axis=1)
+    picked, stated, rescaled = device.pick_by(tree, lights, points[0], normals[0], u)
+    assert rescaled.min() >= 0
+    assert rescaled.max() < 1
+    depth = 4
+    for light in np.unique(picked):
+        chosen = picked == light
+        expected = count * stated[chosen][0]
+        assert abs(chosen.sum() - expected) <= 2 * (depth + 1) + 1e-5 * expected
+        in_order = np.sort(rescaled[chosen])
+        ideal = (np.arange(len(in_order)) + 0.5) / len(in_order)
+        # the numbers of the smaller intervals are spread as evenly as those of the large one, each on its own
+        assert np.abs(in_order - ideal).max() <= 2 * (depth + 1) / len(in_order) + 1e-5
 
 
 def test_a_hundred_thousand_lights_are_picked_evenly(device):

@@ -79,7 +79,7 @@ def test_against_mitsuba(monkeypatch, tmp_path):
     scalar_mitsuba.assert_same_picture(scene, tmp_path, spp=64)
 
 
-def test_few_lights_keep_the_alias_table():
+def test_few_lights_are_selected_by_power():
     from isonoise.integrator.features import features
 
     few = compiled(floor={"type": "rectangle"}, lamp={"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}})

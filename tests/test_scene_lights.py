@@ -1,12 +1,13 @@
-"""Light records: order, power, alias table and radiance scale."""
+"""Light records: order, power, selection by power and radiance scale."""
 
 import numpy as np
 import pytest
 from records import slot
 
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.light.alias_table import alias_table, alias_tables, selection_probabilities
+from isonoise.scene.light.alias_table import alias_tables
 from isonoise.scene.light.light_kinds import light_bits
+from isonoise.scene.light.lights import light_power_cdf
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 
@@ -26,16 +27,14 @@ def weight_distributions() -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("weights", weight_distributions())
-def test_alias_table_selects_in_proportion_to_weights(weights):
+def test_power_cdf_selects_in_proportion_to_weights(weights):
     probabilities = weights / weights.sum()
-    table = alias_table(probabilities)
-    result = selection_probabilities(table)
-    # A threshold rounds by at most 2^-24: relative for the entry, absolute for its alias, in units of 1/n.
-    np.testing.assert_allclose(result, probabilities, rtol=1e-6, atol=0)
-    assert np.all(result[probabilities == 0] == 0)
-    assert result.sum() == pytest.approx(1.0, abs=1e-12)
-    assert table["threshold"].min() >= 0
-    assert table["threshold"].max() <= 1
+    cdf, stated = light_power_cdf(probabilities)
+    selected = np.diff(np.append(cdf, np.uint64(2**48))) / 2.0**48
+    assert np.array_equal(selected, stated)
+    assert np.array_equal(selected > 0, probabilities > 0)
+    # sums round by half a unit of 2^-48, and no probability is below two of them
+    np.testing.assert_allclose(selected, np.maximum(probabilities, 0), rtol=1e-9, atol=len(weights) * 2.0**-46)
 
 
 def test_alias_tables_of_several_rows():
@@ -51,17 +50,6 @@ def test_alias_tables_of_several_rows():
         result = (threshold[row] + np.bincount(alias[row], 1.0 - threshold[row], 64)) / 64
         np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-15)
         assert np.all(result[expected == 0] == 0)
-
-
-def test_alias_table_sums_exactly_to_the_stated_probabilities():
-    scene = compile_scene(
-        scene_with(
-            a={"type": "cube", "emitter": {"type": "area", "radiance": 3.0}},
-            b={"type": "disk", "emitter": {"type": "area", "radiance": 0.1}},
-            c={"type": "point", "intensity": 0.7},
-        )
-    )
-    assert np.array_equal(selection_probabilities(scene.light_alias).astype(np.float32), scene.lights["power_pmf"])
 
 
 def test_lights_of_a_shape_follow_its_primitives():
@@ -133,7 +121,7 @@ def test_lights_without_power_and_scenes_without_light():
     assert dark.lights["power_pmf"].tolist() == [1.0]
     none = compile_scene(scene_with())
     assert none.radiance_scale == 1.0
-    assert len(none.lights) == len(none.light_alias) == 0
+    assert len(none.lights) == len(none.light_cdf) == 0
     assert none.environment_light == -1
 
 
@@ -151,7 +139,7 @@ def test_scaling_all_lights_by_a_power_of_two_changes_nothing_but_the_scale(expo
     plain, scaled = scene(1.0), scene(2.0**exponent)
     assert scaled.radiance_scale == plain.radiance_scale * 2.0**-exponent
     assert plain.lights.tobytes() == scaled.lights.tobytes()
-    assert plain.light_alias.tobytes() == scaled.light_alias.tobytes()
+    assert plain.light_cdf.tobytes() == scaled.light_cdf.tobytes()
     assert plain.hash != scaled.hash
 
 

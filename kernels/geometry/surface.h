@@ -63,7 +63,7 @@ typedef struct {
     __global const Shape* shapes;
     __global const Bsdf* bsdfs;
     __global const Light* lights;
-    __global const Alias* light_alias;
+    __global const ulong* light_cdf;
     uint light_count, environment_light;
     uint2 seed;
 #if HAS_ROUGH_TRANSMITTANCE

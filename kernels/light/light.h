@@ -22,50 +22,63 @@ INLINE float light_pmf(const SceneView* scene, uint light, Vec3 point, Vec4 norm
 }
 #endif
 
-#if FEATURE_NEXT_EVENT && FEATURE_MANY_LIGHTS && !HAS_LIGHT_IMPORTANCE
-// Walker's alias method with 48 random bits, so that a million lights are still selected with their exact
-// probabilities.
-INLINE uint select_light_by_power(__global const Alias* table, uint count, float u_high, float u_low)
-{
-    const ulong scaled = (ulong)(u_high * 0x1p24f) * count + (((ulong)(u_low * 0x1p24f) * count) >> 24);
-    const uint index = MIN((uint)(scaled >> 24), count - 1u);
-    const float fraction = (float)(scaled & 0xFFFFFFu) * 0x1p-24f;
-    const Alias entry = Alias_at(table, index);
-    return fraction < entry.threshold ? index : entry.alias;
-}
-#endif
-
 #if FEATURE_NEXT_EVENT
-// A selected light and its probability; 0 if none was selected.
+// A selected light and its probability; 0 if none was selected. `u`: the random number that selected it, rescaled to
+// [0, 1). It still has 24 bits and, for numbers in order, is in order: it is the first coordinate of the position.
 typedef struct {
     uint light;
     float probability;
+    float u;
 } LightSelection;
 
-#if !FEATURE_LIGHT_LIST || LANES == 1  // with a list, lanes select together
-// Selects a light for a point and its normal (`light_sampling_normal`), by a random number and its low bits.
-INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 normal, float u, float u_low)
+#if FEATURE_MANY_LIGHTS && !HAS_LIGHT_IMPORTANCE
+// Inversion of the discrete CDF of the lights' powers, `light_cdf`: in units of 2^-48, without the sum of all.
+INLINE LightSelection select_light_by_power(const SceneView* scene, float u, float u_low)
 {
+    const ulong number = (ulong)(u * 0x1p24f) << 24 | (ulong)(u_low * 0x1p24f);
+    __global const ulong* cdf = scene->light_cdf;
+    uint light = 0u, end = scene->light_count;
+    while (end - light > 1u) {
+        const uint middle = light + (end - light) / 2u;
+        const bool is_above = cdf[middle] <= number;
+        light = is_above ? middle : light;
+        end = is_above ? end : middle;
+    }
+    const ulong upper = end < scene->light_count ? cdf[end] : 1ul << 48;
     LightSelection selected;
-#if FEATURE_LIGHT_LIST
-    selected.light = select_from_list(&scene->light_list, reference, normal, u, u_low, &selected.probability);
-#elif FEATURE_LIGHT_TREE
-    selected.light = select_from_tree(&scene->light_tree, reference, normal, u, u_low, &selected.probability);
-#elif FEATURE_MANY_LIGHTS
-    selected.light = select_light_by_power(scene->light_alias, scene->light_count, u, u_low);
-    selected.probability = Light_at(scene->lights, selected.light).power_pmf;
-#else
-    selected.light = 0u;
-    selected.probability = 1.0f;
-#endif
+    selected.light = light;
+    selected.probability = Light_at(scene->lights, light).power_pmf;
+    selected.u = MIN((float)(number - cdf[light]) / (float)(upper - cdf[light]), 0x1.fffffep-1f);
     return selected;
 }
 #endif
 
-// Samples the selected light, which is of one of these kinds, for the point `reference`.
-INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, LightSelection selected, Vec3 reference,
-                                        Vec2 u)
+#if LANES == 1 || (FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_LIST)  // with a list, lanes select together
+// Selects a light for a point and its normal (`light_sampling_normal`), by the random number u + 2^-24 u_low.
+INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 normal, float u, float u_low)
 {
+#if FEATURE_MANY_LIGHTS && !HAS_LIGHT_IMPORTANCE
+    return select_light_by_power(scene, u, u_low);
+#else
+    LightSelection selected = {0u, 1.0f, u};
+#if FEATURE_LIGHT_LIST
+    selected.light =
+        select_from_list(&scene->light_list, reference, normal, &selected.u, u_low, &selected.probability);
+#elif FEATURE_LIGHT_TREE
+    selected.light =
+        select_from_tree(&scene->light_tree, reference, normal, &selected.u, u_low, &selected.probability);
+#endif
+    return selected;
+#endif
+}
+#endif
+
+// Samples the selected light, which is of one of these kinds, for the point `reference`. `v`: the second coordinate of
+// the position.
+INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, LightSelection selected, Vec3 reference,
+                                        float v)
+{
+    const Vec2 u = vec2(selected.u, v);
     LightSample sample = empty_light_sample();
     Light record = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? selected.light : 0u);
     record.kind =
@@ -85,8 +98,8 @@ INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, Ligh
     return sample;
 }
 
-INLINE LightSample sample_light(const SceneView* scene, LightSelection selected, Vec3 reference, Vec2 u)
+INLINE LightSample sample_light(const SceneView* scene, LightSelection selected, Vec3 reference, float v)
 {
-    return sample_light_of_kind(~0u, scene, selected, reference, u);
+    return sample_light_of_kind(~0u, scene, selected, reference, v);
 }
 #endif

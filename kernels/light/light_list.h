@@ -83,12 +83,12 @@ INLINE float mixture_pmf(ImportanceMixture m, float importance, float power_frac
 
 // Inversion of the discrete CDF, light by light: subtracts the pmf of each light from the random number until it is
 // negative. The random number has 48 bits, as a double-float, so a pmf far below the last bit of the others is still
-// sampled correctly.
+// sampled correctly, and what is left of the number has 24 bits.
 typedef struct {
-    float u, u_low;  // what is left of the random number is their sum
-    uint light;      // the selected one; before that, or if rounding leaves u >= 0 to the end, the most probable so far
-    float pmf;       // of `light`
-    float padding;
+    float u, u_low;   // what is left of the random number is their sum
+    uint light;       // the selected one; before that, or if rounding leaves u >= 0 to the end, the most probable so far
+    float pmf;        // of `light`
+    float remainder;  // what was left of the random number at `light`
 } CdfSearch;
 
 INLINE CdfSearch begin_cdf_search(float u, float u_low)
@@ -97,19 +97,27 @@ INLINE CdfSearch begin_cdf_search(float u, float u_low)
     s.u = u;
     s.u_low = 0x1p-24f * u_low;
     s.light = 0u;
-    s.pmf = 0.0f;
+    s.pmf = s.remainder = 0.0f;
     return s;
 }
 
 INLINE void advance_cdf_search(CdfSearch* s, uint light, float pmf)
 {
-    const bool is_searching = s->u >= 0.0f;
+    const float remainder = s->u;
+    const bool is_searching = remainder >= 0.0f;
     const float difference = s->u - pmf, rounding = (s->u - difference) - pmf, low = s->u_low + rounding;
     s->u = difference + low;
     s->u_low = low - (s->u - difference);
     const bool selects = is_searching && (s->u < 0.0f || pmf > s->pmf);
     s->light = selects ? light : s->light;
     s->pmf = selects ? pmf : s->pmf;
+    s->remainder = selects ? remainder : s->remainder;
+}
+
+// The random number rescaled to [0, 1) within the selected light.
+INLINE float rescaled_random(float remainder, float pmf)
+{
+    return pmf > 0.0f ? MIN(remainder / pmf, 0x1.fffffep-1f) : 0.0f;
 }
 
 #if FEATURE_AREA_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
@@ -126,20 +134,22 @@ INLINE float light_list_pmf(const LightList* list, uint light, Vec3 point, Vec4 
 }
 #endif
 
-// Selects a light by the random number u + 2^-24 u_low, in [0, 1). `pmf` receives its probability.
-INLINE uint select_from_list(const LightList* list, Vec3 point, Vec4 normal, float u, float u_low, float* pmf)
+// Selects a light by the random number *random + 2^-24 u_low, in [0, 1). `pmf` receives its probability, *random the
+// rescaled number.
+INLINE uint select_from_list(const LightList* list, Vec3 point, Vec4 normal, float* random, float u_low, float* pmf)
 {
     __global const LightBound* bounds = list->bounds;
     float total = 0.0f;
     for (uint light = 0u; light < list->light_count; ++light)
         total += light_importance(bounds + light, true, point, normal);
     const ImportanceMixture m = make_importance_mixture(total);
-    CdfSearch search = begin_cdf_search(u, u_low);
+    CdfSearch search = begin_cdf_search(*random, u_low);
     for (uint light = 0u; light < list->light_count; ++light) {
         const float importance = light_importance(bounds + light, true, point, normal);
         advance_cdf_search(&search, light, mixture_pmf(m, importance, bounds[light].power_fraction));
     }
     *pmf = search.pmf;
+    *random = rescaled_random(search.remainder, search.pmf);
     return search.light;
 }
 
@@ -196,9 +206,9 @@ INLINE void evaluate_light_pmf_queries(const LightList* list, float* queries, ui
 #endif
 
 // `select_from_list` for the first `count` lanes. Arrays of LANES floats per member: `points` (3 members), `normals`
-// (4) and `random` (2: u, u_low); `selections` receives light and pmf (2).
-INLINE void select_lights_from_list(const LightList* list, const float* points, const float* normals,
-                                    const float* random, float* selections, uint count)
+// (4) and `random` (2: u, which receives the rescaled number, and u_low); `selections` receives light and pmf (2).
+INLINE void select_lights_from_list(const LightList* list, const float* points, const float* normals, float* random,
+                                    float* selections, uint count)
 {
     float importances[MAX_LISTED_LIGHTS * LANES], totals[LANES], importance_scale[LANES], power_scale[LANES];
     float u[LANES], u_low[LANES];
@@ -212,6 +222,7 @@ INLINE void select_lights_from_list(const LightList* list, const float* points, 
         power_scale[k] = m.power_scale;
         u[k] = search.u;
         u_low[k] = search.u_low;
+        store_lane(search.remainder, random, 0u, k);
         store_lane(as_float(search.light), selections, 0u, k);
         store_lane(search.pmf, selections, 1u, k);
     }
@@ -225,14 +236,18 @@ INLINE void select_lights_from_list(const LightList* list, const float* points, 
             search.u_low = u_low[k];
             search.light = as_uint(load_lane(selections, 0u, k));
             search.pmf = load_lane(selections, 1u, k);
+            search.remainder = load_lane(random, 0u, k);
             const float pmf = mixture_pmf(m, importances[light * LANES + k], list->bounds[light].power_fraction);
             advance_cdf_search(&search, light, pmf);
             u[k] = search.u;
             u_low[k] = search.u_low;
             store_lane(as_float(search.light), selections, 0u, k);
             store_lane(search.pmf, selections, 1u, k);
+            store_lane(search.remainder, random, 0u, k);
         }
     }
+    FOR_LANES(k, count)
+        store_lane(rescaled_random(load_lane(random, 0u, k), load_lane(selections, 1u, k)), random, 0u, k);
 }
 #endif
 #endif

@@ -89,10 +89,12 @@ INLINE uint last_set_lane(int8 mask)
     return (as_uint((float)(mask_bits(mask) | 1u)) >> 23) - 127u;
 }
 
-// Selects a light by the random number u + 2^-24 u_low, in [0, 1). `pmf` receives its probability. At every node the
-// random number is rescaled to [0, 1), as a double-float: its 48 bits are enough for a million lights.
-INLINE uint select_from_tree(const LightTree* tree, Vec3 point, Vec4 normal, float u, float u_low, float* pmf)
+// Selects a light by the random number *random + 2^-24 u_low, in [0, 1). `pmf` receives its probability. At every node
+// the random number is rescaled to [0, 1), as a double-float: its 48 bits are enough for a million lights. *random
+// receives what is left of it.
+INLINE uint select_from_tree(const LightTree* tree, Vec3 point, Vec4 normal, float* random, float u_low, float* pmf)
 {
+    float u = *random;
     *pmf = 1.0f;
     u_low = 0x1p-24f * u_low;
     int node_index = 0;
@@ -129,6 +131,7 @@ INLINE uint select_from_tree(const LightTree* tree, Vec3 point, Vec4 normal, flo
         *pmf *= child_pmf(importance.lane[child], total, ((__global const float*)(node + 4))[child]);
         node_index = ((__global const int*)(node + 11))[child];
     } while (node_index > 0);
+    *random = u;
     return (uint)~node_index;
 }
 

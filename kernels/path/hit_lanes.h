@@ -169,7 +169,8 @@ INLINE void advance_to_vertices(const SceneView* scene, const PathBuffers* paths
 #if FEATURE_LIGHT_LIST  // lights are selected for all lanes
         store_lane3(splat3(0.0f), lane_state, LANE_POSITION, k);
         store_lane4(vec4(0.0f, 0.0f, 0.0f, 0.0f), lane_state, LANE_MIS_NORMAL, k);
-        store_lane4(vec4(0.0f, 0.0f, 0.0f, 0.0f), lane_state, LANE_LIGHT_RANDOM, k);
+        store_lane(0.0f, lane_state, LANE_LIGHT_U, k);
+        store_lane(0.0f, lane_state, LANE_LIGHT_U_LOW, k);
 #endif
     }
 #if FEATURE_TRIANGLES

@@ -45,10 +45,16 @@ enum {
 #endif
 #if FEATURE_NEXT_EVENT
     // next-event estimation
+#if HAS_LIGHT_IMPORTANCE
     LANE_FIELD(MIS_NORMAL, 4)
-    LANE_FIELD(LIGHT_RANDOM, 4)  // selection, low bits of the selection, position x and y
+#endif
+    LANE_FIELD(LIGHT_V, 1)  // second coordinate of the position on the light
+    LANE_FIELD(LIGHT_U, 1)  // selects the light; rescaled, it is the first coordinate
+#if FEATURE_MANY_LIGHTS
+    LANE_FIELD(LIGHT_U_LOW, 1)     // low bits; directly behind LIGHT_U: both are passed as one array
     LANE_FIELD(SELECTED_LIGHT, 1)
-    LANE_FIELD(SELECTED_PMF, 1)
+    LANE_FIELD(SELECTED_PMF, 1)    // directly behind SELECTED_LIGHT
+#endif
     LANE_FIELD(LIGHT_DIRECTION, 3)
     LANE_FIELD(LIGHT_RADIANCE, 3)
     LANE_FIELD(LIGHT_PDF, 1)
@@ -171,18 +177,22 @@ INLINE BsdfContext load_bsdf_context_lane(const SceneView* scene, uint kind, Vec
 }
 
 #if FEATURE_NEXT_EVENT
-#if !FEATURE_LIGHT_LIST
+#if FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_LIST
 INLINE void store_light_selection_lane(LightSelection selection, float* lane_state, size_t lane)
 {
     store_lane_uint(selection.light, lane_state, LANE_SELECTED_LIGHT, lane);
     store_lane(selection.probability, lane_state, LANE_SELECTED_PMF, lane);
+    store_lane(selection.u, lane_state, LANE_LIGHT_U, lane);
 }
 #endif
 
 INLINE LightSelection load_light_selection_lane(const float* lane_state, size_t lane)
 {
-    const LightSelection selection = {load_lane_uint(lane_state, LANE_SELECTED_LIGHT, lane),
-                                      load_lane(lane_state, LANE_SELECTED_PMF, lane)};
+    LightSelection selection = {0u, 1.0f, load_lane(lane_state, LANE_LIGHT_U, lane)};
+#if FEATURE_MANY_LIGHTS
+    selection.light = load_lane_uint(lane_state, LANE_SELECTED_LIGHT, lane);
+    selection.probability = load_lane(lane_state, LANE_SELECTED_PMF, lane);
+#endif
     return selection;
 }
 

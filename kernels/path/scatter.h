@@ -45,9 +45,9 @@ INLINE void sample_direct(const SceneView* scene, const PathBuffers* paths, size
 {
     if (!has_non_delta_lobes(ctx)) return;
     const Vec4 u = path_random(scene, p, BLOCK_LIGHT(random_vertex_index(p)));
-    const LightSelection selection = select_light(scene, s->position, light_sampling_normal(ctx), u.x, u.w);
+    const LightSelection selection = select_light(scene, s->position, light_sampling_normal(ctx), u.x, u.z);
     if (!(selection.probability > 0.0f)) return;
-    const LightSample light = sample_light(scene, selection, s->position, vec2(u.y, u.z));
+    const LightSample light = sample_light(scene, selection, s->position, u.y);
     if (!can_contribute(&light)) return;
     float bsdf_pdf = 0.0f;
     const Vec3 bsdf_value = bsdf_eval(ctx, light.direction, &bsdf_pdf);

@@ -6,8 +6,7 @@
 #include "path/hit_lanes.h"
 
 #if LANES > 1
-// Random numbers of every path for its light sample and its BSDF sample. A light whose selection is cheap is selected
-// here.
+// Random numbers of every path for its light sample and its BSDF sample.
 INLINE void draw_random_numbers(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits,
                                 float* lane_state)
 {
@@ -19,9 +18,10 @@ INLINE void draw_random_numbers(const SceneView* scene, const PathBuffers* paths
         store_lane4(u, lane_state, LANE_BSDF_RANDOM, k);
 #if FEATURE_NEXT_EVENT
         const Vec4 v = path_random(scene, &p, BLOCK_LIGHT(random_vertex_index(&p)));
-        store_lane4(vec4(v.x, v.w, v.y, v.z), lane_state, LANE_LIGHT_RANDOM, k);  // in the order of use
-#if !HAS_LIGHT_IMPORTANCE
-        store_light_selection_lane(select_light(scene, splat3(0.0f), p.mis_normal, v.x, v.w), lane_state, k);
+        store_lane(v.x, lane_state, LANE_LIGHT_U, k);
+        store_lane(v.y, lane_state, LANE_LIGHT_V, k);
+#if FEATURE_MANY_LIGHTS
+        store_lane(v.z, lane_state, LANE_LIGHT_U_LOW, k);
 #endif
 #endif
     }
@@ -32,18 +32,23 @@ INLINE void draw_random_numbers(const SceneView* scene, const PathBuffers* paths
 INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
     select_lights_from_list(&scene->light_list, lane_state + LANE_POSITION * LANES,
-                            lane_state + LANE_MIS_NORMAL * LANES, lane_state + LANE_LIGHT_RANDOM * LANES,
+                            lane_state + LANE_MIS_NORMAL * LANES, lane_state + LANE_LIGHT_U * LANES,
                             lane_state + LANE_SELECTED_LIGHT * LANES, hits->count);
 }
-#elif FEATURE_LIGHT_TREE
+#elif FEATURE_MANY_LIGHTS
 INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
     for (uint k = 0u; k < hits->count; ++k) {
-        LightSelection selection = {0u, 0.0f};
-        if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k))
-            selection = select_light(
-                scene, load_lane3(lane_state, LANE_POSITION, k), load_lane4(lane_state, LANE_MIS_NORMAL, k),
-                load_lane(lane_state, LANE_LIGHT_RANDOM, k), load_lane(lane_state, LANE_LIGHT_RANDOM + 1, k));
+        LightSelection selection = {0u, 0.0f, 0.0f};
+        if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k)) {
+            Vec4 normal = vec4(0.0f, 0.0f, 0.0f, 0.0f);
+#if HAS_LIGHT_IMPORTANCE
+            normal = load_lane4(lane_state, LANE_MIS_NORMAL, k);
+#endif
+            selection = select_light(scene, load_lane3(lane_state, LANE_POSITION, k), normal,
+                                     load_lane(lane_state, LANE_LIGHT_U, k),
+                                     load_lane(lane_state, LANE_LIGHT_U_LOW, k));
+        }
         store_light_selection_lane(selection, lane_state, k);
     }
 }
@@ -56,9 +61,8 @@ INLINE void sample_light_lane(const SceneView* scene, const PathBuffers* paths, 
     const LightSelection selection = load_light_selection_lane(lane_state, lane);
     const Path p = load_path(paths, i);
     const Surface s = load_surface_lane(lane_state, lane);
-    const Vec2 u =
-        vec2(load_lane(lane_state, LANE_LIGHT_RANDOM + 2, lane), load_lane(lane_state, LANE_LIGHT_RANDOM + 3, lane));
-    const LightSample light = sample_light_of_kind(kinds, scene, selection, s.position, u);
+    const float v = load_lane(lane_state, LANE_LIGHT_V, lane);
+    const LightSample light = sample_light_of_kind(kinds, scene, selection, s.position, v);
     if (selection.probability > 0.0f && can_contribute(&light)) {
         write_shadow_ray(paths, i, &p, &s, &light);
         store_light_sample_lane(&light, lane_state, lane);

@@ -85,7 +85,7 @@ INLINE void shade_lanes(const SceneView* scene, const PathBuffers* paths, size_t
 
     draw_random_numbers(scene, paths, hits, lane_state);
 #if FEATURE_NEXT_EVENT
-#if HAS_LIGHT_IMPORTANCE
+#if FEATURE_MANY_LIGHTS
     select_lights(scene, hits, lane_state);
 #endif
     sample_lights(scene, paths, hits, lane_state);

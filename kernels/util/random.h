@@ -8,7 +8,7 @@
 #define BLOCK_CAMERA 0u  // filter x, filter y, lens x, lens y
 #define BLOCKS_PER_VERTEX 2u
 #define BLOCK_BSDF(depth) (1u + BLOCKS_PER_VERTEX * (depth))   // lobe, direction x, direction y, Russian roulette
-#define BLOCK_LIGHT(depth) (2u + BLOCKS_PER_VERTEX * (depth))  // light, position x, position y, light (low bits)
+#define BLOCK_LIGHT(depth) (2u + BLOCKS_PER_VERTEX * (depth))  // light and x, y, low bits of x, unused
 #define BLOCK_MATERIAL(depth) (0x80000000u + (depth))          // choice of a nested material
 #define BLOCK_MEDIUM(depth) (0xC0000000u + (depth))            // channel, distance, distance (low bits)
 

@@ -92,7 +92,7 @@ def _records(dtype: np.dtype, item: str) -> str:
     return f"{dtype.itemsize} bytes {item}"
 
 
-_LIGHTS = {"lights": _records(structs.LIGHT, "a light"), "light_alias": _records(structs.ALIAS, "a light")}
+_LIGHTS = {"lights": _records(structs.LIGHT, "a light"), "light_cdf": "8 bytes a light"}
 
 
 def _bsdf_features(condition: Callable[[bsdf_kinds.BsdfKind], bool]) -> dict[str, Feature]:

@@ -22,7 +22,6 @@ STRUCTS = {
     "Texture": textures.TEXTURE,
     "Environment": envmap.ENVIRONMENT,
     "Light": structs.LIGHT,
-    "Alias": structs.ALIAS,
     "LightBound": structs.LIGHT_BOUND,
     "Medium": structs.MEDIUM,
 }
@@ -97,7 +96,7 @@ ELEMENT_TYPES = {
     "bsdfs": "Bsdf",
     "textures": "Texture",
     "lights": "Light",
-    "light_alias": "Alias",
+    "light_cdf": "ulong",
     "light_bounds": "LightBound",
     "environment": "Environment",
     "media": "Medium",
@@ -194,7 +193,7 @@ KERNELS = {
         "shade.cl",
         "path_count plane_stride max_depth rr_depth light_count environment_light seed textured_slots "
         "world_triangle_count",
-        f"sample_pixel {_SURFACES} rough_transmittances lights light_alias {_ENVMAP} {_LIGHT_SELECTION} media",
+        f"sample_pixel {_SURFACES} rough_transmittances lights light_cdf {_ENVMAP} {_LIGHT_SELECTION} media",
         "PATH_STATE hit shadow_origin shadow_direction shadow_radiance samples alive",
     ),
     "shadow": _kernel(
@@ -266,7 +265,7 @@ SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "move_paths"}
 """Kernels of which a work-item of a CPU processes several rays, or a run of paths, one after the other."""
 
 _VIEW_MEMBERS = (
-    "triangles faces corner_normals uvs analytics shapes bsdfs instances lights light_alias light_count "
+    "triangles faces corner_normals uvs analytics shapes bsdfs instances lights light_cdf light_count "
     "environment_light seed media rough_transmittances textured_slots world_triangle_count"
 )
 SCENE_VIEW = {

@@ -112,7 +112,7 @@ def _materials(device: Device, scene: CompiledScene, features: Mapping[str, bool
 def _lights(device: Device, scene: CompiledScene) -> dict[str, object]:
     arguments = {
         "lights": _table(device, scene.lights, "the lights"),
-        "light_alias": _table(device, scene.light_alias, "the light table"),
+        "light_cdf": _table(device, scene.light_cdf, "the light table"),
         "light_count": np.uint32(len(scene.lights)),
         "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),
     }

@@ -69,7 +69,7 @@ def compile_scene(
     if environment is not None:
         environment = _scaled(environment, lights.radiance_scale)
     arrays = {"camera": camera, **geometry.arrays, **materials.arrays}
-    arrays |= {"lights": lights.records, "light_alias": lights.alias}
+    arrays |= {"lights": lights.records, "light_cdf": lights.cdf}
     settings = {
         "filter": filter_name,
         **integrator,

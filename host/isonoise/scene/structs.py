@@ -132,9 +132,6 @@ LIGHT = np.dtype(
     ]
 )
 
-ALIAS = np.dtype([("threshold", "f4"), ("alias", "u4")])
-"""Walker's alias table over the lights: entry i keeps i if u < threshold, else takes alias."""
-
 LIGHT_BOUND = np.dtype(
     [
         ("center", "f4", 3),  # of the sphere that it stands in

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from isonoise.scene import structs
-
 
 def alias_tables(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Thresholds (r, n) float64 and aliases (r, n) of one table per row of weights, without a loop over entries.
@@ -49,17 +47,3 @@ def _prefix_sums_by_row(values: np.ndarray, row: np.ndarray, row_length: float) 
     sums = np.cumsum(values)
     first = np.searchsorted(row, row)
     return sums - np.where(first > 0, sums[first - 1], 0.0) + row_length * row if len(values) else sums
-
-
-def alias_table(weights: np.ndarray) -> np.ndarray:
-    """The table (n,) of structs.ALIAS for weights (n,)."""
-    threshold, alias = alias_tables(weights[None])
-    table = np.zeros(len(weights), structs.ALIAS)
-    table["threshold"], table["alias"] = threshold[0], alias[0]
-    return table
-
-
-def selection_probabilities(table: np.ndarray) -> np.ndarray:
-    """Probabilities (n,) float64 with which an alias table, its thresholds rounded to float32, selects each entry."""
-    threshold = table["threshold"].astype(np.float64)
-    return (threshold + np.bincount(table["alias"], 1.0 - threshold, len(table))) / len(table)

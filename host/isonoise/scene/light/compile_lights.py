@@ -1,4 +1,4 @@
-"""Compiles the emitters of a scene to light records and the alias table that selects among them.
+"""Compiles the emitters of a scene to light records and the table that selects among them.
 
 Called by `scene/compile.py`. Radiance is scaled so that the brightest emitter lies in [1, 2).
 """
@@ -10,7 +10,6 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.scene import structs
 from isonoise.scene.light import lights as lighting
-from isonoise.scene.light.alias_table import alias_table, selection_probabilities
 from isonoise.scene.light.envmap import EnvironmentMap
 from isonoise.scene.light.light_kinds import bits_where
 from isonoise.scene.material.textures import Textures, is_constant
@@ -34,7 +33,7 @@ class CompiledLights:
     """All lights of a scene: those of area lights first, then the emitters without a surface."""
 
     records: np.ndarray  # (L,) structs.LIGHT
-    alias: np.ndarray  # (L,) structs.ALIAS
+    cdf: np.ndarray  # (L,) uint64, CompiledScene.light_cdf
     first_light: np.ndarray  # (area lights,) uint32: index of each area light's first record
     environment_light: int  # index of the constant or environment-map light, -1 if there is none
     radiance_scale: float
@@ -67,7 +66,7 @@ def compile_lights(
     first_light = np.cumsum([0, *map(len, parts)])[:-1].astype(np.uint32)
     parts += [lighting.emitter_light(e, value * scale) for e, value in zip(emitters, values, strict=True)]
     if not parts:
-        return CompiledLights(np.zeros(0, structs.LIGHT), np.zeros(0, structs.ALIAS), first_light, -1, scale)
+        return CompiledLights(np.zeros(0, structs.LIGHT), np.zeros(0, np.uint64), first_light, -1, scale)
     records = np.concatenate(parts)
     is_textured = records["texture"] != structs.NONE
     if not np.isfinite(records["radiance"]).all():
@@ -75,11 +74,10 @@ def compile_lights(
     if is_textured.any() and scale > _MAX_FLOAT32:
         raise_too_dim()
     is_environment = records["kind"] & bits_where(lambda kind: kind.is_environment) != 0
-    alias = alias_table(lighting.light_power_pmf(records, bounds))
-    records["power_pmf"] = selection_probabilities(alias)
+    cdf, records["power_pmf"] = lighting.light_power_cdf(lighting.light_power_pmf(records, bounds))
     records["radiance"][is_textured] = scale  # the kernel multiplies it by the texture
     environment_light = int(np.flatnonzero(is_environment)[0]) if is_environment.any() else -1
-    return CompiledLights(records, alias, first_light, environment_light, scale)
+    return CompiledLights(records, cdf, first_light, environment_light, scale)
 
 
 def raise_too_dim() -> None:

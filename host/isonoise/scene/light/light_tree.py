@@ -18,7 +18,7 @@ from isonoise.scene.light.lights import compute_light_bounds
 
 MIN_TREE_LIGHTS = 4
 """From this number of lights on, selection depends on the shading point. Four separate lamps: half the variance at
-equal time. One panel of four triangles, and a room with 21 lights near each other: as good as the alias table."""
+equal time. One panel of four triangles, and a room with 21 lights near each other: as good as selection by power."""
 LIGHT_NODE_ROWS = 12
 """Rows (float8) of a node: x, y, z of the centers and radii of its children's spheres; their shares of the intensity,
 which sum to 1; axes x, y, z of the cones; cosine and sine of their half angles; cosine of the largest angle between
@@ -37,7 +37,7 @@ class LightTree:
 
 
 def use_light_tree(lights: np.ndarray) -> bool:
-    """Whether structs.LIGHT records are enough for selection by light bounds instead of the alias table."""
+    """Whether structs.LIGHT records are enough for selection by light bounds instead of power."""
     return np.count_nonzero(lights["power_pmf"]) >= MIN_TREE_LIGHTS
 
 

@@ -15,6 +15,7 @@ from isonoise.scene.light.light_kinds import AREA, KIND_OF_PLUGIN, KINDS, LightK
 from isonoise.scene.spectra import MITSUBA_LUMINANCE, colour_to_rgb
 
 _MAX_EXPONENT = 1000  # within float64
+_CDF_UNITS = 2**48  # as many as there are random numbers
 
 
 def emitted(emitter: dict) -> np.ndarray:
@@ -88,6 +89,21 @@ def light_power_pmf(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:
         return np.full(len(lights), 1.0 / len(lights))
     power /= largest  # so that the sum of a million powers of 1e38 stays finite
     return power / power.sum()
+
+
+def light_power_cdf(pmf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse of a discrete distribution (l,) for the kernels, and the probabilities with which that selects.
+
+    Returns
+    -------
+    cdf : (l,) uint64, the sums of the probabilities before each light in units of 2^-48
+    pmf : (l,) float64; above 0 where the argument is
+    """
+    raised = np.where(pmf > 0, np.maximum(pmf, 2.0 / _CDF_UNITS), 0.0)  # at least one unit after rounding
+    bounds = np.rint(np.cumsum(raised) * (_CDF_UNITS / raised.sum())).astype(np.uint64)
+    bounds[np.flatnonzero(pmf)[-1] :] = _CDF_UNITS
+    cdf = np.append(np.uint64(0), bounds[:-1])
+    return cdf, (bounds - cdf) / _CDF_UNITS
 
 
 def compute_light_bounds(scene: CompiledScene, lights: np.ndarray) -> LightBounds:
