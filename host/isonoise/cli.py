@@ -12,6 +12,7 @@ import sys
 from isonoise import __version__, argument_types
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.errors import UserError
+from isonoise.samplers import SAMPLERS
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -87,6 +88,9 @@ def _add_render(commands) -> None:
     settings = render.add_argument_group("how to render")
     settings.add_argument(
         "--strategy", metavar="NAME[:k=v,..]", help="how samples are distributed over the image; listed below"
+    )
+    settings.add_argument(
+        "--sampler", choices=SAMPLERS, help="how random numbers are distributed (default: the scene's, else sobol)"
     )
     settings.add_argument(
         "--seed", metavar="K", type=argument_types.seed, default=0, help="same seed, same image (default: %(default)s)"

@@ -11,6 +11,7 @@ import numpy as np
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.integrator.wavefront import Wavefront
+from isonoise.samplers import SAMPLERS
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
@@ -61,6 +62,8 @@ class Renderer:
         Longest path in segments: 1 is emitters only, -1 has no limit. None: the scene's.
     parameters : dict or None
         Values for the `$name` placeholders of an XML scene.
+    sampler : str or None
+        `sobol`: well-distributed samples; `independent`: independent ones. None: the scene's.
     pool_size : int or None
         Paths in flight, 1 or more. None: the device's default (`isonoise.device.pool_size`). Affects speed only, not
         the image.
@@ -101,6 +104,7 @@ class Renderer:
         size: tuple[int, int] | None = None,
         max_depth: int | None = None,
         parameters: dict[str, str] | None = None,
+        sampler: str | None = None,
         pool_size: int | None = None,
         profile: bool = False,
     ):
@@ -108,10 +112,12 @@ class Renderer:
             raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
         if pool_size is not None and pool_size < 1:
             raise UserError(f"pool_size = {pool_size} is out of range: it must be 1 or more")
+        if sampler not in (None, *SAMPLERS):
+            raise UserError(f"sampler = {sampler!r} is not one of {', '.join(SAMPLERS)}")
         self.strategy = make_strategy(strategy)
         self.setup_times: dict[str, float] = {}
         with self._measured("load"):
-            self.scene: CompiledScene = compile_scene(load(scene, parameters), size=size, max_depth=max_depth)
+            self.scene: CompiledScene = compile_scene(load(scene, parameters), size, max_depth, sampler)
         with self._measured("build"):
             bvh = build_scene_bvh(self.scene)
         with self._measured("compile"):

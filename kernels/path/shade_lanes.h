@@ -15,7 +15,7 @@ INLINE void draw_random_numbers(const SceneView* scene, const PathBuffers* paths
         if (k >= count) continue;
         const Path p = load_path(paths, hit_path(hits, k));
         const Vec4 u = path_random(scene, &p, BLOCK_BSDF(random_vertex_index(&p)));
-        store_lane4(u, lane_state, LANE_BSDF_RANDOM, k);
+        store_lane4(vec4(u.z, u.x, u.y, u.w), lane_state, LANE_BSDF_RANDOM, k);  // in the order of use
 #if FEATURE_NEXT_EVENT
         const Vec4 v = path_random(scene, &p, BLOCK_LIGHT(random_vertex_index(&p)));
         store_lane(v.x, lane_state, LANE_LIGHT_U, k);

@@ -57,7 +57,7 @@ INLINE void shade_path(const SceneView* scene, const PathBuffers* paths, size_t 
 #endif
 
     const Vec4 u = path_random(scene, &p, BLOCK_BSDF(random_vertex_index(&p)));
-    const BsdfSample sample = passes_through ? null_bsdf_sample(p.direction) : bsdf_sample(&ctx, xyz(u));
+    const BsdfSample sample = passes_through ? null_bsdf_sample(p.direction) : bsdf_sample(&ctx, vec3(u.z, u.x, u.y));
     continue_path(paths, i, &p, &s, &ctx, sample, u.w, is_last, rr_depth);
 }
 #else

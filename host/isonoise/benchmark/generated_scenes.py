@@ -29,7 +29,7 @@ _XML = """<?xml version="1.0" encoding="utf-8"?>
         <transform name="to_world">
             <lookat origin="0.6, 2.9, 3.7" target="0, 0, 0" up="0, 1, 0"/>
         </transform>
-        <sampler type="independent">
+        <sampler type="multijitter">
             <integer name="sample_count" value="64"/>
         </sampler>
         <film type="hdrfilm">

@@ -26,6 +26,7 @@ HEADER_FIELDS = (
     "scene",
     "scene_hash",
     "strategy",
+    "sampler",
     "seed",
     "device",
     "time_s",
@@ -98,6 +99,7 @@ def _make_renderer(options: argparse.Namespace) -> Renderer:
         seed=options.seed,
         size=options.size,
         max_depth=options.max_depth,
+        sampler=options.sampler,
         parameters=dict(options.parameters),
         **strategy,
     )
@@ -175,6 +177,7 @@ def _result(options: argparse.Namespace, renderer: Renderer, stops: Stops, outco
         "width": renderer.scene.width,
         "height": renderer.scene.height,
         "strategy": describe(renderer.strategy),
+        "sampler": renderer.scene.sampler,
         "seed": options.seed,
         "device": renderer.device_name,
         "setup_s": renderer.setup_times,
@@ -207,7 +210,7 @@ def _print_line(label: str, text: str) -> None:
 def _print_settings(options: argparse.Namespace, renderer: Renderer) -> None:
     scene = renderer.scene
     _print_line("scene", f"{options.scene}, {scene.width}x{scene.height}")
-    _print_line("strategy", f"{describe(renderer.strategy)}, seed {options.seed}")
+    _print_line("strategy", f"{describe(renderer.strategy)}, sampler {scene.sampler}, seed {options.seed}")
     _print_line("device", renderer.device_name)
     times = (f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items())
     _print_line("set-up", ", ".join(times))

@@ -197,6 +197,7 @@ FEATURES = {
         "Russian roulette", lambda use: use.is_unlimited or use.scene.rr_depth < use.scene.max_depth
     ),
     "HIDE_EMITTERS": Feature("emitters that the camera does not see", lambda use: use.scene.hide_emitters),
+    "SOBOL": Feature("well-distributed samples: the sampler sobol", lambda use: use.scene.sampler == "sobol"),
     "THIN_LENS": Feature("depth of field", lambda use: bool(use.scene.camera["kind"][0] == structs.CAMERA_THIN_LENS)),
     "ORTHOGRAPHIC": Feature(
         "orthographic camera", lambda use: bool(use.scene.camera["kind"][0] == structs.CAMERA_ORTHOGRAPHIC)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.samplers import SAMPLERS
 from isonoise.scene import structs, vocabulary
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled_scene import CompiledScene
@@ -34,7 +35,10 @@ _SAMPLE_COUNT = 4  # Mitsuba 3's, for a sensor without a sampler
 
 
 def compile_scene(
-    description: dict, size: tuple[int, int] | None = None, max_depth: int | None = None
+    description: dict,
+    size: tuple[int, int] | None = None,
+    max_depth: int | None = None,
+    sampler: str | None = None,
 ) -> CompiledScene:
     """Compile a scene for the device.
 
@@ -46,6 +50,8 @@ def compile_scene(
         Width and height in pixels, in place of the film's size.
     max_depth
         Maximum path length, in place of the integrator's.
+    sampler
+        One of `SAMPLERS`, in place of the sensor's.
 
     Returns
     -------
@@ -81,9 +87,16 @@ def compile_scene(
         **arrays,
         **settings,
         environment=environment,
+        sampler=sampler or _sampler(sensor),
         sample_count=sensor.get("sampler", {}).get("sample_count", _SAMPLE_COUNT),
         hash=_hash(arrays, settings, environment),
     )
+
+
+def _sampler(sensor: dict) -> str:
+    """The sampler of a sensor: every stratified one of Mitsuba becomes `sobol`."""
+    plugin = sensor.get("sampler", {}).get("type")
+    return plugin if plugin in SAMPLERS else SAMPLERS[0]
 
 
 def _objects_of_kind(description: dict, kind: str) -> dict[str, dict]:

@@ -23,6 +23,7 @@ class CompiledScene:
     hide_emitters: bool
     volumetric: bool  # paths see media, and pass through pass-through surfaces without a path vertex
     sensor_medium: int  # index of the medium around the camera, or MEDIUM_NONE
+    sampler: str  # one of samplers.SAMPLERS
     sample_count: int  # the scene's samples per pixel, default of --spp
     vertices: np.ndarray  # (V, 3) float32
     faces: np.ndarray  # (T, 3) uint32

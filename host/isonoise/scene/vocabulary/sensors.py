@@ -113,15 +113,15 @@ FILMS = (
 )
 
 SAMPLERS = tuple(
-    Plugin(
-        "sampler",
-        name,
-        (_SAMPLE_COUNT,),
-        any_parameter=True,
-        status=IGNORED,
-        meaning="only sample_count is used; isonoise has its own random numbers",
+    Plugin("sampler", name, (_SAMPLE_COUNT,), any_parameter=True, meaning=meaning)
+    for name, meaning in (
+        ("independent", "independent random numbers; only sample_count is read"),
+        *(
+            (name, "the same as sobol; only sample_count is read")
+            for name in ("stratified", "multijitter", "orthogonal", "ldsampler")
+        ),
+        ("sobol", "Owen-scrambled (0,2)-sequences, the default; not a plugin of Mitsuba 3"),
     )
-    for name in ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
 )
 
 INTEGRATORS = (
