@@ -239,6 +239,7 @@ def _sensor(on: dict[str, bool]) -> dict:
         sensor = {"type": "thinlens", "fov": 60.0, "aperture_radius": 0.1, "focus_distance": 5.0}
     rfilter = {"type": "gaussian" if on["FILTER_TABLE"] else "box"}
     sensor["film"] = {"type": "hdrfilm", "width": 9, "height": 7, "rfilter": rfilter}
+    sensor["sampler"] = {"type": "multijitter" if on["SOBOL"] else "independent"}
     return sensor
 
 

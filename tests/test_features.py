@@ -58,7 +58,7 @@ def assert_runs_as_specialised(
     build = Device.build
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
     scene, needs = compile_scene(load(scene_with(scene_features or row, folder))), needs_of(row)
-    used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "LIGHT_LIST", "UVS")}
+    used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "LIGHT_LIST", "UVS", "SOBOL")}
     for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # tree and list need them
         used[name] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.samplers import SAMPLERS
 from isonoise.scene import structs, vocabulary
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.compiled_scene import CompiledScene
@@ -94,9 +93,8 @@ def compile_scene(
 
 
 def _sampler(sensor: dict) -> str:
-    """The sampler of a sensor: every stratified one of Mitsuba becomes `sobol`."""
-    plugin = sensor.get("sampler", {}).get("type")
-    return plugin if plugin in SAMPLERS else SAMPLERS[0]
+    """The sampler of a sensor; Mitsuba's stratified ones become `sobol`."""
+    return "independent" if sensor.get("sampler", {}).get("type") == "independent" else "sobol"
 
 
 def _objects_of_kind(description: dict, kind: str) -> dict[str, dict]:

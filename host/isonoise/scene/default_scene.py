@@ -124,7 +124,7 @@ def _sensor(points: np.ndarray, center: np.ndarray, radius: float) -> dict:
         "far_clip": 1e3 * radius,
         "to_world": transforms.look_at(center + distance * to_camera, center, (0, 1, 0)),
         "film": {"type": "hdrfilm", "width": _IMAGE_SIZE, "height": _IMAGE_SIZE, "rfilter": {"type": "gaussian"}},
-        "sampler": {"type": "sobol", "sample_count": _SAMPLE_COUNT},
+        "sampler": {"type": "multijitter", "sample_count": _SAMPLE_COUNT},
     }
 
 

@@ -112,16 +112,24 @@ FILMS = (
     ),
 )
 
-SAMPLERS = tuple(
-    Plugin("sampler", name, (_SAMPLE_COUNT,), any_parameter=True, meaning=meaning)
-    for name, meaning in (
-        ("independent", "independent random numbers; only sample_count is read"),
-        *(
-            (name, "the same as sobol; only sample_count is read")
-            for name in ("stratified", "multijitter", "orthogonal", "ldsampler")
-        ),
-        ("sobol", "Owen-scrambled (0,2)-sequences, the default; not a plugin of Mitsuba 3"),
-    )
+SAMPLERS = (
+    Plugin(
+        "sampler",
+        "independent",
+        (_SAMPLE_COUNT,),
+        any_parameter=True,
+        meaning="independent random numbers",
+    ),
+    *(
+        Plugin(
+            "sampler",
+            name,
+            (_SAMPLE_COUNT,),
+            any_parameter=True,
+            meaning="isonoise's sampler sobol, which is the default",
+        )
+        for name in ("stratified", "multijitter", "orthogonal", "ldsampler")
+    ),
 )
 
 INTEGRATORS = (
