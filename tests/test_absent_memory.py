@@ -164,7 +164,7 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
         "environment": 1,
         "environment_texels": sky.texels.shape[0] * sky.texels.shape[1],
         "environment_rows": len(sky.rows),
-        "environment_aliases": sky.aliases.size,
+        "environment_guide": sky.guide.size,
         "triangle_blocks": sizes["triangle_blocks"] // stated("triangle_blocks"),
         "light_nodes": sizes["light_nodes"] // stated("light_nodes"),
         "inverse_cdf": 1,

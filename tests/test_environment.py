@@ -12,33 +12,34 @@ from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.scene.image.image import Image, read_image
 from isonoise.scene.light.envmap import EnvironmentMap, build_environment_map
+from isonoise.scene.light.inverse_cdf import MAX_CELLS
 
 Z = 5.0
 SAMPLES = 1 << 19
 KERNEL = """
 #include "light/envmap.h"
 __kernel void sample(__global const Environment* record, __global const float* texels,
-                     __global const float* rows, __global const uint* aliases, __global const float* u,
+                     __global const float* rows, __global const uint* guide, __global const float* u,
                      __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const Envmap map = {record, texels, rows, aliases};
+    const Envmap map = {record, texels, rows, guide};
     Vec3 direction;
     float pdf;
-    const Vec3 radiance = envmap_sample(&map, vec2(u[2 * i], u[2 * i + 1]), &direction, &pdf);
+    const Vec3 radiance = envmap_sample(&map, envmap_position(&map, vec2(u[2 * i], u[2 * i + 1])), &direction, &pdf);
     STORE3(direction, 0, out + 8 * i);
     out[8 * i + 3] = pdf;
     STORE3(radiance, 0, out + 8 * i + 4);
 }
 
 __kernel void radiance(__global const Environment* record, __global const float* texels,
-                   __global const float* rows, __global const uint* aliases,
+                   __global const float* rows, __global const uint* guide,
                    __global const float* directions, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const Envmap map = {record, texels, rows, aliases};
+    const Envmap map = {record, texels, rows, guide};
     float pdf;
     const Vec3 direction = LOAD3(i, directions), radiance = envmap_radiance(&map, direction, &pdf);
     STORE3(radiance, 0, out + 4 * i);
@@ -56,7 +57,7 @@ class EnvironmentKernels:
     def _run(self, kernel: str, map_: EnvironmentMap, given: np.ndarray, rows: int) -> np.ndarray:
         n = len(given)
         kernels = build_kernels(self.device, KERNEL, ("ENVIRONMENT_MAP", "NEXT_EVENT"))
-        arrays = (map_.record, map_.texels, map_.rows, map_.aliases, given)
+        arrays = (map_.record, map_.texels, map_.rows, map_.guide, given)
         out = self.device.buffer(16 * rows * n, "results")
         buffers = [self.device.buffer(array, "a map") for array in arrays]
         self.device.launch(kernels[kernel], n, (*buffers, out, np.uint32(n)))
@@ -246,6 +247,24 @@ def test_irradiance(kernels, name, axis):
     assert (np.abs(estimate.mean(axis=0) - expected) <= Z * se + 3e-4 * expected).all()
 
 
+def test_a_dim_sky_beside_a_sun(kernels):
+    """Cells with a probability near 2^-24, the last bit of a number, are sampled in proportion: 64 groups of cells."""
+    shape = (4, 8192)
+    pixels = np.random.default_rng(11).uniform(0.5, 1.5, (*shape, 3)).astype(np.float32)
+    pixels[1, 3000] = 2e7
+    map_ = build_environment_map(Image(pixels), np.eye(4), 1.0, "envmap")
+    texel, solid_angle = quadrature(shape, 2)
+    pdf = kernels.radiance(map_, to_directions(texel.reshape(-1, 2), np.eye(4), shape))[1].reshape(solid_angle.shape)
+    is_dim = np.tile(np.abs(np.arange(shape[1]) - 2999.5) > 1, shape[0] - 1)
+    probability = (pdf * solid_angle).sum(axis=1) * is_dim
+    assert 2.0**-26 < np.median(probability) < 2.0**-23
+    cells = to_texels(kernels.sample(map_, 1 << 22)[0], np.eye(4), shape).astype(int)
+    index = np.minimum(cells[:, 1], shape[0] - 2) * shape[1] + cells[:, 0] % shape[1]
+    observed = np.bincount(index, minlength=len(probability)) * is_dim
+    grouped = [a.reshape(-1, 384).sum(axis=1) for a in (observed, (1 << 22) * probability)]
+    assert abs(normal_deviate(*grouped)) < Z
+
+
 def test_mean_radiance(kernels):
     for name in MAPS:
         map_, pixels = make_map(name, scale=3.0), make_pixels(name).astype(np.float64)
@@ -334,7 +353,7 @@ def test_images_of_bytes_and_of_one_channel(kernels):
     linear = np.broadcast_to(Image(grey).linear(), (9, 16, 3))
     same = build_environment_map(Image(np.ascontiguousarray(linear)), np.eye(4), 1.0, "envmap")
     assert (map_.texels == same.texels).all()
-    assert (map_.aliases == same.aliases).all()
+    assert (map_.guide == same.guide).all()
 
 
 @pytest.mark.parametrize(
@@ -342,6 +361,7 @@ def test_images_of_bytes_and_of_one_channel(kernels):
     [
         (np.ones((2, 8, 3), np.float32), np.eye(4), "at least 2 x 3 pixels, this one has 8 x 2"),
         (np.ones((3, 1, 3), np.float32), np.eye(4), "at least 2 x 3"),
+        (np.ones((3, MAX_CELLS + 1, 3), np.float32), np.eye(4), "at most 65536 x 65537 pixels, .* resize it"),
         (np.full((3, 2, 3), np.inf, np.float32), np.eye(4), "not finite numbers"),
         (np.full((3, 2, 3), np.nan, np.float32), np.eye(4), "not finite numbers"),
         (np.ones((3, 2, 3), np.float32), np.diag([1.0, 2.0, 1.0, 1.0]), "rotate, mirror and scale uniformly"),

@@ -29,11 +29,13 @@ INLINE void sample_constant_light(const SceneView* scene, const Light* light, Ve
 #endif
 
 #if FEATURE_NEXT_EVENT && FEATURE_ENVIRONMENT_MAP
+// With LANES > 1, u is the position in the map already (path/shade_lanes.h).
 INLINE void sample_environment_map_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u,
                                          LightSample* sample)
 {
+    const Vec2 position = LANES == 1 ? envmap_position(&scene->envmap, u) : u;
     float density;
-    sample->radiance = envmap_sample(&scene->envmap, u, &sample->direction, &density);
+    sample->radiance = envmap_sample(&scene->envmap, position, &sample->direction, &density);
     sample->pdf *= density;
     sample->is_infinite = true;
 }

@@ -78,9 +78,34 @@ INLINE bool selected_triangle_light(const SceneView* scene, const float* lane_st
 }
 #endif
 
+#if FEATURE_ENVIRONMENT_MAP
+// Where the environment map was selected: replaces the random numbers of the position by the position in the map.
+INLINE void find_envmap_positions(const SceneView* scene, uint count, float* lane_state)
+{
+    float x[LANES], y[LANES];
+    FOR_LANES(k, count) {
+        x[k] = k < count ? load_lane(lane_state, LANE_LIGHT_U, k) : 0.0f;
+        y[k] = k < count ? load_lane(lane_state, LANE_LIGHT_V, k) : 0.0f;
+    }
+    envmap_positions(&scene->envmap, x, y, count);
+    FOR_LANES(k, count) {
+        if (k >= count) continue;
+#if FEATURE_MANY_LIGHTS
+        const uint light = load_lane_uint(lane_state, LANE_SELECTED_LIGHT, k);
+        if (!(Light_at(scene->lights, light).kind & LIGHT_ENVIRONMENT_MAP)) continue;
+#endif
+        store_lane(x[k], lane_state, LANE_LIGHT_U, k);
+        store_lane(y[k], lane_state, LANE_LIGHT_V, k);
+    }
+}
+#endif
+
 INLINE void sample_lights(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, float* lane_state)
 {
     const uint count = hits->count;
+#if FEATURE_ENVIRONMENT_MAP
+    find_envmap_positions(scene, count, lane_state);
+#endif
 #if FEATURE_TRIANGLE_LIGHTS && HAS_NON_TRIANGLE_LIGHTS
     int list[LANES + 1];
     COMPACT_LANES(

@@ -83,7 +83,7 @@ VALUE_TYPES = {"seed": "uint2", "scene_sphere": "float4", "power": "float"}
 
 ELEMENT_TYPES = {
     **dict.fromkeys(("nodes", "triangle_blocks", "light_nodes"), "float8"),
-    **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_aliases"), "uint"),
+    **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_guide"), "uint"),
     **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected"), "uint"),
     **dict.fromkeys(("alive", "path_block_alive", "total_alive"), "uint"),
     "tests": "uint2",
@@ -104,7 +104,7 @@ ELEMENT_TYPES = {
 """C types of the elements of a buffer, where that is not `float`; those of the path state are in `PATH_STATE`."""
 
 _TEXTURES = "textures texel_bytes texel_floats srgb attributes"
-_ENVMAP = "environment environment_texels environment_rows environment_aliases"
+_ENVMAP = "environment environment_texels environment_rows environment_guide"
 _LIGHT_SELECTION = "light_nodes light_parents light_bounds"
 ARGUMENT_FEATURES = {
     "uvs": ("UVS",),
@@ -279,7 +279,7 @@ SCENE_VIEW = {
     "envmap.record": "environment",
     "envmap.texels": "environment_texels",
     "envmap.rows": "environment_rows",
-    "envmap.aliases": "environment_aliases",
+    "envmap.guide": "environment_guide",
     "light_list.bounds": "light_bounds",
     "light_list.light_count": "light_count",
     "light_tree.nodes": "light_nodes",

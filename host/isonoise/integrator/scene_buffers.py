@@ -119,7 +119,7 @@ def _lights(device: Device, scene: CompiledScene) -> dict[str, object]:
     environment = scene.environment
     if environment is not None:
         arrays = {"": environment.record, "_texels": environment.texels}
-        arrays |= {"_rows": environment.rows, "_aliases": environment.aliases}
+        arrays |= {"_rows": environment.rows, "_guide": environment.guide}
         label = "the environment map"
         arguments |= {f"environment{suffix}": device.buffer(array, label) for suffix, array in arrays.items()}
     return arguments

@@ -4,11 +4,11 @@ The map is Mitsuba 3's `envmap` (3.9.1). In its own space u = atan2(x, -z) / 2 p
 are at (i + 0.5) / width along u, which wraps around. Along v they go from 0 to 1, so the first and the last row are the
 poles. Radiance is interpolated bilinearly between texels.
 
-It is sampled in proportion to luminance * sin(theta) at the texels, also interpolated bilinearly. Alias tables select a
-row of cells, then a cell in it, in one step however steep the map is; inversion selects the point in the cell. This is
-nearly the density of radiance: a texel 10^7 times brighter than its neighbours makes no more noise than a uniform
-map. Where radiance is not zero, the density is not zero either: at the poles, where the sine is 0, its mean over the
-texel's support is used.
+It is sampled in proportion to luminance * sin(theta) at the texels, also interpolated bilinearly. Inversion selects a
+row of cells, a cell in it, and the point in the cell, so that well-distributed random numbers give well-distributed
+directions. This is nearly the density of radiance: a texel 10^7 times brighter than its neighbours makes no more noise
+than a uniform map. Where radiance is not zero, the density is not zero either: at the poles, where the sine is 0, its
+mean over the texel's support is used.
 """
 
 import warnings
@@ -19,7 +19,7 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.luminance import REC709_LUMINANCE
 from isonoise.scene.image.image import Image
-from isonoise.scene.light.alias_table import alias_tables
+from isonoise.scene.light.inverse_cdf import MAX_CELLS, inverse_cdfs
 
 ENVIRONMENT = np.dtype(
     [
@@ -32,8 +32,8 @@ ENVIRONMENT = np.dtype(
 
 ENVIRONMENT_ROW = np.dtype(
     [
-        ("threshold", "f4"),  # of the alias table over rows of cells
-        ("alias", "u4"),
+        ("cdf", "u4"),  # of the rows of cells
+        ("guide", "u4"),
         ("sine", "f4"),  # weight of this row of texels
     ]
 )
@@ -52,10 +52,10 @@ class EnvironmentMap:
     """
 
     record: np.ndarray  # (1,) ENVIRONMENT
-    # (height, width, 4) float32: RGB, brightest luminance in [1, 2); threshold of the cell in its row's alias table
+    # (height, width, 4) float32: RGB, brightest luminance in [1, 2); bits of the CDF of the cells in their row
     texels: np.ndarray
     rows: np.ndarray  # (height,) ENVIRONMENT_ROW
-    aliases: np.ndarray  # (height - 1, width) uint32: of the cells in their row
+    guide: np.ndarray  # (height - 1, width) uint32: of the cells in their row
     mean: np.ndarray  # (3,) float64: mean radiance over the sphere
     largest: float  # luminance of the brightest texel
 
@@ -64,11 +64,16 @@ def build_environment_map(image: Image, to_world: np.ndarray, scale: float, name
     """Build the map of an image. `to_world` is (4, 4); `name` names the emitter in errors.
 
     To scale its radiance, multiply the record's `scale`. Negative pixels become black, with a warning. Raises
-    SceneError if the image is smaller than 2 x 3 pixels or has pixels that are not finite, or if to_world is not a
-    rotation, reflection and uniform scale.
+    SceneError if the image is smaller than 2 x 3 pixels, has more than MAX_CELLS columns or rows of cells, or pixels
+    that are not finite, or if to_world is not a rotation, reflection and uniform scale.
     """
     rotation, pixels = _rotation(to_world, name), image.linear()
     height, width, _ = pixels.shape
+    if max(height - 1, width) > MAX_CELLS:
+        raise SceneError(
+            f"{name}: an environment map may have at most {MAX_CELLS} x {MAX_CELLS + 1} pixels, this one has "
+            f"{width} x {height}; resize it"
+        )
     if width < 2 or height < 3:
         raise SceneError(f"{name}: an environment map needs at least 2 x 3 pixels, this one has {width} x {height}")
     if not np.isfinite(pixels.min()) or not np.isfinite(pixels.max()):
@@ -81,13 +86,14 @@ def build_environment_map(image: Image, to_world: np.ndarray, scale: float, name
     texels = np.zeros((height, width, 4), np.float32)
     np.ldexp(pixels, exponent, out=texels[..., :3])
     record = np.zeros(1, ENVIRONMENT)
-    rows, texels[:-1, :, 3], aliases, total = _sampling_tables(texels[..., :3])
+    rows, cdf, guide, total = _sampling_tables(texels[..., :3])
+    texels[:-1, :, 3] = cdf.view(np.float32)
     record["to_world"] = rotation.ravel()
     record["size"] = width, height
     record["scale"] = texel_scale = np.ldexp(scale, -exponent)
     record["density"] = width * (height - 1) / (2 * np.pi**2 * total) if total > 0 else 0.0
     mean = _mean_radiance(texels[..., :3]) * texel_scale
-    return EnvironmentMap(record, texels, rows, aliases, mean, max_luminance * scale)
+    return EnvironmentMap(record, texels, rows, guide, mean, max_luminance * scale)
 
 
 def _max_luminance(pixels: np.ndarray) -> float:
@@ -115,23 +121,22 @@ def _row_sines(height: int) -> np.ndarray:
 
 
 def _sampling_tables(texels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """(rows, thresholds and aliases of the cells, sum of the cells' weights)."""
+    """(rows, CDFs and guides of the cells in their rows, sum of the cells' weights)."""
     height, width, _ = texels.shape
     sines = _row_sines(height)
     row_weights = np.empty(height - 1)
-    thresholds, aliases = np.empty((height - 1, width), np.float32), np.empty((height - 1, width), np.uint32)
+    cdf, guide = np.empty((height - 1, width), np.uint32), np.empty((height - 1, width), np.uint32)
     for first in range(0, height - 1, _CHUNK_ROWS):
         last = min(first + _CHUNK_ROWS, height - 1)
         texel_weights = (texels[first : last + 1].astype(np.float64) @ _LUMINANCE) * sines[first : last + 1, None]
         pairs = texel_weights + np.roll(texel_weights, -1, axis=1)
         cells = 0.25 * (pairs[:-1] + pairs[1:])
         row_weights[first:last] = cells.sum(axis=1)
-        thresholds[first:last], aliases[first:last] = alias_tables(cells)
+        cdf[first:last], guide[first:last] = inverse_cdfs(cells)
     rows = np.zeros(height, ENVIRONMENT_ROW)
     rows["sine"] = sines
-    threshold, alias = alias_tables(row_weights[None])
-    rows["threshold"][:-1], rows["alias"][:-1] = threshold[0], alias[0]
-    return rows, thresholds, aliases, float(row_weights.sum())
+    (rows["cdf"][:-1],), (rows["guide"][:-1],) = inverse_cdfs(row_weights[None])
+    return rows, cdf, guide, float(row_weights.sum())
 
 
 def _mean_radiance(texels: np.ndarray) -> np.ndarray:

@@ -154,7 +154,7 @@ _ROWS = (
             "environment": f"{ENVIRONMENT.itemsize} bytes in all",
             "environment_texels": "16 bytes a texel",
             "environment_rows": f"{ENVIRONMENT_ROW.itemsize} bytes a row of texels",
-            "environment_aliases": "4 bytes a cell between texels",
+            "environment_guide": "4 bytes a cell between texels",
         },
         header="light/environment_light.h",
     ),
