@@ -19,6 +19,7 @@ NEEDS = {  # feature -> features that a scene with it always has
     "DISKS": {"ANALYTICS"},
     "CYLINDERS": {"ANALYTICS"},
     "TRIANGLE_LIGHTS": {"AREA_LIGHTS", "TRIANGLES"},
+    "PARALLELOGRAM_LIGHTS": {"AREA_LIGHTS", "TRIANGLES"},
     "SPHERE_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "SPHERES"},
     "DISK_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "DISKS"},
     "CYLINDER_LIGHTS": {"AREA_LIGHTS", "ANALYTICS", "CYLINDERS"},
@@ -27,7 +28,7 @@ NEEDS = {  # feature -> features that a scene with it always has
     "CHECKERBOARDS": {"TEXTURES", "UVS"},
     "MESH_ATTRIBUTES": {"TEXTURES", "UVS"},
     "BUMP": {"TEXTURES", "UVS"},
-    "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "TRIANGLES"},
+    "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "PARALLELOGRAM_LIGHTS", "TRIANGLES"},
     "MEDIA": {"VOLPATH"},
     "LIGHT_TREE": {"NEXT_EVENT", "MANY_LIGHTS"},
     "LIGHT_LIST": {"NEXT_EVENT", "MANY_LIGHTS"},
@@ -58,7 +59,7 @@ def closed(names: set[str]) -> set[str]:
         before = set(on)
         on |= {needed for name in before for needed in NEEDS.get(name, ())}
         on |= {group[0] for name in before for group in ANY_OF.get(name, ()) if on.isdisjoint(group)}
-        if len(on & set(LIGHTS)) > 1 or "TRIANGLE_LIGHTS" in on:  # a rectangle is two triangles
+        if len(on & set(LIGHTS)) > 1:
             on.add("MANY_LIGHTS")
     return on
 
@@ -278,12 +279,14 @@ def _shapes(on: dict[str, bool], materials: list[dict], folder: Path) -> dict[st
 def _lights(on: dict[str, bool], materials: list[dict], image: dict, folder: Path) -> dict[str, dict]:
     scene: dict = {}
     radiance = {"type": "rgb", "value": [2.0, 1.5, 1.0]}
-    lamps = zip(AREA_LIGHTS, ("rectangle", "sphere", "disk", "cylinder"), strict=True)
+    triangle = {"type": "mesh", "vertices": np.eye(3), "faces": np.array([[0, 1, 2]]), "face_normals": True}
+    lamps = zip(AREA_LIGHTS, ("triangle", "rectangle", "sphere", "disk", "cylinder"), strict=True)
     for k, (name, shape) in enumerate(lamps):
         if on[name] and materials:
             emission = image if on["TEXTURED_LIGHTS"] and on["BITMAPS"] and shape == "rectangle" else radiance
-            lamp = {"type": shape, "bsdf": materials[0], "emitter": {"type": "area", "radiance": emission}}
-            scene[name] = {**lamp, "to_world": placed((k - 1.5, 2.0, 4.0), 0.3)}
+            lamp = {"type": shape, "to_world": placed((k - 1.5, 2.0, 4.0), 0.3)}
+            lamp = triangle if shape == "triangle" else lamp
+            scene[name] = {**lamp, "bsdf": materials[0], "emitter": {"type": "area", "radiance": emission}}
     placing = {
         "point": {"position": [0.0, 1.0, 2.0]},
         "spot": {"cutoff_angle": 40.0},

@@ -90,7 +90,7 @@ def assert_inverts_cdf(picked, rescaled, u, before, pmf, tolerance: float):
 
 
 def grid_of_triangles(side: int) -> dict:
-    """A square of 2 side^2 emissive triangles that face upwards."""
+    """A square of 2 side^2 emissive triangles that face upwards; those that follow each other share no side."""
     x, y = np.meshgrid(np.linspace(-1, 1, side + 1), np.linspace(-1, 1, side + 1), indexing="ij")
     first = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
     faces = np.stack([[first, first + side + 1, first + side + 2], [first, first + side + 2, first + 1]]).reshape(
@@ -99,7 +99,7 @@ def grid_of_triangles(side: int) -> dict:
     return {
         "type": "mesh",
         "vertices": np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1),
-        "faces": faces.transpose(2, 0, 1).reshape(-1, 3),
+        "faces": faces.transpose(0, 2, 1).reshape(-1, 3),
         "face_normals": True,
         "emitter": {"type": "area", "radiance": 1.0},
     }

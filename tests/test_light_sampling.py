@@ -8,18 +8,19 @@ test_environment.py tests environment maps.
 import numpy as np
 import pytest
 from kernel_build import build_kernels
+from light_patch import GRID, Patch
 from PIL import Image
 from test_environment import normal_deviate
 
 from isonoise.device.opencl import Device
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.light.light_kinds import KINDS, light_bits
+from isonoise.scene.light.light_kinds import KINDS
 from isonoise.scene.material import textures
 from isonoise.scene.mesh.triangle_records import triangle_records
 from isonoise.scene.spectra import srgb_to_linear
 
 Z = 5.0
-SAMPLES, BINS, GRID = 2**16, 12, 240
+SAMPLES, BINS = 2**16, 12
 GEOMETRY = """__global const Triangle* triangles, __global const uint* faces, __global const float* uvs,
                       __global const Analytic* analytics, __global const Shape* shapes,
                       __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
@@ -180,72 +181,6 @@ def image(tmp_path_factory, pixels):
     path = tmp_path_factory.mktemp("images") / "radiance.png"
     Image.fromarray(pixels).save(path)
     return {"type": "bitmap", "filename": str(path), "filter_type": "nearest"}
-
-
-class Patch:
-    """A light, parametrised over the unit square: positions and texture coordinates."""
-
-    def __init__(self, scene, light: int):
-        self.scene, self.record = scene, scene.lights[light]
-        self.shape = (
-            None if self.record["kind"] == light_bits("triangle") else scene.analytics[self.record["primitive"]]
-        )
-
-    @property
-    def primitive(self) -> int:
-        return int(self.record["primitive"]) | (0 if self.shape is None else 1 << 31)
-
-    def points(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Returns positions (n, 3) and uv (n, 2)."""
-        if self.shape is None:
-            face = self.scene.faces[self.record["primitive"]]
-            weights = np.stack([1 - x, x * (1 - y), x * y], axis=1)
-            return weights @ self.scene.vertices[face].astype(float), weights @ self.scene.uvs[face].astype(float)
-        m = self.shape["to_world"].reshape(3, 4).astype(float)
-        turn = 2 * np.pi * (y if self.shape["kind"] == structs.ANALYTIC_DISK else x)
-        around = np.stack([np.cos(turn), np.sin(turn)])
-        if self.shape["kind"] == structs.ANALYTIC_SPHERE:
-            local = np.stack([*(np.sin(np.pi * y) * around), np.cos(np.pi * y)], axis=1)
-        elif self.shape["kind"] == structs.ANALYTIC_DISK:
-            local = np.stack([*(x * around), 0 * x], axis=1)
-        else:
-            local = np.stack([*around, y], axis=1)
-        return local @ m[:, :3].T + m[:, 3], np.stack([x, y], axis=1)
-
-    def parameters(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inverse of `points`."""
-        if self.shape is None:
-            a, b, c = self.scene.vertices[self.scene.faces[self.record["primitive"]]].astype(float)
-            second, third = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), (position - a).T, rcond=None)[0]
-            return second + third, third / (second + third)
-        m = self.shape["to_world"].reshape(3, 4).astype(float)
-        local = np.linalg.solve(m[:, :3], (position - m[:, 3]).T)
-        turn = np.arctan2(local[1], local[0]) / (2 * np.pi) % 1
-        if self.shape["kind"] == structs.ANALYTIC_SPHERE:
-            return turn, np.arctan2(np.hypot(local[0], local[1]), local[2]) / np.pi
-        return (np.hypot(local[0], local[1]), turn) if self.shape["kind"] == structs.ANALYTIC_DISK else (turn, local[2])
-
-    def grid(self, reference: np.ndarray, flipped: bool) -> dict[str, np.ndarray]:
-        """Returns a grid of positions, their solid angles (0 where the light faces away) and normals."""
-        steps = (np.arange(GRID) + 0.5) / GRID
-        x, y = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
-        (position, uv), h = self.points(x, y), 1e-5
-        along = (self.points(x + h, y)[0] - self.points(x - h, y)[0]) / (2 * h)
-        across = (self.points(x, y + h)[0] - self.points(x, y - h)[0]) / (2 * h)
-        element = np.cross(along, across) / GRID**2
-        outward = -1 if self.shape is not None and self.shape["kind"] == structs.ANALYTIC_SPHERE else 1
-        element *= -outward if flipped else outward
-        arm = position - reference
-        distance = np.linalg.norm(arm, axis=1)
-        solid = np.maximum(-(element * arm).sum(axis=1), 0) / distance**3
-        size = np.maximum(np.linalg.norm(element, axis=1, keepdims=True), 1e-300)
-        return {
-            "position": position,
-            "uv": uv,
-            "normal": element / size,
-            "solid": solid,
-            "direction": arm / distance[:, None],
-        }
 
 
 @pytest.mark.parametrize(("name", "view"), VIEWS)

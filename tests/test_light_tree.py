@@ -169,8 +169,9 @@ def _emission_of(scene, light: np.ndarray, rng, count: int) -> tuple[np.ndarray,
     if light["kind"] == light_bits("spot"):
         axis = np.tile(light["axis"], (count, 1))
         return np.tile(light["position"], (count, 1)), axis, np.full(count, np.cos(light["cutoff"]))
-    if light["kind"] == light_bits("triangle"):
-        face, weights = scene.faces[light["primitive"]], rng.dirichlet(np.ones(3), count)
+    if light["kind"] & light_bits("triangle", "parallelogram"):
+        face = scene.faces[light["primitive"] + rng.integers(0, 1 + (light["kind"] == light_bits("parallelogram")))]
+        weights = rng.dirichlet(np.ones(3), count)
         corners = scene.vertices[face].astype(np.float64)
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         normals = np.tile(normal, (count, 1))
@@ -228,9 +229,17 @@ def test_intensity_is_the_largest_that_a_light_has():
         point={"type": "point", "intensity": 13.0},
         spot={"type": "spot", "intensity": 17.0, "cutoff_angle": 30.0},
     )
-    expected = np.array([2 * 3.0, 2 * 3.0, np.pi / 4 * 5.0, np.pi * 7.0, 2 * 0.5 * 2 * 11.0, 13.0, 17.0])
-    intensity = compute_light_bounds(scene, scene.lights).intensity
-    np.testing.assert_allclose(intensity / intensity[0], expected / expected[0], rtol=1e-5)
+    expected = {
+        "parallelogram": 4 * 3.0,
+        "sphere": np.pi / 4 * 5.0,
+        "disk": np.pi * 7.0,
+        "cylinder": 2 * 0.5 * 2 * 11.0,
+        "point": 13.0,
+        "spot": 17.0,
+    }
+    intensity = dict(zip(scene.lights["kind"], compute_light_bounds(scene, scene.lights).intensity, strict=True))
+    found = np.array([intensity[light_bits(name)] for name in expected])
+    np.testing.assert_allclose(found / found[0], np.array(list(expected.values())) / 12.0, rtol=1e-5)
 
 
 # Probabilities and sampled lights.

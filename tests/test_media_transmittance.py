@@ -28,7 +28,7 @@ from isonoise.scene import compile_scene, load, structs
 SHEETS_AND_LAMP = (
     *("TRIANGLES", "UVS", "TEXTURES", "CHECKERBOARDS", "ORTHOGRAPHIC", "VOLPATH"),
     *("DIFFUSE", "NULL", "DIELECTRIC", "THIN_DIELECTRIC", "MASK", "BLEND", "BUMP"),
-    *("POINT_LIGHTS", "AREA_LIGHTS", "TRIANGLE_LIGHTS", "MANY_LIGHTS", "NEXT_EVENT"),
+    *("POINT_LIGHTS", "AREA_LIGHTS", "PARALLELOGRAM_LIGHTS", "MANY_LIGHTS", "NEXT_EVENT"),
 )
 shared_programs = share_programs(PLAIN, SHEETS_AND_LAMP)
 

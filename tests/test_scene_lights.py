@@ -8,6 +8,7 @@ from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.light.alias_table import alias_tables
 from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.light.lights import light_power_cdf
+from isonoise.scene.mesh.triangle_records import triangle_records
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 
@@ -52,7 +53,7 @@ def test_alias_tables_of_several_rows():
         assert np.all(result[expected == 0] == 0)
 
 
-def test_lights_of_a_shape_follow_its_primitives():
+def test_lights_know_their_primitives_and_primitives_their_lights():
     scene = compile_scene(
         scene_with(
             dark={"type": "cube"},
@@ -62,13 +63,30 @@ def test_lights_of_a_shape_follow_its_primitives():
             lamp={"type": "sphere", "radius": 0.5, "emitter": {"type": "area", "radiance": 1.0}},
         )
     )
-    assert scene.shapes["first_light"].tolist() == [structs.NONE, structs.NONE, 0, 2, 14]
     assert scene.shapes["first_primitive"].tolist() == [0, 0, 12, 14, 1]
-    assert scene.lights["primitive"].tolist() == [*range(12, 26), 1]
-    assert scene.lights["kind"][-1] == light_bits("sphere")
-    for light, face in zip(scene.lights[:14], scene.faces[12:], strict=True):
-        a, b, c = scene.vertices[face]
-        assert light["area"] == pytest.approx(0.5 * np.linalg.norm(np.cross(b - a, c - a)))
+    is_sphere = scene.lights["kind"] == light_bits("sphere")
+    sides = scene.lights[~is_sphere]
+    assert sorted(sides["primitive"]) == [12, *range(14, 26, 2)]
+    assert (sides["kind"] == light_bits("parallelogram")).all()
+    assert (sides["area"] == 4).all()
+    assert scene.lights["primitive"][is_sphere].tolist() == [1]
+    (sphere,) = np.flatnonzero(is_sphere)
+    assert scene.shapes["light"].tolist() == [structs.NONE] * 4 + [sphere]
+    light = triangle_records(scene)["light"]
+    assert (light[:12] == structs.NONE).all()
+    assert scene.lights["primitive"][light[12:]].tolist() == np.repeat([12, *range(14, 26, 2)], 2).tolist()
+
+
+def test_neighbours_among_lights_are_neighbours_in_space():
+    """Along a Morton curve: of lamps on a grid of 8 x 8, every eighth of the list is a block of 2 x 4; sky is last."""
+    places = np.random.default_rng(1).permutation([(x, y, 0.0) for x in range(8) for y in range(8)])
+    sky = {"sky": {"type": "constant", "radiance": 0.1}}
+    lamps = {f"lamp{i}": {"type": "point", "position": place, "intensity": 1.0} for i, place in enumerate(places)}
+    scene = compile_scene(scene_with(**sky, **lamps))
+    assert scene.environment_light == 64
+    block = scene.lights["position"][:64].reshape(8, 8, 3)
+    assert sorted((np.ptp(block, axis=1)[0] + 1).tolist()) == [1.0, 2.0, 4.0]
+    assert (np.ptp(block, axis=1) == np.ptp(block, axis=1)[0]).all()
 
 
 def test_selection_is_proportional_to_power():
@@ -85,19 +103,21 @@ def test_selection_is_proportional_to_power():
         )
     )
     radius_squared = 0.25 * (2**2 + 2**2 + 1.5**2)  # x, y in -1..1, z in -0.5..1
-    powers = np.array(
-        [
-            *[np.pi * 2 * 3.0] * 2,
-            np.pi * np.pi * 5.0,
-            np.pi * np.pi * 7.0,
-            np.pi * np.pi * 11.0,
-            4 * np.pi * 13.0,
-            np.pi * radius_squared * 17.0,
-            4 * np.pi**2 * radius_squared * 19.0,
-        ]
+    powers = {
+        "parallelogram": np.pi * 4 * 3.0,
+        "sphere": np.pi * np.pi * 5.0,
+        "disk": np.pi * np.pi * 7.0,
+        "cylinder": np.pi * np.pi * 11.0,
+        "point": 4 * np.pi * 13.0,
+        "directional": np.pi * radius_squared * 17.0,
+        "constant": 4 * np.pi**2 * radius_squared * 19.0,
+    }
+    expected = {light_bits(name): power / sum(powers.values()) for name, power in powers.items()}
+    assert sorted(scene.lights["kind"]) == sorted(expected)
+    np.testing.assert_allclose(
+        scene.lights["power_pmf"], [expected[int(kind)] for kind in scene.lights["kind"]], rtol=2e-6
     )
-    np.testing.assert_allclose(scene.lights["power_pmf"], powers / powers.sum(), rtol=2e-6)
-    assert scene.environment_light == 7
+    assert scene.lights["kind"][scene.environment_light] == light_bits("constant")
 
 
 def test_dark_and_degenerate_primitives_are_never_selected():
@@ -112,7 +132,8 @@ def test_dark_and_degenerate_primitives_are_never_selected():
             },
         )
     )
-    assert scene.lights["power_pmf"].tolist() == [0, 0, 0, 1]
+    assert sorted(scene.lights["power_pmf"]) == [0, 0, 1]
+    assert (scene.lights["area"][scene.lights["power_pmf"] == 1] == 0.5).all()
 
 
 def test_lights_without_power_and_scenes_without_light():
@@ -170,7 +191,59 @@ def test_emitters_without_bsdf_are_black():
     """As in Mitsuba 3, the default reflectance is 0.5, and 0 for emissive shapes."""
     lamp = {"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}}
     scene = compile_scene(scene_with(lamp=lamp, ball={"type": "sphere"}))
-    is_emissive = scene.shapes["first_light"] != structs.NONE
+    is_emissive = scene.shapes["light"] != structs.NONE
     reflectance = slot(scene.bsdfs, "reflectance")[scene.shapes["bsdf"]]
     assert (reflectance[is_emissive] == 0).all()
     assert (reflectance[~is_emissive] == 0.5).all()
+
+
+# Parallelograms.
+
+CORNERS = np.array([[0, 0, 0], [2, 0.5, 0], [2.5, 1.5, 1], [0.5, 1, 1.0]])  # in order around it
+
+
+def kinds_of(vertices, faces, **more) -> list[str]:
+    """Returns the kinds of the lights of a mesh, in the order of its triangles."""
+    emitter = {"type": "area", "radiance": 1.0}
+    mesh = {"type": "mesh", "vertices": np.asarray(vertices, float), "faces": np.array(faces), "emitter": emitter}
+    lights = compile_scene(scene_with(lamp=mesh | {"face_normals": True} | more)).lights
+    names = {light_bits(name): name for name in ("triangle", "parallelogram")}
+    return [names[int(kind)] for kind in lights["kind"][np.argsort(lights["primitive"])]]
+
+
+@pytest.mark.parametrize("first", range(3))
+@pytest.mark.parametrize("second", range(3))
+@pytest.mark.parametrize("flip", [False, True])
+def test_two_triangles_are_one_light_whatever_their_first_corners(first, second, flip):
+    faces = [np.roll([0, 1, 2], first), np.roll([0, 2, 3], second)]
+    assert kinds_of(CORNERS, faces, flip_normals=flip) == ["parallelogram"]
+    assert kinds_of(CORNERS[[0, 1, 2, 0, 2, 3]], [faces[0], [3, 4, 5]]) == ["parallelogram"]  # corners apart
+    assert kinds_of(CORNERS, faces, face_normals=False) == ["parallelogram"]
+
+
+def test_what_is_no_parallelogram_stays_triangles():
+    quad = [[0, 1, 2], [0, 2, 3]]
+    for change in ([0, 0, 0.01], [0.01, 0, 0], [-0.5, -1, -1]):
+        assert kinds_of(CORNERS + np.outer([0, 0, 0, 1], change), quad) == ["triangle"] * 2
+    assert kinds_of(CORNERS, [[0, 1, 2], [3, 2, 0]]) == ["triangle"] * 2  # opposite sides
+    assert kinds_of(CORNERS, [[0, 1, 2], [1, 2, 0]]) == ["triangle"] * 2  # twice the same
+    assert kinds_of(CORNERS * [1, 0, 0], quad) == ["triangle"] * 2  # without area
+    far = CORNERS * 1.3e-3 + [1e4, 0, 0]  # rounding moves the corners by a fraction of the side
+    assert kinds_of(far, quad) == ["triangle"] * 2
+
+
+def test_triangles_belong_to_one_parallelogram_at_most():
+    """A strip, in which each triangle forms one with both neighbours, and a triangle between two quads."""
+    strip = np.array([(x, y, 0) for x in range(4) for y in range(2)], float)
+    faces = [[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5], [4, 6, 5]]
+    assert kinds_of(strip, faces) == ["parallelogram", "parallelogram", "triangle"]
+    vertices = np.concatenate([CORNERS, CORNERS[:3] + 5, CORNERS + 9])
+    assert kinds_of(vertices, [[0, 1, 2], [0, 2, 3], [4, 5, 6], [7, 8, 9], [7, 9, 10]]) == [
+        "parallelogram",
+        "triangle",
+        "parallelogram",
+    ]
+
+
+def test_the_box_of_cornell_has_one_light():
+    assert compile_scene(load("cornell")).lights["kind"].tolist() == [light_bits("parallelogram")]

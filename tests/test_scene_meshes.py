@@ -11,6 +11,7 @@ from records import slot
 
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load, structs
+from isonoise.scene.mesh.triangle_records import triangle_records
 
 MIRROR = np.diag([-1.0, 1, 1, 1])
 
@@ -255,7 +256,7 @@ def test_bare_meshes_get_a_camera_and_lights(tmp_path):
         assert (scene.width, scene.height) == (512, 512)
         assert triangle_count(scene) == len(mesh.faces) == 1280
         assert scene.environment_light >= 0
-        assert len(scene.lights) == 3
+        assert len(scene.lights) == 2
         assert all(scene.bsdfs["flags"][scene.shapes["bsdf"][:1]] == structs.BSDF_TWOSIDED)
         smooth = scene.shapes["flags"][0] & structs.SHAPE_VERTEX_NORMALS
         assert bool(smooth) == (suffix != "stl")  # STL has neither shared vertices nor vertex normals
@@ -282,9 +283,9 @@ def test_bare_obj_uses_colours_and_emission_of_its_mtl(write_file):
     assert scene.environment_light == -1
     colours = slot(scene.bsdfs, "reflectance")[scene.shapes["bsdf"]]
     np.testing.assert_allclose(colours, [[0.5] * 3, [0.8, 0.1, 0.1], [0] * 3], rtol=1e-6)
-    assert len(scene.lights) == 2
+    assert len(scene.lights) == 1
     np.testing.assert_allclose(scene.lights["radiance"][0] / scene.radiance_scale, [17, 12, 4], rtol=1e-6)
-    assert scene.shapes["first_light"].tolist() == [structs.NONE, structs.NONE, 0]
+    assert triangle_records(scene)["light"].tolist() == [structs.NONE] * 4 + [0, 0]
 
 
 def test_bare_glb_uses_transforms_colours_and_emission(tmp_path):

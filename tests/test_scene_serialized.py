@@ -138,7 +138,7 @@ def test_a_published_file_against_mitsuba(public_scenes):
     assert len(mesh.faces) == 14404
     scene = compile_scene(load(folder / "scene.xml"))
     assert len(scene.faces) == 14404 + 6 * 2
-    assert len(scene.lights) == 2
+    assert len(scene.lights) == 1
 
 
 VALID = serialized_file(mesh_content(SINGLE), mesh_content(SINGLE))

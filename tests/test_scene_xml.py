@@ -248,7 +248,7 @@ def test_built_in_scenes_by_name():
 
 def test_public_scenes(public_scenes):
     scene = compile_scene(load(public_scenes / "cornell-box" / "scene.xml", {"spp": "5"}))
-    assert (len(scene.faces), len(scene.lights), scene.max_depth, scene.sample_count) == (36, 2, 16, 5)
+    assert (len(scene.faces), len(scene.lights), scene.max_depth, scene.sample_count) == (36, 1, 16, 5)
     np.testing.assert_allclose(scene.lights["radiance"][0] / scene.radiance_scale, (17, 12, 4), rtol=1e-6)
     folder = public_scenes / "mitsuba-tests" / "tests" / "scenes"
     scene = compile_scene(load(folder / "floating_sphere" / "test_directional_direct.xml"))

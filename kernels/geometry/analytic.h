@@ -4,6 +4,10 @@
 
 #define ANALYTIC_BIT 0x80000000u  // set in a primitive number whose other bits are an index into `analytics`
 
+// Set in the number of the triangle that a shadow ray ends on if it ends on the next triangle too, because both are one
+// light.
+#define TWO_TRIANGLES_BIT 0x40000000u
+
 #if FEATURE_SPHERES
 // The discriminant from the distance of the centre to the line, the smaller root from the product of the roots.
 // Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, 2019.

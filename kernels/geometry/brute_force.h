@@ -15,6 +15,9 @@ typedef struct {
     // Woop's shear constants: x and y belong to the next two axes, z to `axis`
     float shear_x[PACKET_SIZE], shear_y[PACKET_SIZE], shear_z[PACKET_SIZE];
     uint start_primitive[PACKET_SIZE], end_primitive[PACKET_SIZE];  // what the ray starts and ends on: not tested
+#if FEATURE_PARALLELOGRAM_LIGHTS
+    uint end_triangles[2][PACKET_SIZE];  // the triangles in end_primitive
+#endif
     float t_max[PACKET_SIZE];              // of the nearest hit so far; negative for an unused ray
     float u[PACKET_SIZE], v[PACKET_SIZE];  // barycentric coordinates of the second and third corner
     uint primitive[PACKET_SIZE];
@@ -68,6 +71,11 @@ INLINE void set_ray(RayPacket* packet, uint ray, Vec3 origin, Vec3 direction, ui
     packet->direction_z[ray] = direction.z;
     packet->start_primitive[ray] = start_primitive;
     packet->end_primitive[ray] = end_primitive;
+#if FEATURE_PARALLELOGRAM_LIGHTS
+    packet->end_triangles[0][ray] = end_primitive & ~TWO_TRIANGLES_BIT;
+    packet->end_triangles[1][ray] =
+        (end_primitive & ~TWO_TRIANGLES_BIT) + (end_primitive & TWO_TRIANGLES_BIT ? 1u : 0u);
+#endif
     packet->t_max[ray] = t_max;
     packet->u[ray] = packet->v[ray] = 0.0f;
     packet->primitive[ray] = NONE;
@@ -102,7 +110,11 @@ INLINE void intersect_triangle(RayPacket* packet, uint ray, const ShearedVertex*
     const float t = (edge_a * a->z[ray] + edge_b * b->z[ray] + edge_c * c->z[ray]) * packet->shear_z[ray] * inverse;
     const bool hit = ((min_edge >= 0.0f) | (max_edge <= 0.0f)) & (determinant != 0.0f) & (t > 0.0f) &
                      (t < packet->t_max[ray]) & (triangle != packet->start_primitive[ray]) &
+#if FEATURE_PARALLELOGRAM_LIGHTS
+                     (triangle != packet->end_triangles[0][ray]) & (triangle != packet->end_triangles[1][ray]);
+#else
                      (triangle != packet->end_primitive[ray]);
+#endif
     // written for every ray: reading back after a partial (masked) store is slow
     packet->t_max[ray] = hit ? t : packet->t_max[ray];
     packet->u[ray] = hit ? edge_b * inverse : packet->u[ray];

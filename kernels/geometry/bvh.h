@@ -105,7 +105,7 @@ INLINE uint intersect_node(__global const float8* node, const Ray* ray, float t_
 // Ray/Triangle Intersection", JCGT 2013, without the double-precision fallback: an edge function that rounds to zero
 // counts as inside for both neighbours, so there are no leaks. Edge functions use no fma: neighbours get exactly
 // opposite values on a shared edge. A ray cannot hit again the plane that it starts or ends on, but rounding can
-// produce such a hit: the two primitives in `skip` are left out. This needs no epsilon.
+// produce such a hit: the two primitives in `skip` are left out (TWO_TRIANGLES_BIT). This needs no epsilon.
 INLINE uint intersect_triangle_block(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t,
                                      float8* u, float8* v)
 {
@@ -125,6 +125,12 @@ INLINE uint intersect_triangle_block(__global const float8* block, const Ray* ra
     *u = edge_b * inverse;
     *v = edge_c * inverse;
     const uint8 ids = as_uint8(block[9]);
-    return mask_bits(inside & (*t > 0.0f) & (*t < t_max) & (ids != skip.x) & (ids != skip.y));
+    const int8 hits = inside & (*t > 0.0f) & (*t < t_max) & (ids != skip.x);
+#if FEATURE_PARALLELOGRAM_LIGHTS
+    const uint end = skip.y & ~TWO_TRIANGLES_BIT;
+    return mask_bits(hits & (ids != end) & (ids != (skip.y & TWO_TRIANGLES_BIT ? end + 1u : end)));
+#else
+    return mask_bits(hits & (ids != skip.y));
+#endif
 }
 #endif

@@ -190,7 +190,7 @@ INLINE void finish_analytic_surface(const SceneView* scene, uint index, const An
     if (shape->flags & SHAPE_FLIP_NORMALS) s->normal = neg3(s->normal);
     s->geometric_normal = s->normal;
     s->bsdf = shape->bsdf;
-    s->light = shape->first_light == NONE ? NONE : shape->first_light + (index - shape->first_primitive);
+    s->light = shape->light;
 #if FEATURE_MEDIA
     s->media = shape->media;
 #endif

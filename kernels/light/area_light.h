@@ -1,4 +1,4 @@
-// Emissive primitives: triangles, spheres, disks, cylinders.
+// Emissive primitives: triangles, parallelograms of two triangles, spheres, disks, cylinders.
 #pragma once
 #include "light/light_sample.h"
 
@@ -99,18 +99,41 @@ INLINE float sample_cylinder_light(const SceneView* scene, const Analytic* shape
 }
 #endif
 
+#if HAS_MESH_LIGHTS
+// Samples a point uniformly on a triangle or a parallelogram.
+INLINE Surface sample_mesh_light(const SceneView* scene, const Light* light, Vec2 u)
+{
+    uint triangle = light->primitive;
+#if FEATURE_PARALLELOGRAM_LIGHTS
+    if (light->kind & LIGHT_PARALLELOGRAM) {
+        // beyond the diagonal: the second triangle, which is the first one turned by half a turn
+        const bool is_second = u.x + u.y > 1.0f;
+        const float x = is_second ? 1.0f - u.x : u.x, y = is_second ? 1.0f - u.y : u.y;
+        const float rest = MAX(1.0f - x - y, 0.0f);
+        const uint apex = is_second ? light->apexes >> 2 : light->apexes & 3u;
+        return triangle_surface(scene, triangle + (is_second ? 1u : 0u),
+                                apex == 0u   ? x
+                                : apex == 1u ? rest
+                                             : y,
+                                apex == 0u   ? y
+                                : apex == 1u ? x
+                                             : rest);
+    }
+#endif
+    const float root = SQRT(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
+    return triangle_surface(scene, triangle, 1.0f - root, root * u.y);
+}
+#endif
+
 // Samples a point on the light's surface. Returns its pdf in solid angle, or 0 if it is uniform over the area.
 INLINE float sample_surface(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u, Surface* s)
 {
     float density = 0.0f;
-#if FEATURE_TRIANGLE_LIGHTS
-    if (light->kind & LIGHT_TRIANGLE) {
-        const float root = SQRT(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
-        *s = triangle_surface(scene, light->primitive, 1.0f - root, root * u.y);
-    }
+#if HAS_MESH_LIGHTS
+    if (light->kind & LIGHT_MESH) *s = sample_mesh_light(scene, light, u);
 #endif
 #if HAS_ANALYTIC_LIGHTS
-    if (light->kind & LIGHT_TRIANGLE) return density;
+    if (light->kind & LIGHT_MESH) return density;
     const Analytic shape = Analytic_at(scene->analytics, light->primitive);
 #define SAMPLE_SHAPE(BIT, sample_shape) \
     if (light->kind & BIT) density = sample_shape(scene, &shape, reference, u, s);
@@ -133,7 +156,9 @@ INLINE void sample_area_light(const SceneView* scene, const Light* light, Vec3 r
     sample->position = s.position;
     sample->error = s.error;
     sample->normal = s.geometric_normal;
-    sample->primitive = light->kind & LIGHT_TRIANGLE ? light->primitive : ANALYTIC_BIT | light->primitive;
+    sample->primitive = light->primitive;
+    if (!(light->kind & LIGHT_MESH)) sample->primitive |= ANALYTIC_BIT;
+    if (light->kind & LIGHT_PARALLELOGRAM) sample->primitive |= TWO_TRIANGLES_BIT;
 #if FEATURE_SPHERE_LIGHTS || FEATURE_CYLINDER_LIGHTS
     // a light that emits inwards may be hit from behind first: then the shadow ray must not skip it
     if ((light->kind & (LIGHT_SPHERE | LIGHT_CYLINDER)) &&

@@ -62,11 +62,9 @@ INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 
 #else
     LightSelection selected = {0u, 1.0f, u};
 #if FEATURE_LIGHT_LIST
-    selected.light =
-        select_from_list(&scene->light_list, reference, normal, &selected.u, u_low, &selected.probability);
+    selected.light = select_from_list(&scene->light_list, reference, normal, &selected.u, u_low, &selected.probability);
 #elif FEATURE_LIGHT_TREE
-    selected.light =
-        select_from_tree(&scene->light_tree, reference, normal, &selected.u, u_low, &selected.probability);
+    selected.light = select_from_tree(&scene->light_tree, reference, normal, &selected.u, u_low, &selected.probability);
 #endif
     return selected;
 #endif
@@ -81,8 +79,12 @@ INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, Ligh
     const Vec2 u = vec2(selected.u, v);
     LightSample sample = empty_light_sample();
     Light record = Light_at(scene->lights, FEATURE_MANY_LIGHTS ? selected.light : 0u);
-    record.kind =
-        kinds == LIGHT_TRIANGLE ? kinds : record.kind & kinds;  // a compile-time constant if there is one kind
+    record.kind &= kinds;
+    if (kinds == LIGHT_MESH) {  // as far as possible a compile-time constant; the bit of triangles is not tested alone
+        if (!FEATURE_TRIANGLE_LIGHTS) record.kind = LIGHT_PARALLELOGRAM;
+        if (!FEATURE_PARALLELOGRAM_LIGHTS) record.kind = LIGHT_TRIANGLE;
+        record.kind |= LIGHT_TRIANGLE;
+    }
     const Light* light = &record;
     sample.pdf = selected.probability;
     sample.radiance = LOAD3(0, light->radiance);
@@ -100,6 +102,6 @@ INLINE LightSample sample_light_of_kind(uint kinds, const SceneView* scene, Ligh
 
 INLINE LightSample sample_light(const SceneView* scene, LightSelection selected, Vec3 reference, float v)
 {
-    return sample_light_of_kind(~0u, scene, selected, reference, v);
+    return sample_light_of_kind(HAS_NON_MESH_LIGHTS ? ~0u : LIGHT_MESH, scene, selected, reference, v);
 }
 #endif

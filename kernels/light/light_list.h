@@ -85,9 +85,9 @@ INLINE float mixture_pmf(ImportanceMixture m, float importance, float power_frac
 // negative. The random number has 48 bits, as a double-float, so a pmf far below the last bit of the others is still
 // sampled correctly, and what is left of the number has 24 bits.
 typedef struct {
-    float u, u_low;   // what is left of the random number is their sum
-    uint light;       // the selected one; before that, or if rounding leaves u >= 0 to the end, the most probable so far
-    float pmf;        // of `light`
+    float u, u_low;  // what is left of the random number is their sum
+    uint light;      // the selected one; before that, or if rounding leaves u >= 0 to the end, the most probable so far
+    float pmf;       // of `light`
     float remainder;  // what was left of the random number at `light`
 } CdfSearch;
 

@@ -6,7 +6,8 @@
 #if FEATURE_NEXT_EVENT
 typedef struct {
     Vec3 position, error, normal;  // normal is zero if the light has no surface
-    uint primitive;                // that the position is on and that a ray hits there first; else NONE
+    uint primitive;                // that the position is on and that a ray hits there first, with TWO_TRIANGLES_BIT;
+                                   // else NONE
     Vec3 direction;                // unit, from the reference point to the light
     Vec3 radiance;                 // unoccluded, before the division by pdf; 0 if the light faces away
     float pdf;  // in solid angle, times the probability of selecting the light; of delta lights that alone

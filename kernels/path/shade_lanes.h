@@ -45,9 +45,9 @@ INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* l
 #if HAS_LIGHT_IMPORTANCE
             normal = load_lane4(lane_state, LANE_MIS_NORMAL, k);
 #endif
-            selection = select_light(scene, load_lane3(lane_state, LANE_POSITION, k), normal,
-                                     load_lane(lane_state, LANE_LIGHT_U, k),
-                                     load_lane(lane_state, LANE_LIGHT_U_LOW, k));
+            selection =
+                select_light(scene, load_lane3(lane_state, LANE_POSITION, k), normal,
+                             load_lane(lane_state, LANE_LIGHT_U, k), load_lane(lane_state, LANE_LIGHT_U_LOW, k));
         }
         store_light_selection_lane(selection, lane_state, k);
     }
@@ -71,10 +71,10 @@ INLINE void sample_light_lane(const SceneView* scene, const PathBuffers* paths, 
     }
 }
 
-#if FEATURE_TRIANGLE_LIGHTS && HAS_NON_TRIANGLE_LIGHTS
-INLINE bool selected_triangle_light(const SceneView* scene, const float* lane_state, size_t lane)
+#if HAS_MESH_LIGHTS && HAS_NON_MESH_LIGHTS
+INLINE bool selected_mesh_light(const SceneView* scene, const float* lane_state, size_t lane)
 {
-    return Light_at(scene->lights, load_lane_uint(lane_state, LANE_SELECTED_LIGHT, lane)).kind & LIGHT_TRIANGLE;
+    return Light_at(scene->lights, load_lane_uint(lane_state, LANE_SELECTED_LIGHT, lane)).kind & LIGHT_MESH;
 }
 #endif
 
@@ -106,25 +106,24 @@ INLINE void sample_lights(const SceneView* scene, const PathBuffers* paths, cons
 #if FEATURE_ENVIRONMENT_MAP
     find_envmap_positions(scene, count, lane_state);
 #endif
-#if FEATURE_TRIANGLE_LIGHTS && HAS_NON_TRIANGLE_LIGHTS
+#if HAS_MESH_LIGHTS && HAS_NON_MESH_LIGHTS
     int list[LANES + 1];
-    COMPACT_LANES(
-        list, other_count, k, count,
-        has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k) & !selected_triangle_light(scene, lane_state, k))
+    COMPACT_LANES(list, other_count, k, count,
+                  has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k) & !selected_mesh_light(scene, lane_state, k))
     FOR_LANES(k, count) {
         if (k >= count || !has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k) ||
-            !selected_triangle_light(scene, lane_state, k))
+            !selected_mesh_light(scene, lane_state, k))
             continue;
-        sample_light_lane(scene, paths, hit_path(hits, k), LIGHT_TRIANGLE, lane_state, k);
+        sample_light_lane(scene, paths, hit_path(hits, k), LIGHT_MESH, lane_state, k);
     }
     FOR_LANES(j, other_count) {
         if (j >= other_count) continue;
-        sample_light_lane(scene, paths, compacted_path(hits, list[j]), ~LIGHT_TRIANGLE, lane_state, list[j]);
+        sample_light_lane(scene, paths, compacted_path(hits, list[j]), ~LIGHT_MESH, lane_state, list[j]);
     }
 #else
     FOR_LANES(k, count) {
         if (k >= count || !has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k)) continue;
-        sample_light_lane(scene, paths, hit_path(hits, k), ~0u, lane_state, k);
+        sample_light_lane(scene, paths, hit_path(hits, k), HAS_MESH_LIGHTS ? LIGHT_MESH : ~0u, lane_state, k);
     }
 #endif
 }

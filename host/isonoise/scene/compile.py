@@ -19,7 +19,13 @@ from isonoise.scene.geometry import (
 )
 from isonoise.scene.image.image import read_image
 from isonoise.scene.instances import instance_records, split_instances
-from isonoise.scene.light.compile_lights import AreaLight, compile_lights, radiance_texture, raise_too_dim
+from isonoise.scene.light.compile_lights import (
+    ANALYTIC_LIGHTS,
+    AreaLight,
+    compile_lights,
+    radiance_texture,
+    raise_too_dim,
+)
 from isonoise.scene.light.envmap import EnvironmentMap, build_environment_map
 from isonoise.scene.material.bsdfs import Bsdfs, mark_pass_through, reads_uvs
 from isonoise.scene.material.media import Media
@@ -70,7 +76,9 @@ def compile_scene(
     environment = _environment_map(emitters)
     area_lights = list(materials.area_lights.values())
     lights = compile_lights(area_lights, list(emitters.values()), environment, materials.textures, geometry.bounds)
-    materials.arrays["shapes"]["first_light"][list(materials.area_lights)] = lights.first_light
+    is_analytic = lights.records["kind"] & ANALYTIC_LIGHTS != 0
+    shape_of_light = geometry.arrays["analytics"]["shape"][lights.records["primitive"][is_analytic]]
+    materials.arrays["shapes"]["light"][shape_of_light] = np.flatnonzero(is_analytic)
     if environment is not None:
         environment = _scaled(environment, lights.radiance_scale)
     arrays = {"camera": camera, **geometry.arrays, **materials.arrays}

@@ -52,7 +52,7 @@ CAMERA = np.dtype(
 SHAPE = np.dtype(
     [
         ("bsdf", "u4"),
-        ("first_light", "u4"),  # light of the shape's first primitive, NONE if it does not shine
+        ("light", "u4"),  # of an analytic shape, NONE if it does not shine
         ("first_primitive", "u4"),  # triangle index, or index of the analytic primitive
         ("flags", "u4"),  # SHAPE_FLIP_NORMALS | SHAPE_VERTEX_NORMALS | SHAPE_UVS | SHAPE_PASS_THROUGH
         ("media", "u4"),  # within | without << 16, each MEDIUM_NONE if there is none; NONE if the shape separates none
@@ -119,9 +119,9 @@ MEDIUM = np.dtype(
 LIGHT = np.dtype(
     [
         ("kind", "u4"),
-        ("primitive", "u4"),  # triangle or analytic index, NONE for lights without surface
+        ("primitive", "u4"),  # triangle or analytic index, the first of two triangles; NONE without surface
         ("power_pmf", "f4"),  # probability of this light where lights are selected by power
-        ("area", "f4"),  # world area of the primitive, 0 for lights without surface
+        ("area", "f4"),  # world area, 0 for lights without surface
         # radiance; point, spot: radiant intensity; directional: irradiance. All times radiance_scale
         ("radiance", "f4", 3),
         ("texture", "u4"),  # that the radiance is to be multiplied by, NONE
@@ -129,6 +129,8 @@ LIGHT = np.dtype(
         ("axis", "f4", 3),  # spot: unit direction of the brightest light
         ("cutoff", "f4"),  # spot: angle from which on it is dark
         ("inverse_transition", "f4"),  # spot: 1 / (cutoff - angle up to which it is brightest)
+        # parallelogram: corner of the first triangle that is not on the diagonal, plus 4 times that of the second
+        ("apexes", "u4"),
     ]
 )
 

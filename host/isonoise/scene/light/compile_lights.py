@@ -9,12 +9,16 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import structs
+from isonoise.scene.accel.ploc import morton_order
 from isonoise.scene.light import lights as lighting
 from isonoise.scene.light.envmap import EnvironmentMap
-from isonoise.scene.light.light_kinds import bits_where
+from isonoise.scene.light.light_kinds import bits_where, kind_of_analytic, light_bits
+from isonoise.scene.light.parallelograms import find_parallelograms
 from isonoise.scene.material.textures import Textures, is_constant
 from isonoise.scene.mesh.surfaces import Surface
 
+ANALYTIC_LIGHTS = bits_where(lambda kind: kind.analytic is not None)
+_LIGHTS_AT_INFINITY = bits_where(lambda kind: kind.is_environment) | light_bits("directional")
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 
 
@@ -30,11 +34,10 @@ class AreaLight:
 
 @dataclass(frozen=True)
 class CompiledLights:
-    """All lights of a scene: those of area lights first, then the emitters without a surface."""
+    """All lights of a scene, neighbours in space next to each other; those at infinity last."""
 
     records: np.ndarray  # (L,) structs.LIGHT
     cdf: np.ndarray  # (L,) uint64, CompiledScene.light_cdf
-    first_light: np.ndarray  # (area lights,) uint32: index of each area light's first record
     environment_light: int  # index of the constant or environment-map light, -1 if there is none
     radiance_scale: float
 
@@ -62,12 +65,12 @@ def compile_lights(
     values = [environment.mean if e["type"] == "envmap" else lighting.emitted(e) for e in emitters]
     peak = [np.full(3, environment.largest)] if environment else []
     scale = lighting.radiance_scale([*area_values, *values, *peak])
-    parts = [_area_records(light, value * scale) for light, value in zip(area_lights, area_values, strict=True)]
-    first_light = np.cumsum([0, *map(len, parts)])[:-1].astype(np.uint32)
-    parts += [lighting.emitter_light(e, value * scale) for e, value in zip(emitters, values, strict=True)]
+    parts = [_area_lights(light, value * scale) for light, value in zip(area_lights, area_values, strict=True)]
+    parts += [_emitter_light(e, value * scale) for e, value in zip(emitters, values, strict=True)]
     if not parts:
-        return CompiledLights(np.zeros(0, structs.LIGHT), np.zeros(0, np.uint64), first_light, -1, scale)
-    records = np.concatenate(parts)
+        return CompiledLights(np.zeros(0, structs.LIGHT), np.zeros(0, np.uint64), -1, scale)
+    records, centers = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    records = records[_spatial_order(centers)]
     is_textured = records["texture"] != structs.NONE
     if not np.isfinite(records["radiance"]).all():
         raise SceneError("the colour of an emitter exceeds the range of 32-bit floats")
@@ -77,14 +80,54 @@ def compile_lights(
     cdf, records["power_pmf"] = lighting.light_power_cdf(lighting.light_power_pmf(records, bounds))
     records["radiance"][is_textured] = scale  # the kernel multiplies it by the texture
     environment_light = int(np.flatnonzero(is_environment)[0]) if is_environment.any() else -1
-    return CompiledLights(records, cdf, first_light, environment_light, scale)
+    return CompiledLights(records, cdf, environment_light, scale)
 
 
 def raise_too_dim() -> None:
     raise SceneError("the lights are too dim: scaled radiance exceeds the range of 32-bit floats")
 
 
-def _area_records(light: AreaLight, radiance: np.ndarray) -> np.ndarray:
-    analytic = light.surface.analytic
-    kind = None if analytic is None else int(analytic["kind"][0])
-    return lighting.surface_lights(kind, light.first_primitive, light.surface.areas, radiance, light.texture)
+def _area_lights(light: AreaLight, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Records (n,) of an emissive shape's lights, and their centers (n, 3)."""
+    surface = light.surface
+    if surface.analytic is not None:
+        name = kind_of_analytic(int(surface.analytic["kind"][0])).name
+        records, centers = lighting.surface_lights(name, np.zeros(1), surface.areas), surface.bounds.mean(axis=0)[None]
+    else:
+        records = _mesh_lights(surface)
+        centers = surface.vertices[surface.faces[records["primitive"]]].mean(axis=1)
+    records["primitive"] += np.uint32(light.first_primitive)
+    records["radiance"], records["texture"] = radiance, light.texture
+    return records, centers
+
+
+def _mesh_lights(surface: Surface) -> np.ndarray:
+    """Records of the lights of a mesh: parallelograms, then the other triangles."""
+    areas = surface.areas
+    first, apexes = find_parallelograms(surface.vertices, surface.faces)
+    is_single = np.ones(len(areas), bool)
+    is_single[first] = is_single[first + 1] = False
+    single = np.flatnonzero(is_single)
+    pairs = lighting.surface_lights("parallelogram", first, areas[first] + areas[first + 1])
+    pairs["apexes"] = apexes[:, 0] + 4 * apexes[:, 1]
+    return np.concatenate([pairs, lighting.surface_lights("triangle", single, areas[single])])
+
+
+def _emitter_light(emitter: dict, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The record (1,) of an emitter without surface, and its center (1, 3), not finite if it has none."""
+    record = lighting.emitter_light(emitter, value)
+    is_at_infinity = record["kind"][0] & _LIGHTS_AT_INFINITY
+    return record, np.full((1, 3), np.inf) if is_at_infinity else record["position"].astype(float)
+
+
+def _spatial_order(centers: np.ndarray) -> np.ndarray:
+    """Order of lights with centers (n, 3) along a Morton curve; those without a center last.
+
+    The inverse CDF maps stratified random numbers to lights in this order, so near numbers select near lights.
+    """
+    is_finite = np.isfinite(centers).all(axis=1)
+    finite, others = np.flatnonzero(is_finite), np.flatnonzero(~is_finite)
+    if not len(finite):
+        return others
+    corners = centers[finite].T.astype(float)
+    return np.concatenate([finite[morton_order(corners, corners)], others])

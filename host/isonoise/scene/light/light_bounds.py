@@ -133,26 +133,36 @@ def disk_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> 
 
 
 def triangle_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
-    """Bounds of emissive triangles. Their normals are the shading normals.
+    """Bounds of emissive triangles."""
+    return _mesh_bounds(scene, lights, scene.faces[lights["primitive"]], power)
 
-    Boxes and spheres are centered at the centroids, because the tight boxes of the two triangles of a rectangle are
+
+def parallelogram_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of emissive parallelograms. The corners on the diagonal are there twice; the mean is still the center."""
+    first = lights["primitive"]
+    return _mesh_bounds(scene, lights, np.hstack([scene.faces[first], scene.faces[first + 1]]), power)
+
+
+def _mesh_bounds(scene: CompiledScene, lights: np.ndarray, vertices: np.ndarray, power: np.ndarray) -> LightBounds:
+    """Bounds of flat lights with the corners `vertices` (n, k). Their normals are the shading normals.
+
+    Boxes and spheres are centered at the centroids, because the tight boxes of two triangles that form a rectangle are
     equal.
     """
-    triangles = lights["primitive"]
-    faces = scene.faces[triangles]
-    a, b, c = corners = scene.vertices[faces].astype(np.float64).transpose(1, 2, 0)
+    corners = scene.vertices[vertices].astype(np.float64).transpose(1, 2, 0)
     centroid = corners.mean(axis=0)
     half, radius = np.abs(corners - centroid).max(axis=0), np.linalg.norm(corners - centroid, axis=1).max(axis=0)
-    axis, spread = _unit(np.cross(b - a, c - a, axis=0)), np.zeros(len(triangles))
-    is_smooth = scene.shapes["flags"][scene.triangle_shape[triangles]] & structs.SHAPE_VERTEX_NORMALS != 0
+    axis, spread = _unit(np.cross(corners[1] - corners[0], corners[2] - corners[0], axis=0)), np.zeros(len(lights))
+    flags = scene.shapes["flags"][scene.triangle_shape[lights["primitive"]]]
+    is_smooth = flags & structs.SHAPE_VERTEX_NORMALS != 0
     if is_smooth.any():
-        normals = scene.vertex_normals[faces[is_smooth]].astype(np.float64).transpose(1, 2, 0)
+        normals = scene.vertex_normals[vertices[is_smooth]].astype(np.float64).transpose(1, 2, 0)
         mean_normal = _unit(normals.sum(axis=0))
         angle = np.arccos(np.clip((normals * mean_normal).sum(axis=1), -1, 1)).max(axis=0)
         axis[:, is_smooth] = mean_normal
         # within a hemisphere, interpolated normals stay in the cone around the vertex normals
         spread[is_smooth] = np.where(angle < np.pi / 2, angle + 1e-6, np.pi)
-    edge = np.full(len(triangles), np.pi / 2)
+    edge = np.full(len(lights), np.pi / 2)
     return LightBounds(centroid - half, centroid + half, axis, spread, edge, power / np.pi, radius)
 
 

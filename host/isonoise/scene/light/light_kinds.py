@@ -26,8 +26,9 @@ AREA = "area"
 class LightKind(NamedTuple):
     """A kind of light. `name` gives its names in the kernels: the bit LIGHT_<NAME>, the file light/<name>_light.h.
 
-    That file has `sample_<name>_light(scene, light, reference, u, &sample)`; of an area light's primitive other than
-    a triangle, `sample_<name>_light(scene, &shape, reference, u, &surface)`, which returns a pdf in solid angle or 0.
+    That file has `sample_<name>_light(scene, light, reference, u, &sample)`; of an analytic area light,
+    `sample_<name>_light(scene, &shape, reference, u, &surface)`, which returns a pdf in solid angle or 0; of triangles,
+    none.
     """
 
     name: str
@@ -40,7 +41,8 @@ class LightKind(NamedTuple):
     bounds: Callable[[CompiledScene, np.ndarray, np.ndarray], LightBounds]
     """Bounds of lights of this kind: scene, records (n,), their power (n,)."""
     record: Callable[[dict], Mapping[str, object]] = lambda emitter: {}  # further members of `LIGHT`
-    analytic: int | None = None  # structs.ANALYTIC_...: the primitive of an area light; None: a triangle
+    analytic: int | None = None  # structs.ANALYTIC_...: the primitive of an area light
+    triangle_count: int = 0  # of an area light: the triangles that follow each other in a mesh
     is_environment: bool = False  # emits from infinity, from all directions: a scene has at most one
     buffers: Mapping[str, str] = MappingProxyType({})  # as in `features.Feature`
     header: str = ""  # '': light/<name>_light.h
@@ -49,6 +51,11 @@ class LightKind(NamedTuple):
     def is_area(self) -> bool:
         """Whether a primitive of the scene emits."""
         return self.plugin == AREA
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether triangles of a mesh emit."""
+        return self.triangle_count > 0
 
 
 def _to_world(emitter: dict) -> np.ndarray:
@@ -78,7 +85,7 @@ def _environment_power(lights: np.ndarray, radius: float) -> float:
     return 4.0 * np.pi**2 * radius**2
 
 
-def _area(name: str, bounds: Callable, analytic: int | None = None) -> LightKind:
+def _area(name: str, bounds: Callable, analytic: int | None = None, triangle_count: int = 0) -> LightKind:
     feature, description = f"{name.upper()}_LIGHTS", f"{name} lights"
     return LightKind(
         name=name,
@@ -89,12 +96,14 @@ def _area(name: str, bounds: Callable, analytic: int | None = None) -> LightKind
         power_factor=_area_power,
         bounds=bounds,
         analytic=analytic,
+        triangle_count=triangle_count,
         header="light/area_light.h",
     )
 
 
 _ROWS = (
-    _area("triangle", light_bounds.triangle_bounds),
+    _area("triangle", light_bounds.triangle_bounds, triangle_count=1),
+    _area("parallelogram", light_bounds.parallelogram_bounds, triangle_count=2),
     _area("sphere", light_bounds.sphere_bounds, structs.ANALYTIC_SPHERE),
     _area("disk", light_bounds.disk_bounds, structs.ANALYTIC_DISK),
     _area("cylinder", light_bounds.cylinder_bounds, structs.ANALYTIC_CYLINDER),
@@ -181,6 +190,12 @@ def bits_where(condition: Callable[[LightKind], bool]) -> int:
     return light_bits(*(kind.name for kind in select(condition)))
 
 
+def kind_of_analytic(analytic: int) -> LightKind:
+    """The kind of light that an emissive analytic primitive is."""
+    (kind,) = select(lambda kind: kind.analytic == analytic)
+    return kind
+
+
 def _any_feature(condition: Callable[[LightKind], bool]) -> str:
     return any_feature(kind.feature for kind in select(condition))
 
@@ -192,7 +207,9 @@ def light_macros() -> dict[str, int | str]:
         **{f"LIGHT_{name.upper()}": light_bits(name) for name in KINDS},
         "HAS_ANALYTIC_LIGHTS": _any_feature(lambda kind: kind.analytic is not None),
         "HAS_ENVIRONMENT_LIGHT": _any_feature(lambda kind: kind.is_environment),
-        "HAS_NON_TRIANGLE_LIGHTS": _any_feature(lambda kind: kind.name != "triangle"),
+        "HAS_MESH_LIGHTS": _any_feature(lambda kind: kind.is_mesh),
+        "HAS_NON_MESH_LIGHTS": _any_feature(lambda kind: not kind.is_mesh),
+        "LIGHT_MESH": bits_where(lambda kind: kind.is_mesh),
     }
 
 

@@ -11,7 +11,7 @@ from isonoise.errors import SceneError
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light.light_bounds import LightBounds, bounding_radius
-from isonoise.scene.light.light_kinds import AREA, KIND_OF_PLUGIN, KINDS, LightKind, light_bits, select
+from isonoise.scene.light.light_kinds import AREA, KIND_OF_PLUGIN, KINDS, LightKind, light_bits
 from isonoise.scene.spectra import MITSUBA_LUMINANCE, colour_to_rgb
 
 _MAX_EXPONENT = 1000  # within float64
@@ -32,24 +32,12 @@ def radiance_scale(values: list[np.ndarray]) -> float:
     return 2.0 ** min(max(1 - math.frexp(brightest)[1], -_MAX_EXPONENT), _MAX_EXPONENT)
 
 
-def surface_lights(analytic: int | None, first: int, areas: np.ndarray, value: np.ndarray, texture: int) -> np.ndarray:
-    """Lights of an emissive shape's primitives, in their order.
-
-    Parameters
-    ----------
-    analytic : kind of the analytic primitives, None for triangles
-    first : index of the first primitive
-    areas : (n,) of the primitives
-    value : (3,) radiance
-    texture : index of the texture of the radiance, NONE
-    """
-    (kind,) = select(lambda kind: kind.is_area and kind.analytic == analytic)
+def surface_lights(kind: str, primitives: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """Lights (n,) of a kind on primitives (n,) with areas (n,), without radiance."""
     lights = np.zeros(len(areas), structs.LIGHT)
-    lights["kind"] = light_bits(kind.name)
-    lights["primitive"] = first + np.arange(len(areas))
+    lights["kind"] = light_bits(kind)
+    lights["primitive"] = primitives
     lights["area"] = areas
-    lights["radiance"] = value
-    lights["texture"] = texture
     return lights
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.light import light_kinds
 
 CHUNK_TRIANGLES = 2**17
 """Triangles processed at once: keeps the float64 temporaries of a large mesh small."""
@@ -26,11 +27,20 @@ def triangle_records(scene: CompiledScene) -> np.ndarray:
     records["bsdf"], records["flags"] = shape["bsdf"], shape["flags"]
     if len(scene.reversed_winding):
         records["flags"] |= structs.TRIANGLE_REVERSED_WINDING * scene.reversed_winding.astype(np.uint32)
-    index_in_shape = np.arange(len(records), dtype=np.uint32) - shape["first_primitive"]
-    is_emissive = shape["first_light"] != structs.NONE
-    records["light"] = np.where(is_emissive, shape["first_light"] + index_in_shape, structs.NONE)
+    records["light"] = _light_of_triangles(scene)
     records["media"] = shape["media"]
     return records
+
+
+def _light_of_triangles(scene: CompiledScene) -> np.ndarray:
+    """Index (T,) uint32 of the light that each triangle belongs to, NONE if it does not shine."""
+    light = np.full(len(scene.faces), structs.NONE, np.uint32)
+    kinds, primitive = scene.lights["kind"], scene.lights["primitive"]
+    for kind in light_kinds.select(lambda kind: kind.is_mesh):
+        index = np.flatnonzero(kinds == light_kinds.light_bits(kind.name))
+        for offset in range(kind.triangle_count):
+            light[primitive[index] + offset] = index
+    return light
 
 
 def corner_normals(scene: CompiledScene) -> np.ndarray:
