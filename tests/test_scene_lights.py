@@ -5,7 +5,6 @@ import pytest
 from records import slot
 
 from isonoise.scene import compile_scene, load, structs
-from isonoise.scene.light.alias_table import alias_tables
 from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.light.lights import light_power_cdf
 from isonoise.scene.mesh.triangle_records import triangle_records
@@ -36,21 +35,6 @@ def test_power_cdf_selects_in_proportion_to_weights(weights):
     assert np.array_equal(selected > 0, probabilities > 0)
     # sums round by half a unit of 2^-48, and no probability is below two of them
     np.testing.assert_allclose(selected, np.maximum(probabilities, 0), rtol=1e-9, atol=len(weights) * 2.0**-46)
-
-
-def test_alias_tables_of_several_rows():
-    """Different rows together; a row without weight is uniform."""
-    rng = np.random.default_rng(8)
-    weights = np.stack(
-        [rng.random(64), 10 ** rng.uniform(-30, 30, 64), np.eye(64)[63], np.ones(64), np.arange(64) % 4 // 2]
-    )
-    weights = np.concatenate([weights, np.zeros((1, 64)), weights[::-1]])
-    threshold, alias = alias_tables(weights)
-    positive = np.where(weights.any(axis=1, keepdims=True), weights, 1.0)
-    for row, expected in enumerate(positive / positive.sum(axis=1, keepdims=True)):
-        result = (threshold[row] + np.bincount(alias[row], 1.0 - threshold[row], 64)) / 64
-        np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-15)
-        assert np.all(result[expected == 0] == 0)
 
 
 def test_lights_know_their_primitives_and_primitives_their_lights():
