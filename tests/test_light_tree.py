@@ -150,6 +150,17 @@ def test_every_light_with_power_has_one_place(count, beyond):
     assert tree.parents[dark].tolist() == [structs.NONE]
 
 
+def test_children_are_in_spatial_order():
+    """Light records are along a Morton curve. On a line, so are all leaves of the tree, from left to right."""
+    places = np.random.default_rng(4).permutation(200)
+    lamps = {
+        f"lamp{i}": {"type": "point", "position": [float(x), 0, 0], "intensity": 1.0} for i, x in enumerate(places)
+    }
+    scene = compiled(floor={"type": "rectangle"}, **lamps)
+    assert (np.diff(scene.lights["position"][:, 0]) > 0).all()
+    assert _lights_below_node(build_light_tree(scene), 0) == list(range(200))
+
+
 def _lights_below_node(tree, node: int) -> list[int]:
     references = tree.nodes[node, 11].view(np.int32)
     return [

@@ -55,29 +55,32 @@ INLINE Vec3 emitted_radiance(const SceneView* scene, const Light* light, const S
 #if FEATURE_NEXT_EVENT
 #if FEATURE_SPHERE_LIGHTS
 // Samples the cone that the sphere subtends (Wang 1992; without cancellation for small cones), else uniformly its area.
+// The square is mapped to a disk (low distortion), whose squared radius is uniform like the cosines of cone and sphere.
 INLINE float sample_sphere_light(const SceneView* scene, const Analytic* sphere, Vec3 reference, Vec2 u, Surface* s)
 {
     const Vec3 arm = sub3(reference, LOAD3(0, sphere->center));
     const float distance2 = dot3(arm, arm), radius = sphere->radius;
-    float cos_alpha = 1.0f, density = 0.0f;
+    const Vec2 disk = square_to_disk(u);
+    const float r2 = MIN(dot2(disk, disk), 1.0f);
+    // of the angle at the centre between `axis` and the point sampled: its cosine, and its sine over the disk's radius
+    float cosine = 1.0f - 2.0f * r2, sine_over_r = 2.0f * SQRT(1.0f - r2), density = 0.0f;
     Vec3 axis = vec3(0.0f, 0.0f, 1.0f);
     if (samples_visible_cone(scene, sphere, distance2)) {
         const float sin2_max = radius * radius / distance2, sin_max = SQRT(sin2_max);
         const float cone = sphere_one_minus_cos(radius, distance2);
-        const float one_minus_cos = u.x * cone, sin2 = one_minus_cos * (2.0f - one_minus_cos);
-        // angle at the centre between the reference point and the point sampled
-        cos_alpha = sin2 / sin_max + (1.0f - one_minus_cos) * SQRT(MAX(1.0f - sin2 / sin2_max, 0.0f));
+        // theta: angle at the reference point
+        const float cos_theta = 1.0f - r2 * cone, sin2_over_r2 = cone * (1.0f + cos_theta), sin2 = r2 * sin2_over_r2;
+        const float root = SQRT(MAX(sin2_max - sin2, 0.0f));
+        cosine = (sin2 + cos_theta * root) / sin_max;
+        // law of sines, with the distance to the sphere in units of its radius
+        sine_over_r = SQRT(sin2_over_r2) * (1.0f - sin2_max) / (sin_max * (cos_theta + root));
         density = 0.5f * M_1_PI_F / cone;
         axis = normalize3(arm);
-    } else {
-        cos_alpha = 1.0f - 2.0f * u.x;
     }
-    cos_alpha = MIN(cos_alpha, 1.0f);
-    const float sin_alpha = SQRT(MAX(1.0f - cos_alpha * cos_alpha, 0.0f));
     Vec3 x, y;
     coordinate_system(axis, &x, &y);
-    const Vec2 azimuth = scale2(cos_sin_turns(u.y), sin_alpha);
-    sphere_surface(sphere, normalize3(weighted_sum3(azimuth.x, x, azimuth.y, y, cos_alpha, axis)), s);
+    const Vec2 across = scale2(disk, sine_over_r);
+    sphere_surface(sphere, normalize3(weighted_sum3(across.x, x, across.y, y, cosine, axis)), s);
     return density;
 }
 #endif
@@ -120,8 +123,8 @@ INLINE Surface sample_mesh_light(const SceneView* scene, const Light* light, Vec
                                              : rest);
     }
 #endif
-    const float root = SQRT(1.0f - u.x);  // uniform over the triangle: Turk, Graphics Gems, 1990
-    return triangle_surface(scene, triangle, 1.0f - root, root * u.y);
+    const Vec2 barycentric = square_to_triangle(u);
+    return triangle_surface(scene, triangle, barycentric.x, barycentric.y);
 }
 #endif
 

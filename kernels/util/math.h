@@ -123,6 +123,14 @@ INLINE Vec2 square_to_disk(Vec2 u)
     return vec2(x_is_larger ? p.x : p.y, x_is_larger ? p.y : p.x);
 }
 
+// Area-preserving map from the unit square to two barycentric coordinates of a triangle.
+// Heitz, "A Low-Distortion Map Between Triangle and Square", 2019.
+INLINE Vec2 square_to_triangle(Vec2 u)
+{
+    const float smaller = 0.5f * MIN(u.x, u.y);
+    return u.y > u.x ? vec2(smaller, u.y - smaller) : vec2(u.x - smaller, smaller);
+}
+
 // A direction around +z with density cos / pi (Malley's method).
 INLINE Vec3 square_to_hemisphere(Vec2 u)
 {

@@ -55,11 +55,16 @@ def _collapse(tree: BinaryTree, bounds: LightBounds) -> np.ndarray:
     """Children of the wide nodes as binary nodes, (n, BVH_WIDTH), -1 for unused slots; breadth-first from the root.
 
     The child that is split next is the one with the largest cost: diagonal squared, times intensity, times the paper's
-    orientation measure. A subtree whose lights fit in one node becomes one node.
+    orientation measure. A subtree whose lights fit in one node becomes one node. Children are in the order of their
+    leaves, which is that of a Morton curve: neighbours among them are neighbours in space.
     """
     light_count = np.ones(len(tree.left), np.int64)
     for begin, end in tree.rounds():
         light_count[begin:end] = light_count[tree.left[begin:end]] + light_count[tree.right[begin:end]]
+    first_leaf = np.zeros(len(tree.left), np.int64)  # number of leaves before those of a node
+    for begin, end in reversed(list(tree.rounds())):
+        left, right = tree.left[begin:end], tree.right[begin:end]
+        first_leaf[left], first_leaf[right] = first_leaf[begin:end], first_leaf[begin:end] + light_count[left]
     spread, total_angle = bounds.spread, np.minimum(bounds.spread + bounds.edge, np.pi)
     sine = np.sin(spread)
     orientation = 0.5 * np.pi * (2 * total_angle * sine - np.cos(spread - 2 * total_angle) - 2 * spread * sine)
@@ -78,6 +83,8 @@ def _collapse(tree: BinaryTree, bounds: LightBounds) -> np.ndarray:
             split = slots[rows, best[rows]]
             # a row that splits now has split in every earlier round, so its next free slot is `used`
             slots[rows, best[rows]], slots[rows, used] = tree.left[split], tree.right[split]
+        order = np.where(slots >= 0, first_leaf[slots], len(light_count)).argsort(axis=1, kind="stable")
+        slots = np.take_along_axis(slots, order, axis=1)
         levels.append(slots)
         nodes = slots[(slots >= 0) & (light_count[slots] > 1)]
     return np.concatenate(levels)
