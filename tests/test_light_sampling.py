@@ -44,7 +44,7 @@ SceneView scene({GEOMETRY})
 }}
 
 __kernel void sample({GEOMETRY},
-                     __global const ulong* cdf, uint count, __global const float* reference, __global const float* u,
+                     __global const float* cdf, uint count, __global const float* reference, __global const float* u,
                      __global float* out, uint n)
 {{
     const uint i = get_global_id(0);

@@ -63,7 +63,7 @@ typedef struct {
     __global const Shape* shapes;
     __global const Bsdf* bsdfs;
     __global const Light* lights;
-    __global const ulong* light_cdf;
+    __global const float* light_cdf;  // two floats a light: light/light.h
     uint light_count, environment_light;
     uint2 seed;
 #if HAS_ROUGH_TRANSMITTANCE

@@ -32,33 +32,71 @@ typedef struct {
 } LightSelection;
 
 #if FEATURE_MANY_LIGHTS && !HAS_LIGHT_IMPORTANCE
-// Inversion of the discrete CDF of the lights' powers, `light_cdf`: in units of 2^-48, without the sum of all.
-INLINE LightSelection select_light_by_power(const SceneView* scene, float u, float u_low)
+// What is left of the random number u + 2^-24 u_low beyond the sum of the powers of the lights before this one, which
+// `light_cdf` has in the same form. Its sign is exact.
+INLINE float light_cdf_remainder(const SceneView* scene, uint light, float u, float u_low)
 {
-    const ulong number = (ulong)(u * 0x1p24f) << 24 | (ulong)(u_low * 0x1p24f);
-    __global const ulong* cdf = scene->light_cdf;
-    uint light = 0u, end = scene->light_count;
-    while (end - light > 1u) {
-        const uint middle = light + (end - light) / 2u;
-        const bool is_above = cdf[middle] <= number;
-        light = is_above ? middle : light;
-        end = is_above ? end : middle;
-    }
-    const ulong upper = end < scene->light_count ? cdf[end] : 1ul << 48;
+    __global const float* cdf = scene->light_cdf + 2 * (int)light;
+    return (u - cdf[0]) + 0x1p-24f * (u_low - cdf[1]);
+}
+
+// A step of the search for the last light with a remainder that is not negative: moves on by `step` lights if it can.
+INLINE uint advance_cdf_light(const SceneView* scene, uint light, uint step, float u, float u_low)
+{
+    const uint next = MIN(light + step, scene->light_count - 1u);
+    return light + step == next && light_cdf_remainder(scene, next, u, u_low) >= 0.0f ? next : light;
+}
+
+// The first step of that search: the largest power of two below the number of lights.
+INLINE uint first_cdf_step(const SceneView* scene)
+{
+    uint step = 1u;
+    while (2u * step < scene->light_count) step *= 2u;
+    return step;
+}
+
+INLINE LightSelection selection_by_power(const SceneView* scene, uint light, float u, float u_low)
+{
     LightSelection selected;
     selected.light = light;
     selected.probability = Light_at(scene->lights, light).power_pmf;
-    selected.u = MIN((float)(number - cdf[light]) / (float)(upper - cdf[light]), 0x1.fffffep-1f);
+    selected.u = MIN(light_cdf_remainder(scene, light, u, u_low) / selected.probability, 0x1.fffffep-1f);
     return selected;
 }
+
+#if LANES > 1
+// `select_light` for the first `count` lanes. Arrays of LANES floats per member: `random` (u, which receives the
+// rescaled number, and u_low); `selections` receives light and probability.
+INLINE void select_lights_by_power(const SceneView* scene, float* random, float* selections, uint count)
+{
+    FOR_LANES(k, count) store_lane(as_float(0u), selections, 0u, k);
+    for (uint step = first_cdf_step(scene); step > 0u; step /= 2u) {
+        FOR_LANES(k, count) {
+            const uint light = as_uint(load_lane(selections, 0u, k));
+            const uint advanced =
+                advance_cdf_light(scene, light, step, load_lane(random, 0u, k), load_lane(random, 1u, k));
+            store_lane(as_float(advanced), selections, 0u, k);
+        }
+    }
+    FOR_LANES(k, count) {
+        const LightSelection selected = selection_by_power(scene, as_uint(load_lane(selections, 0u, k)),
+                                                           load_lane(random, 0u, k), load_lane(random, 1u, k));
+        store_lane(selected.probability, selections, 1u, k);
+        store_lane(selected.u, random, 0u, k);
+    }
+}
+#endif
 #endif
 
-#if LANES == 1 || (FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_LIST)  // with a list, lanes select together
+#if LANES == 1 || (FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST)  // else lanes select together
 // Selects a light for a point and its normal (`light_sampling_normal`), by the random number u + 2^-24 u_low.
 INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 normal, float u, float u_low)
 {
 #if FEATURE_MANY_LIGHTS && !HAS_LIGHT_IMPORTANCE
-    return select_light_by_power(scene, u, u_low);
+    uint light = 0u;
+    for (uint step = first_cdf_step(scene); step > 0u; step /= 2u)
+        light = advance_cdf_light(scene, light, step, u, u_low);
+    return selection_by_power(scene, light, u, u_low);
 #else
     LightSelection selected = {0u, 1.0f, u};
 #if FEATURE_LIGHT_LIST

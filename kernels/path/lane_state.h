@@ -177,7 +177,7 @@ INLINE BsdfContext load_bsdf_context_lane(const SceneView* scene, uint kind, Vec
 }
 
 #if FEATURE_NEXT_EVENT
-#if FEATURE_MANY_LIGHTS && !FEATURE_LIGHT_LIST
+#if FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST
 INLINE void store_light_selection_lane(LightSelection selection, float* lane_state, size_t lane)
 {
     store_lane_uint(selection.light, lane_state, LANE_SELECTED_LIGHT, lane);

@@ -35,22 +35,23 @@ INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* l
                             lane_state + LANE_MIS_NORMAL * LANES, lane_state + LANE_LIGHT_U * LANES,
                             lane_state + LANE_SELECTED_LIGHT * LANES, hits->count);
 }
-#elif FEATURE_MANY_LIGHTS
+#elif FEATURE_LIGHT_TREE
 INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
     for (uint k = 0u; k < hits->count; ++k) {
         LightSelection selection = {0u, 0.0f, 0.0f};
-        if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k)) {
-            Vec4 normal = vec4(0.0f, 0.0f, 0.0f, 0.0f);
-#if HAS_LIGHT_IMPORTANCE
-            normal = load_lane4(lane_state, LANE_MIS_NORMAL, k);
-#endif
-            selection =
-                select_light(scene, load_lane3(lane_state, LANE_POSITION, k), normal,
-                             load_lane(lane_state, LANE_LIGHT_U, k), load_lane(lane_state, LANE_LIGHT_U_LOW, k));
-        }
+        if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k))
+            selection = select_light(scene, load_lane3(lane_state, LANE_POSITION, k),
+                                     load_lane4(lane_state, LANE_MIS_NORMAL, k), load_lane(lane_state, LANE_LIGHT_U, k),
+                                     load_lane(lane_state, LANE_LIGHT_U_LOW, k));
         store_light_selection_lane(selection, lane_state, k);
     }
+}
+#elif FEATURE_MANY_LIGHTS
+INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)
+{
+    select_lights_by_power(scene, lane_state + LANE_LIGHT_U * LANES, lane_state + LANE_SELECTED_LIGHT * LANES,
+                           hits->count);
 }
 #endif
 

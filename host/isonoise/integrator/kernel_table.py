@@ -96,7 +96,6 @@ ELEMENT_TYPES = {
     "bsdfs": "Bsdf",
     "textures": "Texture",
     "lights": "Light",
-    "light_cdf": "ulong",
     "light_bounds": "LightBound",
     "environment": "Environment",
     "media": "Medium",

@@ -37,7 +37,7 @@ class CompiledLights:
     """All lights of a scene, neighbours in space next to each other; those at infinity last."""
 
     records: np.ndarray  # (L,) structs.LIGHT
-    cdf: np.ndarray  # (L,) uint64, CompiledScene.light_cdf
+    cdf: np.ndarray  # (L, 2), CompiledScene.light_cdf
     environment_light: int  # index of the constant or environment-map light, -1 if there is none
     radiance_scale: float
 
@@ -68,7 +68,7 @@ def compile_lights(
     parts = [_area_lights(light, value * scale) for light, value in zip(area_lights, area_values, strict=True)]
     parts += [_emitter_light(e, value * scale) for e, value in zip(emitters, values, strict=True)]
     if not parts:
-        return CompiledLights(np.zeros(0, structs.LIGHT), np.zeros(0, np.uint64), -1, scale)
+        return CompiledLights(np.zeros(0, structs.LIGHT), np.zeros((0, 2), np.float32), -1, scale)
     records, centers = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     records = records[_spatial_order(centers)]
     is_textured = records["texture"] != structs.NONE

@@ -84,14 +84,15 @@ def light_power_cdf(pmf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    cdf : (l,) uint64, the sums of the probabilities before each light in units of 2^-48
+    cdf : (l, 2) float32, a and b below 2^24 over 2^24: a + 2^-24 b is the sum of the probabilities before each light
     pmf : (l,) float64; above 0 where the argument is
     """
     raised = np.where(pmf > 0, np.maximum(pmf, 2.0 / _CDF_UNITS), 0.0)  # at least one unit after rounding
     bounds = np.rint(np.cumsum(raised) * (_CDF_UNITS / raised.sum())).astype(np.uint64)
     bounds[np.flatnonzero(pmf)[-1] :] = _CDF_UNITS
     cdf = np.append(np.uint64(0), bounds[:-1])
-    return cdf, (bounds - cdf) / _CDF_UNITS
+    high_and_low = np.stack([cdf >> np.uint64(24), cdf & np.uint64(2**24 - 1)], axis=1)
+    return (high_and_low * 2.0**-24).astype(np.float32), (bounds - cdf) / _CDF_UNITS
 
 
 def compute_light_bounds(scene: CompiledScene, lights: np.ndarray) -> LightBounds:
