@@ -123,20 +123,17 @@ INLINE float microfacet_pdf(const MicrofacetDistribution* d, Vec3 w, Vec3 m, flo
     return density * (d->sample_all ? m.z : smith_g1_over_cos(d, w) * dot3(w, m));
 }
 
-// E. Heitz, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
+// The normals seen from v, where the surface is stretched to roughness 1, are halfway between v and the directions of a
+// spherical cap with uniform density. J. Dupuy and A. Benyoub, "Sampling Visible GGX Normals with Spherical Caps",
+// Computer Graphics Forum 42(8), 2023; the cap by a concentric map, written without cancellation at its edge.
 INLINE Vec3 sample_visible_ggx(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
 {
     const Vec3 v = normalize3(vec3(d->alpha_u * w.x, d->alpha_v * w.y, w.z));
-    const float sin2 = v.x * v.x + v.y * v.y, inverse = sin2 > 1e-30f ? 1.0f / SQRT(sin2) : 0.0f;
-    const float cos_phi = sin2 > 1e-30f ? v.x * inverse : 1.0f, sin_phi = v.y * inverse;
-    Vec2 p = square_to_disk(u);
-    const float s = 0.5f * (1.0f + v.z);
-    p.y = (1.0f - s) * SQRT(MAX(1.0f - p.x * p.x, 0.0f)) + s * p.y;
-    const float z = SQRT(MAX(1.0f - dot2(p, p), 0.0f));
-    const float along = z * sin2 * inverse - p.y * v.z;  // component in the plane of v and the normal
-    const float up = z * v.z + p.y * sin2 * inverse;
-    return normalize3(vec3(d->alpha_u * (along * cos_phi - p.x * sin_phi),
-                           d->alpha_v * (along * sin_phi + p.x * cos_phi), MAX(up, 0.0f)));
+    const Vec2 p = square_to_disk(u);
+    // r^2 of the disk is (1 - z) / (1 + v.z) of the cap: 1 at its edge, where z = -v.z
+    const float height = 1.0f + v.z, to_edge = MAX(1.0f - dot2(p, p), 0x1p-26f);
+    const float scale = SQRT(v.x * v.x + v.y * v.y + height * height * to_edge);
+    return normalize3(vec3(d->alpha_u * (p.x * scale + v.x), d->alpha_v * (p.y * scale + v.y), height * to_edge));
 }
 
 #if FEATURE_BECKMANN
@@ -177,15 +174,18 @@ INLINE Vec3 sample_visible_beckmann(const MicrofacetDistribution* d, Vec3 w, Vec
 #endif
 
 #if FEATURE_SAMPLE_ALL_NORMALS
-// Samples with density D(m) cos m: slopes of a surface of roughness 1, stretched.
+// Samples with density D(m) cos m: slopes of a surface of roughness 1, stretched. r^2 of the disk is the distribution
+// function of the squared slope.
 INLINE Vec3 sample_all_microfacets(const MicrofacetDistribution* d, Vec2 u)
 {
-    float tan2 = u.x / (1.0f - u.x);
+    const Vec2 p = square_to_disk(u);
+    const float r2 = dot2(p, p), to_edge = MAX(1.0f - r2, 0x1p-26f);
+    float square = 1.0f / to_edge;  // (slope / r)^2
 #if FEATURE_BECKMANN
-    if (!d->is_ggx) tan2 = -log_approx(1.0f - u.x);
+    if (!d->is_ggx) square = r2 > 0x1p-20f ? -log_approx(to_edge) / r2 : 1.0f;
 #endif
-    const Vec2 slope = scale2(cos_sin_turns(u.y), SQRT(tan2));
-    return normalize3(vec3(d->alpha_u * slope.x, d->alpha_v * slope.y, 1.0f));
+    const float scale = SQRT(square);
+    return normalize3(vec3(d->alpha_u * p.x * scale, d->alpha_v * p.y * scale, 1.0f));
 }
 #endif
 

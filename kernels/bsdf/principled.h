@@ -97,13 +97,14 @@ INLINE float gtr1_d(float alpha2, Vec3 m)
     return (alpha2 - 1.0f) / (M_PI_F * log_approx(alpha2) * (m.x * m.x + m.y * m.y + alpha2 * m.z * m.z));
 }
 
+// 1 - r^2 of the disk is the exponent of alpha^2 in alpha^2 + (1 - alpha^2) sin^2.
 INLINE Vec3 sample_gtr1(float alpha2, Vec2 u)
 {
-    const float power = exp_approx((1.0f - u.y) * log_approx(alpha2)),
-                scale = 1.0f / (1.0f - alpha2);  // alpha^2(1 - u)
-    const float radius = SQRT(MAX(power - alpha2, 0.0f) * scale), z = SQRT(MAX(1.0f - power, 0.0f) * scale);
-    const Vec2 p = scale2(cos_sin_turns(u.x), radius);
-    return vec3(p.x, p.y, z);
+    const Vec2 p = square_to_disk(u);
+    const float r2 = MIN(dot2(p, p), 1.0f), scale = 1.0f / (1.0f - alpha2);
+    const float power = exp_approx((1.0f - r2) * log_approx(alpha2));
+    const float stretch = SQRT(MAX(power - alpha2, 0.0f) * scale / MAX(r2, 1e-20f));
+    return vec3_from(scale2(p, stretch), SQRT(MAX(1.0f - power, 0.0f) * scale));
 }
 
 // Diffuse, retro-reflection, flattened subsurface scattering and sheen, over the cosine.

@@ -21,8 +21,7 @@ INLINE Vec3 environment_radiance(const SceneView* scene, const Light* sky, Vec3 
 INLINE void sample_constant_light(const SceneView* scene, const Light* light, Vec3 reference, Vec2 u,
                                   LightSample* sample)
 {
-    const float z = 1.0f - 2.0f * u.x, r = 2.0f * SQRT(MAX(u.x * (1.0f - u.x), 0.0f));
-    sample->direction = vec3_from(scale2(cos_sin_turns(u.y), r), z);
+    sample->direction = square_to_sphere(u);
     sample->pdf *= 0.25f * M_1_PI_F;
     sample->is_infinite = true;
 }

@@ -32,15 +32,20 @@ INLINE Vec3 hg_eval(const BsdfContext* ctx, Vec3 wo, float* pdf)
 #endif
 
 // Inverse of the cosine's distribution function: 1 - cos = 2 (1 - u) (1 + |g| u) ((1 - |g|) / (1 - |g| + 2 |g| u))^2.
+// u and the azimuth are those of a uniform direction, u = (1 + z) / 2, so that the map distorts little at both ends.
 INLINE BsdfSample hg_sample(const BsdfContext* ctx, Vec3 u)
 {
     const float narrow = abs_float(hg_g(ctx)), wide = 1.0f - narrow;
-    const float ratio = wide / (wide + 2.0f * narrow * u.y);
-    const float one_minus_cos = 2.0f * (1.0f - u.y) * (1.0f + narrow * u.y) * ratio * ratio;
+    const SpherePoint uniform_point = square_to_sphere_point(vec2(u.y, u.z));
+    const float nearer = 0.5f * uniform_point.one_minus_z;
+    const float below = uniform_point.is_upper ? 1.0f - nearer : nearer;
+    const float above = uniform_point.is_upper ? nearer : 1.0f - nearer;
+    const float ratio = wide / (wide + 2.0f * narrow * below);
+    const float one_minus_cos = 2.0f * above * (1.0f + narrow * below) * ratio * ratio;
     const Vec3 axis = phase_axis(ctx);
     Vec3 x, y;
     coordinate_system(axis, &x, &y);
-    const Vec2 azimuth = scale2(cos_sin_turns(u.z), SQRT(MAX(one_minus_cos * (2.0f - one_minus_cos), 0.0f)));
+    const Vec2 azimuth = scale2(uniform_point.azimuth, SQRT(MAX(one_minus_cos * (2.0f - one_minus_cos), 0.0f)));
     BsdfSample sample = empty_bsdf_sample();
     sample.direction = normalize3(weighted_sum3(azimuth.x, x, azimuth.y, y, 1.0f - one_minus_cos, axis));
     sample.weight = splat3(1.0f);

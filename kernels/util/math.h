@@ -138,6 +138,34 @@ INLINE Vec3 square_to_hemisphere(Vec2 u)
     return vec3(disk.x, disk.y, SQRT(MAX(1.0f - dot2(disk, disk), 0.0f)));
 }
 
+// A direction on the sphere in a form that keeps precision near both poles.
+typedef struct {
+    Vec2 azimuth;       // unit vector
+    float one_minus_z;  // of |z|
+    bool is_upper;      // z > 0
+} SpherePoint;
+
+// Area-preserving map from the unit square to the unit sphere, by an octahedron whose lower half is unfolded around the
+// upper one. Clarberg, "Fast Equal-Area Mapping of the (Hemi)Sphere using SIMD", Journal of Graphics Tools 13(3), 2008.
+INLINE SpherePoint square_to_sphere_point(Vec2 u)
+{
+    const float x = 2.0f * u.x - 1.0f, y = 2.0f * u.y - 1.0f, ax = abs_float(x), ay = abs_float(y);
+    const float to_equator = 1.0f - (ax + ay), r = 1.0f - abs_float(to_equator);
+    const Vec2 p = cos_sin_small(r > 0.0f ? M_PI_4_F * ((ay - ax) / r) : 0.0f);  // from the diagonal of the quadrant
+    SpherePoint point;
+    point.azimuth = vec2(copy_sign(M_SQRT1_2_F * (p.x - p.y), x), copy_sign(M_SQRT1_2_F * (p.x + p.y), y));
+    point.one_minus_z = r * r;
+    point.is_upper = to_equator >= 0.0f;
+    return point;
+}
+
+INLINE Vec3 square_to_sphere(Vec2 u)
+{
+    const SpherePoint p = square_to_sphere_point(u);
+    const float z = 1.0f - p.one_minus_z, sine = SQRT(p.one_minus_z * (1.0f + z));
+    return vec3_from(scale2(p.azimuth, sine), p.is_upper ? z : -z);
+}
+
 // Rotates a direction given relative to +z so that it is relative to `n`.
 INLINE Vec3 rotate_to_normal(Vec3 n, Vec3 local_direction)
 {
