@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from synthetic_statistics import make_statistics, statistics_of_samples
 
+from isonoise.error.shrinkage import relative_errors
 from isonoise.error.stated_error import half_width_95, relative_standard_error, stated_error
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
@@ -163,6 +164,45 @@ def test_a_noiseless_background_beside_noise():
     assert stated[1:] == pytest.approx(true_quantiles(s, r)[1:], rel=0.05)
 
 
+@pytest.mark.parametrize("shape", [(128, 128), (127, 131), (3, 97), (101, 2), (1, 64), (256, 33)])
+@pytest.mark.parametrize("edge", [0, 1, 5, 8])
+@pytest.mark.parametrize("n", [16, 64])
+def test_a_bright_lamp_in_a_dark_room(shape, edge, n):
+    """Relative noise of 0.5 to 1, and a noiseless lamp 200 times as bright that covers 90 % of the pixels at its edge.
+
+    No error may be far above the true ones, wherever the edge lies in the groups of 2x2 to 16x16 pixels.
+    """
+    rng = np.random.default_rng(55)
+    y, x = np.indices(shape)
+    lamp = (y % 32 >= 10 + edge) & (y % 32 < 16 + edge) & (x % 48 >= 16 - edge) & (x % 48 < 32)
+    border = lamp & ((y % 32 == 10 + edge) | (x % 48 == 16 - edge))
+    hits = rng.random((n, *shape)) < np.where(border, 0.9, lamp)
+    gamma = rng.gamma(1.5, 1 / 1.5, size=(n, *shape))
+    s = statistics_of_samples(np.where(hits, 20.0, 0.1 * gamma))
+    p = np.where(border, 0.9, lamp)
+    r = 20 * p + 0.1 * (1 - p)
+    sigma = np.sqrt(p * 400 + (1 - p) * 0.01 * (1 + 1 / 1.5) - r * r) / r / np.sqrt(n)
+    z = rng.normal(size=(200, *shape))
+    expected = np.quantile(np.abs(z) * sigma, QUANTILES)
+    stated = stated_error(s, QUANTILES)
+    assert stated == pytest.approx(expected, rel=0.15 if s.count.size > 4000 else 0.35)
+    largest = np.sqrt(relative_errors(s, slice(None), image_floor(s.mean))[0].max())
+    assert largest < 6 * sigma.max()
+
+
+def test_extreme_brightness_stays_finite():
+    rng = np.random.default_rng(56)
+    x = rng.exponential(size=(4, 70, 70)) * 10.0 ** rng.uniform(-30, 30, size=(70, 70))
+    s = statistics_of_samples(x)
+    for count in (4, 2**32 - 1):
+        s = replace(s, count=np.full(s.shape, count, np.uint32))
+        with np.errstate(all="raise", under="ignore"):
+            stated = stated_error(s, QUANTILES)
+            half_width = half_width_95(s)
+        assert np.isfinite(stated).all()
+        assert np.isfinite(half_width).all()
+
+
 def test_varying_counts():
     rng = np.random.default_rng(60)
     sigma = 0.1 * np.exp(0.5 * smooth_field(rng, 256, 8))
@@ -174,12 +214,16 @@ def test_varying_counts():
 
 @pytest.mark.parametrize("d", [0.1, 1.7])
 def test_the_design_effect_scales_the_error(d):
-    """Normal samples of equal variance: every error is sqrt(d) times that of independent samples."""
-    s = statistics_of_samples(1 + 0.1 * np.random.default_rng(90).normal(size=(16, 130, 67)))
-    correlated = replace(s, design_effect=np.full(s.shape, d))
-    assert stated_error(correlated, QUANTILES) == pytest.approx(np.sqrt(d) * stated_error(s, QUANTILES), rel=0.02)
-    assert half_width_95(correlated) == pytest.approx(np.sqrt(d) * half_width_95(s))
-    assert relative_standard_error(correlated, 0.1) == pytest.approx(np.sqrt(d) * relative_standard_error(s, 0.1))
+    """Normal means of the variance d s^2 / n: every error is sqrt(d) times that of independent samples."""
+    rng = np.random.default_rng(90)
+    mean = 1 + 0.1 * np.sqrt(d / 16) * rng.normal(size=(130, 197))
+    variance = 0.01 * rng.chisquare(15, size=mean.shape) / 15
+    s = make_statistics(16, mean, variance, design_effect=np.full(mean.shape, d))
+    assert stated_error(s, QUANTILES) == pytest.approx(0.025 * np.sqrt(d) * HALF_NORMAL, rel=0.05)
+    covered = np.mean(np.abs(mean - 1) <= half_width_95(s))
+    assert abs(covered - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / mean.size)  # false alarms: 7e-6
+    independent = replace(s, design_effect=None)
+    assert relative_standard_error(s, 0.1) == pytest.approx(np.sqrt(d) * relative_standard_error(independent, 0.1))
 
 
 def test_relative_standard_error_is_plain():
@@ -190,33 +234,33 @@ def test_relative_standard_error_is_plain():
     assert relative_standard_error(s, 0.0)[0, 2] == 0.0
 
 
-def test_half_width_is_students_t():
-    """Quantiles 0.975 from scipy.stats.t.ppf."""
-    quantiles = {
-        2: 12.706204736174694,
-        3: 4.302652729749462,
-        5: 2.7764451051977987,
-        8: 2.3646242515927844,
-        10: 2.2621571627409915,
-        11: 2.2281388519649385,
-        13: 2.178812829663418,
-        17: 2.1199052992210112,
-        31: 2.0422724563012373,
-        101: 1.983971518523551,
-        10001: 1.9602012636213575,
-        4294967295: 1.959963985094,
-    }
-    s = make_statistics([list(quantiles)], np.ones((1, len(quantiles))), 9.0)
-    expected = [3 / np.sqrt(n) * t for n, t in quantiles.items()]
-    assert half_width_95(s)[0] == pytest.approx(expected, rel=5e-6)
+def test_half_width_of_equal_variances():
+    """1.96 standard errors; the variance is the same everywhere, so that pooling it changes nothing."""
+    count = np.array([[2, 3, 5, 16, 10001, 2**32 - 1]])
+    half_width = half_width_95(make_statistics(count, np.ones(count.shape), 9.0))
+    assert half_width == pytest.approx(1.959964 * 3 / np.sqrt(count), rel=1e-5)
+    black = make_statistics(16, np.zeros((3, 3)), 0.0)
+    assert (half_width_95(black) == 0).all()
     assert np.isposinf(half_width_95(make_statistics([[0, 1]], [[0.0, 1.0]], 0.0))).all()
+
+
+@pytest.mark.parametrize("n", [16, 64])
+def test_half_widths_know_the_neighbours_outliers(n):
+    """One sample in 100 has all the light: intervals of the pixel's own variance cover 15 % (n = 16) or 47 %."""
+    x = np.where(np.random.default_rng(75 + n).random((n, 256, 256)) < 0.01, 100.0, 0.0)
+    s = statistics_of_samples(x)
+    own = np.sqrt(s.variance_of_mean()) * 1.96
+    assert np.mean(np.abs(s.mean - 1) <= own) < 0.5
+    assert np.mean(np.abs(s.mean - 1) <= half_width_95(s)) > 0.9
 
 
 @pytest.mark.parametrize("n", [2, 4, 16])
 def test_half_width_covers_95_percent(n):
+    """For n = 2 up to 0.5 % more: an estimate of a true share of 0 is above 0, which lowers the degrees of freedom."""
     s = statistics_of_samples(5 + np.random.default_rng(70 + n).normal(size=(n, 300, 300)))
     covered = np.mean(np.abs(s.mean - 5) <= half_width_95(s))
-    assert abs(covered - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 90_000)  # false alarms: 7e-6
+    sampling = 4.5 * np.sqrt(0.95 * 0.05 / 90_000)  # false alarms: 7e-6
+    assert 0.95 - sampling < covered < 0.95 + sampling + (0.005 if n == 2 else 0)
 
 
 def test_the_arrangement_of_counts_does_not_matter():
