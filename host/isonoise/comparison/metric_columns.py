@@ -1,7 +1,7 @@
 """Columns of a comparison's tables: the figure of summary.json, its format and its meaning."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from isonoise.tables import Cell, Column
 
@@ -54,6 +54,26 @@ def _value(*keys: str, form: Callable[[float | None], str] = format_number) -> M
     return cell
 
 
+def _interval(*keys: str, form: Callable[[float | None], str] = format_number) -> MakeCell:
+    """Cell of a number with its interval."""
+
+    def cell(row: Mapping, scene: Mapping) -> Cell:
+        interval = _lookup(row, *keys)
+        return Cell(form(interval["value"]), _format_interval(interval, form), interval["value"])
+
+    return cell
+
+
+def _with_range(value: MakeCell, *keys: str, form: Callable[[float | None], str]) -> MakeCell:
+    """The cell of `value`, its detail replaced by the lowest and highest value of the waves at `keys` of a row."""
+
+    def cell(row: Mapping, scene: Mapping) -> Cell:
+        low, high = (_lookup(row, *keys[:-1], keys[-1] + end) for end in ("lowest", "highest"))
+        return replace(value(row, scene), detail="" if low is None else f"({form(low)}{DASH}{form(high)})")
+
+    return cell
+
+
 def _ratio(*keys: str) -> MakeCell:
     """Cell of a ratio to the baseline with its interval; smaller is better."""
 
@@ -66,10 +86,10 @@ def _ratio(*keys: str) -> MakeCell:
     return cell
 
 
-def _format_interval(ratio: Mapping) -> str:
+def _format_interval(ratio: Mapping, form: Callable[[float | None], str] = format_ratio) -> str:
     if ratio["low"] is None or ratio["high"] is None or ratio["low"] == ratio["high"]:
         return ""
-    return f"({format_ratio(ratio['low'])}{DASH}{format_ratio(ratio['high'])})"
+    return f"({form(ratio['low'])}{DASH}{form(ratio['high'])})"
 
 
 def _tone(ratio: Mapping) -> str:
@@ -111,12 +131,17 @@ SCENE_COLUMNS = (
     _metric(
         "RMS p50",
         "median over the pixels of the RMS over the seeds of (x - r) / max(r, floor), where x is the luminance of the "
-        "image, r that of the reference, and the floor 1 % of the reference's log-average luminance. The error of the "
-        "reference is included",
+        "image, r that of the reference, and the floor 1 % of the reference's log-average luminance. The reference's own "
+        "error is removed by simulation extrapolation, here and in all figures below that do not say otherwise",
         _value("rms", "p50", form=format_percent),
     ),
     _metric("RMS p95", "the same, 95 % quantile", _value("rms", "p95", form=format_percent)),
-    _metric("RMS p99", "the same, 99 % quantile: the worst pixels", _value("rms", "p99", form=format_percent), True),
+    _metric(
+        "RMS p99",
+        "the same, 99 % quantile: the worst pixels, with its 95 % interval (jackknife over the seeds)",
+        _interval("rms_p99", form=format_percent),
+        True,
+    ),
     _metric(
         "RMS p99 ratio",
         "RMS p99 over the baseline's, with its 95 % interval (jackknife over the seeds, paired)",
@@ -130,8 +155,18 @@ SCENE_COLUMNS = (
         _uniformity,
         True,
     ),
-    _metric("relMSE", "mean of (x - r)² / (r² + 0.01) over pixels, RGB and seeds", _value("rel_mse"), True),
-    _metric("trimmed relMSE", "the same without the worst 0.1 % of each image's pixels", _value("rel_mse_trimmed")),
+    _metric(
+        "relMSE",
+        "mean of (x - r)² / (r² + 0.01) over pixels, RGB and seeds, less that of the reference's standard errors; with "
+        "its 95 % interval (jackknife over the seeds)",
+        _interval("rel_mse"),
+        True,
+    ),
+    _metric(
+        "trimmed relMSE",
+        "the same without the worst 0.1 % of each image's pixels; the reference's error is included",
+        _value("rel_mse_trimmed"),
+    ),
     _metric(
         "relMSE ratio",
         "relMSE over the baseline's, with its 95 % interval (geometric mean over the seeds, paired)",
@@ -147,20 +182,25 @@ SCENE_COLUMNS = (
     ),
     _metric(
         "bias z",
-        "mean of (x - r) / max(r, floor) over pixels and seeds, over its standard error, which includes the "
-        "reference's. Marked if significant at 5 % by Student's t; without any bias one in twenty is marked",
+        "mean of (x - r) / max(m, floor) over pixels and seeds, over its standard error, which includes the "
+        "reference's; m is the mean of r over the pixel's 24 neighbours, because a denominator with the pixel's own "
+        "noise would make unbiased images too bright. Marked if significant at 5 % by Student's t; without any bias "
+        "one in twenty is marked",
         _bias,
         True,
     ),
     _metric(
         "coverage",
-        "share of the pixels whose stated 95 % interval contains the reference",
+        "share of the pixels with |x - r| <= sqrt(h² + (1.96 se)²), h half the width of the stated 95 % interval, se the "
+        "standard error of the reference",
         _value("coverage", form=_format_coverage),
+        True,
     ),
     _metric(
         "stated/true",
-        "stated error at p99 over the true error, geometric mean over the seeds. Below 1 the stated error is too small",
-        _value("stated_over_true", "p99", form=format_ratio),
+        "stated error at p99 over the true error, geometric mean over the seeds, with its 95 % interval. Below 1 the "
+        "stated error is too small",
+        _interval("stated_over_true", "p99", form=format_ratio),
         True,
     ),
 )
@@ -174,7 +214,8 @@ SINGLE_IMAGE_COLUMNS = (
     ),
     _metric(
         "true p50",
-        "median over the pixels of |x - r| / max(r, floor) in a single image, mean over the seeds",
+        "median over the pixels of |x - r| / max(r, floor) in a single image, without the reference's own error, mean "
+        "over the seeds",
         _value("true", "p50", form=format_percent),
     ),
     _metric("stated p95", "the same, 95 % quantile", _value("stated", "p95", form=format_percent)),
@@ -187,21 +228,34 @@ SINGLE_IMAGE_COLUMNS = (
         "misses or dilutes fireflies has smaller quantiles and a darker image",
         _ratio("true_p99_ratio"),
     ),
-    _metric("true max", "error of the worst pixel", _value("true", "max", form=format_percent)),
+    *(
+        _metric(
+            f"stated/true {quantile}",
+            f"stated over true error at {quantile}, geometric mean over the seeds; in brackets the lowest and highest "
+            "value of all waves after the first",
+            _with_range(
+                _interval("stated_over_true", quantile, form=format_ratio),
+                *("stated_over_true", quantile, ""),
+                form=format_ratio,
+            ),
+        )
+        for quantile in ("p50", "p95", "p99")
+    ),
+    _metric(
+        "coverage of the waves",
+        "as above; in brackets the lowest and highest value of all waves after the first",
+        _with_range(_value("coverage", form=_format_coverage), "coverage_", form=_format_coverage),
+    ),
+    _metric("true max", "error of the worst pixel; the reference's error is included", _value("true", "max", form=format_percent)),
     _metric(
         "relMSE, floor²",
-        "mean of (x - r)² / (r² + floor²): relMSE without an absolute constant",
+        "mean of (x - r)² / (r² + floor²): relMSE without an absolute constant; the reference's error is included",
         _value("rel_mse_floor"),
     ),
     _metric(
         "trimmed, floor²",
         "the same without the worst 0.1 % of each image's pixels",
         _value("rel_mse_floor_trimmed"),
-    ),
-    _metric(
-        "corrected RMS p99",
-        "RMS p99 without the reference's error: 99 % quantile of sqrt(max(RMS² - se², 0))",
-        _value("rms_corrected", "p99", form=format_percent),
     ),
     _metric("set-up s", "seconds before the first sample: load, build, compile", _value("setup_s")),
 )

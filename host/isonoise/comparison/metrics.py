@@ -101,48 +101,42 @@ def jackknife(value: float, leave_one_out: Sequence[float]) -> Estimate:
     return Estimate(float(value), math.sqrt((count - 1) * leave_one_out.var()), count - 1)
 
 
+def leave_one_out_means(values: np.ndarray) -> np.ndarray:
+    """Means without each value; empty for fewer than two values."""
+    return (values.sum() - values) / (len(values) - 1) if len(values) > 1 else np.empty(0)
+
+
 def rms_over_seeds(errors: np.ndarray) -> np.ndarray:
     """Root of the mean of e^2 over the seeds, per pixel: float64 (height, width)."""
     return np.sqrt(_sum_of_squares(errors) / len(errors))
 
 
-def rms_quantiles(errors: np.ndarray, quantiles: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Quantiles over the pixels of `rms_over_seeds`.
-
-    Returns
-    -------
-    all_seeds : (Q,) float64
-    leave_one_out : (S, Q) float64
-        Row i is computed without seed i. (0, Q) with a single seed.
-    """
-    total = _sum_of_squares(errors)
-    all_seeds = np.sqrt(np.quantile(total, quantiles) / len(errors))
+def leave_one_out_rms_quantiles(errors: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
+    """Quantiles over the pixels of `rms_over_seeds` without each seed: (S, Q) float64; (0, Q) with a single seed."""
     if len(errors) < 2:
-        return all_seeds, np.empty((0, len(quantiles)))
+        return np.empty((0, len(quantiles)))
+    total = _sum_of_squares(errors)
     # float32 halves the time of the sort; its rounding is far below the noise of a quantile
     rest = ((total - np.square(e, dtype=np.float64)).astype(np.float32) for e in errors)
-    leave_one_out = np.array([np.quantile(squares, quantiles) for squares in rest], np.float64)
-    return all_seeds, np.sqrt(np.maximum(leave_one_out, 0) / (len(errors) - 1))
+    squares = np.array([np.quantile(image, quantiles) for image in rest], np.float64)
+    return np.sqrt(np.maximum(squares, 0) / (len(errors) - 1))
 
 
-def subtract_reference_error(rms: np.ndarray, relative_se: np.ndarray) -> np.ndarray:
-    """sqrt(max(rms^2 - se_ref^2, 0)): estimates the RMS against an exact reference.
+def bias(errors: np.ndarray, weight: np.ndarray | float = 1.0, relative_se: np.ndarray | None = None) -> Estimate:
+    """Mean over the pixels of `weight` times the relative error, estimated from one mean per seed.
 
-    It is unbiased in the mean square over the pixels. `relative_se` is the reference's standard error over
-    max(r, floor), with the shape of `rms`.
+    e = (x - r) / max(r, floor) itself has a mean above 0 for unbiased images: where the noise of r makes x - r larger,
+    it makes the denominator smaller, E[(x - r) / r] = se_ref^2 / E[r]^2 + ... So the summary passes the weight
+    max(r, floor) / max(m, floor), with m the mean of r over the neighbours of the pixel. The denominator is then
+    independent of the pixel's own noise, and the mean of unbiased images is 0.
+
+    The reference adds sqrt(sum (weight se_ref / max(r, floor))^2) / pixels to the standard error: its pixels are
+    independent.
     """
-    return np.sqrt(np.maximum(np.square(rms) - np.square(relative_se), 0))
-
-
-def bias(errors: np.ndarray, relative_se: np.ndarray | None = None) -> Estimate:
-    """Mean relative error over the pixels, estimated from one mean per seed.
-
-    The reference adds sqrt(sum (se_ref / max(r, floor))^2) / pixels to the standard error: its pixels are independent.
-    """
-    means = [float(np.mean(e, dtype=np.float64)) for e in errors]
-    shared = (
-        0.0 if relative_se is None else math.sqrt(np.square(relative_se, dtype=np.float64).sum()) / relative_se.size
-    )
+    means = [float(np.mean(weight * e, dtype=np.float64)) for e in errors]
+    shared = 0.0
+    if relative_se is not None:
+        shared = math.sqrt(np.square(weight * relative_se, dtype=np.float64).sum()) / relative_se.size
     return mean_over_seeds(means, shared)
 
 

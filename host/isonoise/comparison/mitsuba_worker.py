@@ -1,7 +1,9 @@
-"""Mitsuba 3 as a strategy: the same scene file, size and depth, its own sampler, passes of growing size.
+"""Mitsuba 3 as a strategy: the same scene file, size and depth, its own sampler, a pass for the whole budget.
 
-Mitsuba runs in its own process: OpenCL drivers load an LLVM of their own, and Mitsuba aborts the process if it loads a
-libLLVM that is too old. That process measures the time of rendering alone. Called by `runner` and by `bench --peers`.
+Mitsuba's samplers are stratified within a pass only, so every image is a pass of its own: that of the whole budget, and
+those of halved budgets for the curve of error against time. Mitsuba runs in its own process: OpenCL drivers load an
+LLVM of their own, and Mitsuba aborts the process if it loads a libLLVM that is too old. That process measures the time
+of rendering alone. Called by `runner` and by `bench --peers`.
 """
 
 import contextlib
@@ -15,21 +17,23 @@ import numpy as np
 
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
 from isonoise.comparison.plan import SceneEntry
-from isonoise.comparison.recorder import Recorder
+from isonoise.comparison.recorder import SNAPSHOTS, Recorder
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS
 from isonoise.error.true_error import true_error
 from isonoise.errors import UserError
 from isonoise.film.log import LogRow
-from isonoise.loop import LAST_WAVE_SHARE, MAX_SHARE_OF_TIME_LEFT, Stops
+from isonoise.loop import Stops
 
 VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Tried in this order. The first needs libLLVM; DRJIT_LIBLLVM_PATH may have to name it."""
-FIRST_PASS_SPP = 16
-"""Samples per pixel of the first pass, as in the strategy `uniform`."""
-GROWTH = {"independent": 0.5, "multijitter": 1.0}
-"""Maximum samples of a later pass over those so far; a pass of multijitter has as many strata as samples."""
-MAX_PASS_SAMPLES = 2**23
-"""The compiled variants hold all samples of a pass in memory."""
+FIRST_MEASURED_SPP = 16
+"""Samples per pixel of the first pass that measures the speed."""
+MIN_MEASURED_SHARE = 0.25
+"""The speed is known once a pass takes this share of the time of a run."""
+SNAPSHOT_MARGIN = 1.05
+"""A pass for an earlier moment of the curve is planned for this multiple of its time, so that it is not before it."""
+MAX_PASS_SAMPLES = 2**31
+"""Mitsuba splits passes from 2^32 samples on. The memory of a pass does not grow with its samples."""
 
 
 class MitsubaWorkers:
@@ -38,6 +42,7 @@ class MitsubaWorkers:
     def __init__(self, scene: SceneEntry, size: tuple[int, int] | None, max_depth: int | None):
         self._scene, self._size, self._max_depth = scene, size, max_depth
         self._workers: dict[str, MitsubaWorker] = {}
+        self._schedules: dict[str, list[list[int]]] = {}
 
     def __enter__(self) -> "MitsubaWorkers":
         return self
@@ -55,21 +60,24 @@ class MitsubaWorkers:
         path: Path,
         on_progress: Callable[[float, int], None],
     ) -> dict:
-        """Render one run to `path`; returns its last row. Stated errors are nan. Raises UserError if it fails."""
+        """Render one run to `path`; returns its last row. Stated errors are nan. Raises UserError if it fails.
+
+        Every row is an image of its own, with its own time. Passes of an image are weighted by their samples.
+        """
         pixels = self._scene.width * self._scene.height
         worker = self._workers.get(strategy)
         if worker is None:
             xml = mitsuba_xml(Path(self._scene.source), MITSUBA_SAMPLERS[strategy], self._size, self._max_depth)
             worker = self._workers[strategy] = MitsubaWorker(self._scene.name, xml, pixels)
-            worker.warm_up(stops)
-        recorder = Recorder(stops, reference[0])
-        total, spp, elapsed, speed = 0.0, 0, 0.0, None
-        while (limit := _max_pass_spp(stops, GROWTH[MITSUBA_SAMPLERS[strategy]], spp, elapsed, speed)) >= 1:
-            number, size = len(recorder.rows), max(size for size in worker.sizes if size <= limit)
-            (pass_seed,) = np.random.SeedSequence([seed, number]).generate_state(1)
-            image, seconds = worker.render(size, int(pass_seed))
-            elapsed, spp, speed = elapsed + seconds, spp + size, size / seconds
-            total = total + size * image.astype(np.float64)
+            self._schedules[strategy] = worker.schedule(stops)
+        recorder = Recorder(stops, *reference)
+        for number, passes in enumerate(self._schedules[strategy]):
+            total, elapsed, spp = 0.0, 0.0, sum(passes)
+            seeds = np.random.SeedSequence([seed, number]).generate_state(len(passes))
+            for size, pass_seed in zip(passes, seeds, strict=True):
+                image, seconds = worker.render(size, int(pass_seed))
+                elapsed += seconds
+                total = total + size * image.astype(np.float64)
             rgb = (total / spp).astype(np.float32)
             row = LogRow(
                 elapsed_s=elapsed,
@@ -86,7 +94,7 @@ class MitsubaWorkers:
             recorder.wave(row, rgb, None)
             on_progress(elapsed, row.samples)
         facts = {
-            "strategy": f"{strategy}: Mitsuba {worker.version}, {worker.variant}, passes of growing size",
+            "strategy": f"{strategy}: Mitsuba {worker.version}, {worker.variant}, {_describe(passes)}",
             "scene": self._scene.name,
             "seed": seed,
             "device": f"CPU (Mitsuba 3, {worker.variant})",
@@ -99,26 +107,15 @@ class MitsubaWorkers:
         return recorder.rows[-1]
 
 
-def _max_pass_spp(stops: Stops, growth: float, spp: int, elapsed: float, speed: float | None) -> float:
-    """Maximum samples per pixel of the next pass, as the render loop sizes waves; below 1 the run is finished.
-
-    `spp` and `elapsed` are those of the run so far, `speed` is in samples per pixel and second.
-    """
-    limit = max(growth * spp, 1) if spp else FIRST_PASS_SPP
-    if stops.spp is not None:
-        return min(limit, max(round(stops.spp), 1) - spp)
-    if speed is None:
-        return limit
-    remaining = stops.time - elapsed
-    share = MAX_SHARE_OF_TIME_LEFT if remaining > LAST_WAVE_SHARE * stops.time else 1.0
-    return min(limit, share * speed * remaining)
+def _describe(passes: list[int]) -> str:
+    sizes = " + ".join(map(str, passes))
+    return f"a pass of {sizes} spp" if len(passes) == 1 else f"passes of {sizes} spp"
 
 
 class MitsubaWorker:
     """Mitsuba in its own process, with one scene. Raises UserError if no variant can render it.
 
-    `sizes` are the samples per pixel that a pass may have, ascending: near powers of two that the sampler does not
-    round up. There are few, because the compiled variants may recompile for each.
+    Samplers round samples per pixel up: `multijitter` to a product of two near-equal factors, such as 128 to 11 x 12.
     """
 
     def __init__(self, name: str, xml: str, pixels: int):
@@ -133,7 +130,7 @@ class MitsubaWorker:
             try:
                 self.version = self._receive()
                 self.variant = variant
-                self.sizes = self._request("sizes", max(MAX_PASS_SAMPLES // pixels, 1))
+                self._max_spp = max(MAX_PASS_SAMPLES // pixels, 1)
                 self.render(1, 0)  # compiles
                 self.setup_s = time.perf_counter() - start
                 return
@@ -142,18 +139,50 @@ class MitsubaWorker:
                 self.close()
         raise UserError(f"Mitsuba cannot render {name}: {'; '.join(failures)}")
 
-    def warm_up(self, stops: Stops) -> None:
-        """Render a pass of every size that fits into half of a run, so that all are compiled before the clock starts;
-        larger sizes are removed."""
-        for number, size in enumerate(self.sizes, 1):
-            _, seconds = self.render(size, 0)
-            if stops.time is None:
-                enough = 2 * size >= stops.spp
-            else:  # repeated if it took long: the first pass may have compiled
-                enough = 2 * seconds >= stops.time and 2 * self.render(size, 1)[1] >= stops.time
-            if enough and size >= FIRST_PASS_SPP:
-                self.sizes = self.sizes[:number]
-                break
+    def schedule(self, stops: Stops) -> list[list[int]]:
+        """The images of a run, the last for the whole budget; of each, the samples per pixel of its passes.
+
+        Every pass was rendered once, so that it is compiled before the clock starts. With a time the samples follow
+        from the measured speed, and an image is one pass. With samples per pixel an image has exactly these if it is
+        the last; it is one pass unless the sampler would round them up.
+        """
+        if stops.time is None:
+            last = self._exact_passes(max(round(stops.spp), 1))
+            spp, margin = float(sum(last)), 1.0
+        else:
+            spp, margin = self._measured_speed(stops.time) * stops.time, SNAPSHOT_MARGIN
+            last = [self._nearest_spp(spp)]
+        images = []
+        for halvings in range(SNAPSHOTS - 1, 0, -1):
+            size = self._request("rounded_up", max(round(margin * spp / 2**halvings), 1))
+            if size < sum(last) and [size] not in images:
+                images.append([size])
+        images.append(last)
+        for size in {size for passes in images for size in passes}:
+            self.render(size, 0)
+        return images
+
+    def _exact_passes(self, spp: int) -> list[int]:
+        """Passes that have `spp` samples per pixel together, each as large as possible."""
+        passes = []
+        while spp > 0:
+            passes.append(self._request("rounded_down", min(spp, self._max_spp)))
+            spp -= passes[-1]
+        return passes
+
+    def _nearest_spp(self, spp: float) -> int:
+        wanted = min(max(round(spp), 1), self._max_spp)
+        return min((self._request(f"rounded_{way}", wanted) for way in ("down", "up")), key=lambda n: abs(n - spp))
+
+    def _measured_speed(self, time_s: float) -> float:
+        """Samples per pixel and second of a pass that takes a good part of `time_s`."""
+        spp = FIRST_MEASURED_SPP
+        while True:
+            self.render(spp, 0)  # compiles
+            _, seconds = self.render(spp, 1)
+            if seconds >= MIN_MEASURED_SHARE * time_s or 4 * spp > self._max_spp:
+                return spp / seconds
+            spp *= 4
 
     def render(self, spp: int, seed: int) -> tuple[np.ndarray, float]:
         """Linear RGB float32 (height, width, 3), and the seconds it took."""
@@ -198,8 +227,8 @@ def _worker_main(connection, variant: str, xml: str) -> None:
         connection.send(("version", mitsuba.__version__))
         while True:
             command, *arguments = connection.recv()
-            if command == "sizes":
-                connection.send(("sizes", _pass_sizes(sampler, *arguments)))
+            if command in ("rounded_up", "rounded_down"):
+                connection.send((command, _rounded_spp(sampler, *arguments, down=command == "rounded_down")))
                 continue
             spp, seed = arguments
             start = time.perf_counter()
@@ -212,13 +241,10 @@ def _worker_main(connection, variant: str, xml: str) -> None:
         connection.send(("failed", str(error)))
 
 
-def _pass_sizes(sampler, max_spp: int) -> list[int]:
-    """For each power of two up to `max_spp` the largest sample count that the sampler does not round."""
-    sizes = {1}
-    for power in range(1, max_spp.bit_length()):
-        for candidate in range(2**power, 2 ** (power - 1), -1):
-            sampler.set_sample_count(candidate)
-            if sampler.sample_count() == candidate:
-                sizes.add(candidate)
-                break
-    return sorted(sizes)
+def _rounded_spp(sampler, spp: int, down: bool) -> int:
+    """The nearest samples per pixel, `spp` or below or above it, that the sampler can have."""
+    sampler.set_sample_count(spp)
+    while down and sampler.sample_count() > spp:
+        spp -= 1
+        sampler.set_sample_count(spp)
+    return sampler.sample_count()

@@ -5,14 +5,21 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise.comparison.reference_error import error_quantiles, relative_to_floor
+from isonoise.error.true_error import luminance_standard_error
 from isonoise.film.files import write_atomically
-from isonoise.film.log import LogRow, row_values
+from isonoise.film.log import LogRow, columns, row_values
 from isonoise.loop import Stops
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
 SNAPSHOTS = 6
 """Error images of a run: the last is final, each earlier one is taken at half the time, or samples, of the next."""
+
+CORRECTED = {"true_p50_corrected": 0.5, "true_p95_corrected": 0.95, "true_p99_corrected": 0.99}
+"""Columns with the true errors at these quantiles, without the reference's own error."""
+RUN_COLUMNS = (*columns(true_errors=True), *CORRECTED, "device_s")
+"""Fields of a row."""
 
 _MAX_ERROR = float(np.finfo(np.float16).max)
 
@@ -26,16 +33,22 @@ class Recorder:
         The budget of the run, time or samples per pixel.
     reference : (height, width, 3) float32
         Linear RGB.
+    reference_se : (height, width, 3) float32, optional
+        Its standard errors. None: it is exact.
 
     Attributes
     ----------
     rows : list of dict
-        One per wave: the log's columns and `device_s`.
+        One per wave, with the fields `RUN_COLUMNS`.
     """
 
-    def __init__(self, stops: Stops, reference: np.ndarray):
+    def __init__(self, stops: Stops, reference: np.ndarray, reference_se: np.ndarray | None = None):
         self._luminance = luminance(reference)
-        self._scale = np.maximum(self._luminance, image_floor(self._luminance))
+        floor = image_floor(self._luminance)
+        self._scale = np.maximum(self._luminance, floor)
+        self._relative_se = None
+        if reference_se is not None:
+            self._relative_se = relative_to_floor(luminance_standard_error(reference_se), self._luminance, floor)
         self._by_time = stops.time is not None
         budget = stops.time if self._by_time else stops.spp * self._luminance.size
         self._due_at = [budget * 2.0 ** (k + 1 - SNAPSHOTS) for k in range(SNAPSHOTS - 1)]
@@ -44,7 +57,10 @@ class Recorder:
 
     def wave(self, row: LogRow, rgb: np.ndarray, device_s: float | None) -> None:
         """Record a wave: its row, the image and the busy time of the device so far."""
-        self.rows.append(row_values(row) | {"device_s": device_s})
+        corrected = error_quantiles(self._error(rgb), tuple(CORRECTED.values()), self._relative_se)
+        self.rows.append(
+            row_values(row) | dict(zip(CORRECTED, corrected.tolist(), strict=True)) | {"device_s": device_s}
+        )
         reached = row.elapsed_s if self._by_time else row.samples
         due = [threshold for threshold in self._due_at if reached >= threshold]
         if due:
@@ -72,6 +88,10 @@ class Recorder:
         write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
 
     def _snapshot(self, row: LogRow, rgb: np.ndarray) -> tuple[float, int, np.ndarray]:
+        return row.elapsed_s, row.samples, self._error(rgb).astype(np.float16)
+
+    def _error(self, rgb: np.ndarray) -> np.ndarray:
+        """(x - r) / max(r, floor) of the luminance, limited to the range of float16."""
         difference = luminance(rgb) - self._luminance
         # a black reference has no floor: any other value there counts as the largest error
         error = np.divide(
@@ -80,4 +100,4 @@ class Recorder:
             out=np.copysign(_MAX_ERROR, difference) * (difference != 0),
             where=self._scale > 0,
         )
-        return row.elapsed_s, row.samples, np.clip(error, -_MAX_ERROR, _MAX_ERROR).astype(np.float16)
+        return np.clip(error, -_MAX_ERROR, _MAX_ERROR)

@@ -4,11 +4,13 @@ import json
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from isonoise.comparison.plan import PLAN_FILE, SceneEntry, read_plan, run_path, variance_path
+from isonoise.comparison.reference_error import neighbour_mean, reference_rel_mse, relative_to_floor
 from isonoise.error.true_error import luminance_standard_error
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference
@@ -59,14 +61,23 @@ class Run:
 
 @dataclass(frozen=True)
 class Reference:
-    """A scene's reference; `relative_se` is its own standard error se / max(r, floor), or None if the file has none."""
+    """A scene's reference; its own errors are None or 0 if the file has no standard errors."""
 
     rgb: np.ndarray
     luminance: np.ndarray
     floor: float
     relative_se: np.ndarray | None
-    mean_relative_se: float
-    """Standard error of the mean luminance over the mean luminance (pixels independent); 0 if the file has none."""
+    """Standard error of the luminance over max(luminance, floor)."""
+    mean_relative_se: float = 0.0
+    """Standard error of the mean luminance over the mean luminance (pixels independent)."""
+    rel_mse: float = 0.0
+    """Mean over pixels and RGB of se^2 / (r^2 + 0.01)."""
+
+    @cached_property
+    def bias_weight(self) -> np.ndarray:
+        """max(r, floor) / max(m, floor), m the mean of r over the pixel's neighbours; see `metrics.bias`."""
+        scale = np.maximum(neighbour_mean(self.luminance), self.floor)
+        return np.divide(np.maximum(self.luminance, self.floor), scale, out=np.zeros_like(scale), where=scale > 0)
 
 
 class Results:
@@ -101,12 +112,11 @@ class Results:
         r = luminance(rgb)
         floor = image_floor(r)
         if rgb_se is None:
-            return Reference(rgb, r, floor, None, 0.0)
+            return Reference(rgb, r, floor, None)
         se = luminance_standard_error(rgb_se)
-        scale = np.maximum(r, floor)
-        relative = np.divide(se, scale, out=np.zeros_like(se), where=scale > 0)
         total = float(r.sum())
-        return Reference(rgb, r, floor, relative, float(np.sqrt(np.square(se).sum()) / total) if total > 0 else 0.0)
+        mean_se = float(np.sqrt(np.square(se).sum()) / total) if total > 0 else 0.0
+        return Reference(rgb, r, floor, relative_to_floor(se, r, floor), mean_se, reference_rel_mse(rgb, rgb_se))
 
     def variance(self, scene: SceneEntry) -> np.ndarray | None:
         """Relative variance of one sample, (height, width), or None if it was not rendered."""

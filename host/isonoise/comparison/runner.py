@@ -8,7 +8,7 @@ from isonoise.comparison.mitsuba_worker import MitsubaWorkers
 from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, run_path, variance_path
 from isonoise.comparison.recorder import Recorder
 from isonoise.comparison.references import ensure_reference, ensure_variance
-from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance, with_variance
+from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, first_waves_spp, needs_variance, split_sampler, with_variance
 from isonoise.film.exr import read_reference
 from isonoise.loop import Stops, render_loop
 from isonoise.progress import ProgressBar, format_count, format_duration, format_percent
@@ -92,7 +92,7 @@ class _Runner:
 
     def _render(self, scene: SceneEntry, strategy: StrategyEntry, seed: int, reference, path: Path, progress) -> dict:
         """Render one run with isonoise; returns its last row."""
-        spec = strategy.spec
+        spec, sampler = split_sampler(strategy.spec)
         if needs_variance(spec):
             spec = with_variance(spec, variance_path(self.directory, scene))
         if (scene.slug, strategy.slug) not in self.warmed_up:
@@ -100,7 +100,7 @@ class _Runner:
             render_loop(self._renderer(scene, strategy=spec, seed=seed), Stops(time=seconds, spp=self.stops.spp))
             self.warmed_up.add((scene.slug, strategy.slug))
         renderer = self._renderer(scene, strategy=spec, seed=seed, profile=True)
-        recorder = Recorder(self.stops, reference[0])
+        recorder = Recorder(self.stops, *reference)
         outcome = render_loop(
             renderer,
             self.stops,
@@ -108,8 +108,11 @@ class _Runner:
             on_progress=progress,
             reference=reference,
         )
+        first_wave_spp, warm_up_spp = first_waves_spp(renderer.strategy)
         facts = {
-            "strategy": describe(renderer.strategy),
+            "strategy": strategy.parameters,
+            "first_wave_spp": first_wave_spp,
+            "warm_up_spp": warm_up_spp,
             "scene": scene.name,
             "seed": seed,
             "device": renderer.device_name,

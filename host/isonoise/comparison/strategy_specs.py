@@ -1,13 +1,18 @@
-"""Strategy specs of a comparison: isonoise's own, the oracle, whose file the comparison makes, and other renderers."""
+"""Strategy specs of a comparison: isonoise's own with a sampler, the oracle, whose file is made, and other renderers."""
 
+from itertools import islice, takewhile
 from pathlib import Path
 
 from isonoise.errors import UserError
-from isonoise.strategies import describe, make_strategy
+from isonoise.strategies import Strategy, describe, make_strategy
 
 MITSUBA_SAMPLERS = {"mitsuba-independent": "independent", "mitsuba-multijitter": "multijitter"}
 """Strategies that Mitsuba 3 renders, and its sampler."""
 ORACLE = "oracle"
+FIRST_WAVES = 8
+"""A strategy that plans no adaptive wave among these is taken as uniform."""
+SAMPLERS = ("sobol", "independent")
+"""Values of the parameter `sampler`, which every strategy of isonoise has in a comparison; the first is the default."""
 
 
 def split_specs(text: str) -> list[str]:
@@ -25,6 +30,30 @@ def split_specs(text: str) -> list[str]:
         elif item.strip():
             specs.append(item.strip())
     return specs
+
+
+def split_sampler(spec: str) -> tuple[str, str]:
+    """The spec without its parameter `sampler`, and that sampler or the default.
+
+    Raises UserError if there is no such sampler.
+    """
+    head, colon, tail = spec.strip().rpartition(":")
+    items = [item.strip() for item in tail.split(",")]
+    if not colon or not any(item.startswith("sampler=") for item in items):
+        return spec, SAMPLERS[0]
+    sampler = next(item for item in items if item.startswith("sampler=")).removeprefix("sampler=").strip()
+    if sampler not in SAMPLERS:
+        raise UserError(f"strategy '{spec}': there is no sampler '{sampler}'; known are {', '.join(SAMPLERS)}")
+    others = ",".join(item for item in items if not item.startswith("sampler="))
+    return (f"{head}:{others}" if others else head), sampler
+
+
+def independent_counterpart(spec: str) -> str:
+    """The spec with independent samples in place of stratified ones; the spec itself if its samples are."""
+    if spec in MITSUBA_SAMPLERS:
+        return next(name for name, sampler in MITSUBA_SAMPLERS.items() if sampler == "independent")
+    strategy, _ = split_sampler(spec)
+    return f"{strategy}{',' if ':' in strategy else ':'}sampler=independent"
 
 
 def needs_variance(spec: str) -> bool:
@@ -54,6 +83,22 @@ def describe_spec(spec: str) -> str:
     """
     if spec in MITSUBA_SAMPLERS:
         return spec
+    spec, sampler = split_sampler(spec)
+    parameters = _describe_strategy(spec)
+    return f"{parameters}{',' if '=' in parameters else ':'}sampler={sampler}"
+
+
+def first_waves_spp(strategy: Strategy) -> tuple[float, float | None]:
+    """Samples per pixel of the first wave, and of all before the first adaptive wave.
+
+    The latter is None if the first waves are uniform.
+    """
+    waves = list(islice(strategy.waves(), FIRST_WAVES))
+    before = [wave.spp for wave in takewhile(lambda wave: wave.kind == "uniform", waves)]
+    return waves[0].spp, sum(before) if len(before) < len(waves) else None
+
+
+def _describe_strategy(spec: str) -> str:
     if not needs_variance(spec):
         return describe(make_strategy(spec))
     items = describe(make_strategy(with_variance(spec, Path("variance.exr")))).split(",")

@@ -4,21 +4,22 @@ import csv
 import io
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from isonoise import __version__
-from isonoise.comparison import metrics
+from isonoise.comparison import metrics, reference_error
 from isonoise.comparison.plan import SceneEntry
+from isonoise.comparison.recorder import RUN_COLUMNS
 from isonoise.comparison.report_tables import markdown_tables, text_tables
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
 from isonoise.film.files import write_atomically
-from isonoise.film.log import columns
 from isonoise.strategies.registry import DEFAULT_STRATEGY
 
-SCHEMA, SCHEMA_VERSION = "isonoise-compare", 2
+SCHEMA, SCHEMA_VERSION = "isonoise-compare", 3
 """The version goes up when a field is removed or changes its meaning; fields may be added."""
 
 QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
@@ -34,29 +35,35 @@ def summarise(directory: Path) -> dict:
     | `seeds`, `strategies`, `baseline`, `default` | as planned; slugs of the two strategies (`default` may be None) |
     | `scenes` | list of the scenes with finished runs: `slug`, `name`, `width`, `height`, `floor`, `devices`, and: |
     | .. `seeds`, `runs`, `planned_runs` | seeds that all strategies with runs have: the figures use only these |
-    | .. `reference` | `has_standard_error`; `p50`, `p95`, `p99` of se / max(r, floor); `mean_relative_se` of the mean |
+    | .. `reference` | `has_standard_error`; `p50`, `p95`, `p99` of se / max(r, floor); `mean_relative_se` of the mean;
+      `rel_mse`, what it adds to the relMSE |
     | .. `ideal_uniformity` | `uniformity` if all pixels had the same error, at this number of seeds |
     | .. `rel_mse_lower_bound` | of any allocation, over the mean relMSE of uniform sampling with as many samples |
     | .. `rows` | list, one row per strategy with runs |
 
     Fields of a row. Means are over the seeds. An interval is `value`, `low`, `high` (95 %). Ratios are to the baseline.
+    Figures marked * are free of the reference's own error (`reference_error`).
 
     | field | meaning |
     |---|---|
     | `strategy`, `description`, `seeds` | slug, spec with all parameters, number of finished runs |
     | `samples`, `spp`, `waves`, `elapsed_s`, `device_s`, `setup_s` | means; `device_s` None if unknown |
-    | `rms`, `rms_corrected` | p50, p95, p99 of the RMS over the seeds; corrected: without the reference's error |
-    | `rms_ratio` | p50, p95, p99: ratio, interval by the jackknife over the seeds, paired |
-    | `uniformity` | p99/p50 of `rms` |
+    | `warm_up_spp` | samples per pixel before the first adaptive wave; None if there is none |
+    | `rms` * | p50, p95, p99 of the RMS over the seeds |
+    | `rms_p99` *, `rms_ratio` * | interval; p50, p95, p99: ratio. By the jackknife over the seeds, paired |
+    | `uniformity` * | p99/p50 of `rms` |
     | `reference_too_noisy` | the reference's p99 is over a quarter of the row's (of `rms` or `true`, the smaller) |
-    | `rel_mse`, `_trimmed`, `_floor`, `_floor_trimmed` | means, as in the log |
-    | `rel_mse_ratio`, `true_p99_ratio` | paired over the seeds: exp of the mean log ratio |
-    | `stated`, `true` | p50, p95, p99 (`true`: also max) of single images, means |
-    | `stated_over_true` | p50, p95, p99: geometric mean over the seeds |
-    | `coverage` | mean |
-    | `image_mean_ratio`, `bias` | over the reference's mean; mean relative error: interval, `z`, `critical` value |
-    | `time_to_equal_error` | `rms_p99`, `rel_mse`: time to the baseline's final error over the baseline's time |
-    | `curves` | `rms_p99`, `rel_mse`: lists `time`, `error`, `low`, `high` (95 %): error against seconds |
+    | `rel_mse` * | interval by the jackknife of the logarithm |
+    | `rel_mse_trimmed`, `_floor`, `_floor_trimmed` | means, as in the log |
+    | `rel_mse_ratio` *, `true_p99_ratio` * | paired over the seeds: exp of the mean log ratio |
+    | `stated`, `true` * | p50, p95, p99 (`true`: also max, as in the log) of single images, means |
+    | `stated_over_true` * | p50, p95, p99: geometric mean over the seeds, interval; `lowest`, `highest` of all waves |
+    | `coverage` | mean; `coverage_lowest`, `coverage_highest` of all waves |
+    | `image_mean_ratio`, `bias` | over the reference's mean; `metrics.bias`: interval, `z`, `critical` value |
+    | `time_to_equal_error` * | `rms_p99`, `rel_mse`: time to the baseline's final error over the baseline's time |
+    | `curves` * | `rms_p99`, `rel_mse`: lists `time`, `error`, `low`, `high` (95 %): error against seconds |
+
+    `lowest` and `highest` are over the waves that have more samples per pixel than the first, of the mean of the seeds.
 
     A time to equal error has `low` = `high`, the ratio; or `high` None: not reached, the ratio is above `low`; or `low`
     0: the ratio is below `high`. `at_common_error` is the ratio at the larger of the two final errors, an interval.
@@ -119,6 +126,7 @@ def _scene(results: Results, scene: SceneEntry, runs: dict[str, dict[int, Run]])
             "has_standard_error": reference.relative_se is not None,
             **reference_quantiles,
             "mean_relative_se": reference.mean_relative_se,
+            "rel_mse": reference.rel_mse,
         },
         "ideal_uniformity": metrics.ideal_uniformity(len(seeds)) if seeds else math.nan,
         "rel_mse_lower_bound": math.nan if variance is None else metrics.rel_mse_lower_bound(variance),
@@ -139,13 +147,9 @@ class _Measurement:
         self._reference = reference
         errors = [run.errors for run in runs]
         final = np.stack([e[-1] for e in errors])
-        self._bias = metrics.bias(final, reference.relative_se)
-        corrected = metrics.rms_over_seeds(final)
-        if reference.relative_se is not None:
-            corrected = metrics.subtract_reference_error(corrected, reference.relative_se)
-        self._rms_corrected = _quantiles(corrected)
-        self._rms, self._rms_leave_one_out = metrics.rms_quantiles(final, list(QUANTILES.values()))
-        p99 = [metrics.rms_quantiles(np.stack(images), [QUANTILES["p99"]]) for images in zip(*errors, strict=True)]
+        self._bias = metrics.bias(final, reference.bias_weight, reference.relative_se)
+        self._rms, self._rms_leave_one_out = self._rms_quantiles(final, list(QUANTILES.values()))
+        p99 = [self._rms_quantiles(np.stack(images), [QUANTILES["p99"]]) for images in zip(*errors, strict=True)]
         times = np.stack([run.snapshot_s for run in runs])
         self._curves = {
             "rms_p99": metrics.Curve(
@@ -156,13 +160,17 @@ class _Measurement:
             ),
             "rel_mse": metrics.curve_of_means(
                 [np.array([row["elapsed_s"] for row in rows]) for rows in self._rows],
-                [np.array([row["true_rel_mse"] for row in rows]) for rows in self._rows],
+                [np.array([row["true_rel_mse"] for row in rows]) - reference.rel_mse for rows in self._rows],
             ),
         }
 
+    def _rms_quantiles(self, errors: np.ndarray, quantiles: list[float]) -> tuple[np.ndarray, np.ndarray]:
+        return reference_error.rms_quantiles(errors, quantiles, self._reference.relative_se)
+
     def row(self, baseline: "_Measurement | None", reference_p99: float) -> dict:
         rms = dict(zip(QUANTILES, self._rms, strict=True))
-        true = {q: self._mean(f"true_{q}") for q in (*QUANTILES, "max")}
+        rel_mse = self._rel_mse()
+        true = {q: self._mean(f"true_{q}_corrected") for q in QUANTILES} | {"max": self._mean("true_max")}
         mean_ratio = metrics.mean_over_seeds(self._values("true_energy_ratio"), self._reference.mean_relative_se)
         fields = {
             "description": str(self._facts[0].get("strategy")),
@@ -173,24 +181,28 @@ class _Measurement:
             "elapsed_s": self._mean("elapsed_s"),
             "device_s": self._mean("device_s"),
             "setup_s": float(np.mean([_to_float(facts.get("setup_s")) for facts in self._facts])),
+            "warm_up_spp": _to_float(self._facts[0].get("warm_up_spp")),
             "rms": rms,
-            "rms_corrected": self._rms_corrected,
+            "rms_p99": self._rms_interval("p99"),
             "uniformity": rms["p99"] / rms["p50"] if rms["p50"] > 0 else math.nan,
             "stated": {q: self._mean(f"stated_{q}") for q in QUANTILES},
             "true": true,
             "stated_over_true": {q: self._stated_over_true(q) for q in QUANTILES},
             "coverage": self._mean("true_coverage"),
+            **_range("coverage_", self._over_waves(lambda row: _to_float(row.get("true_coverage"))).mean(axis=0)),
+            "rel_mse": asdict(_interval_of_log(rel_mse.mean(), metrics.leave_one_out_means(rel_mse))),
             "image_mean_ratio": _with_test(mean_ratio, 1.0),
             "bias": _with_test(self._bias, 0.0),
             "curves": {name: _with_band(curve) for name, curve in self._curves.items()},
         }
         fields |= {
             name: self._mean(f"true_{name}")
-            for name in ("rel_mse", "rel_mse_trimmed", "rel_mse_floor", "rel_mse_floor_trimmed")
+            for name in ("rel_mse_trimmed", "rel_mse_floor", "rel_mse_floor_trimmed")
         }
         return fields | ({} if baseline is None else self._ratios(baseline))
 
     def _ratios(self, baseline: "_Measurement") -> dict:
+        p99 = "true_p99_corrected"
         with np.errstate(all="ignore"):
             ratio = np.log(self._rms / baseline._rms)
             leave_one_out = np.log(self._rms_leave_one_out / baseline._rms_leave_one_out)
@@ -198,15 +210,20 @@ class _Measurement:
             "rms_ratio": {
                 q: asdict(metrics.jackknife(ratio[i], leave_one_out[:, i]).ratio()) for i, q in enumerate(QUANTILES)
             },
-            "true_p99_ratio": self._paired_ratio(baseline, "true_p99"),
-            "rel_mse_ratio": self._paired_ratio(baseline, "true_rel_mse"),
+            "true_p99_ratio": asdict(metrics.paired_ratio(self._values(p99), baseline._values(p99))),
+            "rel_mse_ratio": asdict(metrics.paired_ratio(self._rel_mse(), baseline._rel_mse())),
             "time_to_equal_error": {
                 name: asdict(metrics.time_ratio(curve, baseline._curves[name])) for name, curve in self._curves.items()
             },
         }
 
-    def _paired_ratio(self, baseline: "_Measurement", column: str) -> dict:
-        return asdict(metrics.paired_ratio(self._values(column), baseline._values(column)))
+    def _rms_interval(self, quantile: str) -> dict:
+        index = list(QUANTILES).index(quantile)
+        return asdict(_interval_of_log(self._rms[index], self._rms_leave_one_out[:, index]))
+
+    def _rel_mse(self) -> np.ndarray:
+        """relMSE of every run, without the reference's share."""
+        return self._values("true_rel_mse") - self._reference.rel_mse
 
     def _values(self, column: str) -> np.ndarray:
         """The column's value in the last row of every run."""
@@ -215,22 +232,44 @@ class _Measurement:
     def _mean(self, column: str) -> float:
         return float(self._values(column).mean())
 
-    def _stated_over_true(self, quantile: str) -> float:
+    def _over_waves(self, figure: Callable[[dict], float]) -> np.ndarray:
+        """A figure of every seed and wave, (S, K): waves with more samples than the first that all seeds have."""
+        count = min(map(len, self._rows))
+        first_wave_spp = self._facts[0].get("first_wave_spp", 0)
+        first = next((k for k in range(count) if self._rows[0][k]["spp"] > first_wave_spp), count - 1)
+        return np.array([[figure(row) for row in rows[first:count]] for rows in self._rows])
+
+    def _stated_over_true(self, quantile: str) -> dict:
+        names = f"stated_{quantile}", f"true_{quantile}_corrected"
         with np.errstate(all="ignore"):
-            return float(np.exp(np.log(self._values(f"stated_{quantile}") / self._values(f"true_{quantile}")).mean()))
+            interval = metrics.paired_ratio(*map(self._values, names))
+            waves = np.exp(np.log(self._over_waves(lambda row: _divide(*(_to_float(row.get(name)) for name in names)))).mean(axis=0))
+        return asdict(interval) | _range("", waves)
+
+
+def _interval_of_log(value: float, leave_one_out: np.ndarray) -> metrics.Interval:
+    """95 % interval of a positive figure by the jackknife of its logarithm."""
+    with np.errstate(all="ignore"):
+        return metrics.jackknife(float(np.log(value)), np.log(leave_one_out)).ratio()
 
 
 def _with_band(curve: metrics.Curve) -> dict:
     """A curve with its 95 % interval by the jackknife of the logarithm."""
-    with np.errstate(all="ignore"):
-        logs, leave_one_out = np.log(curve.error), np.log(curve.leave_one_out_error)
-    points = [metrics.jackknife(logs[k], leave_one_out[:, k]).ratio() for k in range(len(logs))]
+    points = [_interval_of_log(error, curve.leave_one_out_error[:, k]) for k, error in enumerate(curve.error)]
     return {
         "time": curve.time.tolist(),
         "error": curve.error.tolist(),
         "low": [point.low for point in points],
         "high": [point.high for point in points],
     }
+
+
+def _range(prefix: str, values: np.ndarray) -> dict:
+    return {f"{prefix}lowest": values.min(), f"{prefix}highest": values.max()}
+
+
+def _divide(numerator: float, denominator: float) -> float:
+    return numerator / denominator if denominator > 0 else math.nan
 
 
 def _with_test(estimate: metrics.Estimate, null: float) -> dict:
@@ -243,15 +282,14 @@ def _quantiles(image: np.ndarray) -> dict[str, float]:
 
 def _waves_csv(results: Results) -> str:
     """Text of waves.csv: a row per wave of every finished run, in the order of the plan."""
-    names = [*columns(true_errors=True), "device_s"]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["scene", "strategy", "seed", *names])
+    writer.writerow(["scene", "strategy", "seed", *RUN_COLUMNS])
     for scene in results.plan.scenes:
         for strategy, runs in results.runs(scene).items():
             for seed, run in runs.items():
                 for row in run.rows:
-                    writer.writerow([scene.slug, strategy, seed, *(_csv_field(row.get(name)) for name in names)])
+                    writer.writerow([scene.slug, strategy, seed, *(_csv_field(row.get(name)) for name in RUN_COLUMNS)])
     return text.getvalue()
 
 
