@@ -11,6 +11,7 @@ import pytest
 
 from isonoise.comparison import metrics
 from isonoise.comparison.metrics import Curve
+from isonoise.comparison.reference_error import rms_quantiles
 
 
 def covered(intervals, truth) -> float:
@@ -33,7 +34,7 @@ def test_chi_square_of_two_is_exponential():
 def test_ideal_uniformity(seeds, expected):
     assert metrics.ideal_uniformity(seeds) == pytest.approx(expected, abs=5e-4)
     errors = np.random.default_rng(1).normal(size=(seeds, 300, 400))
-    (p50, p99), _ = metrics.rms_quantiles(errors, (0.5, 0.99))
+    p50, p99 = np.quantile(metrics.rms_over_seeds(errors), (0.5, 0.99))
     # Standard error of log p99: sqrt(0.99 0.01 / pixels) / (density times quantile) < 0.002; of log p50 less.
     assert p99 / p50 == pytest.approx(expected, rel=0.01)
 
@@ -42,10 +43,9 @@ def test_rms_over_seeds_is_the_definition():
     errors = np.random.default_rng(2).normal(size=(5, 20, 30)).astype(np.float16)
     exact = np.sqrt(np.mean(errors.astype(np.float64) ** 2, axis=0))
     assert metrics.rms_over_seeds(errors) == pytest.approx(exact)
-    quantiles, without = metrics.rms_quantiles(errors, (0.5, 0.99))
-    assert quantiles == pytest.approx(np.quantile(exact, (0.5, 0.99)), rel=1e-3)  # between two pixels, of the squares
+    without = metrics.leave_one_out_rms_quantiles(errors, (0.5, 0.99))
     assert without.shape == (5, 2)
-    for seed in range(5):
+    for seed in range(5):  # quantiles of the squares differ between two pixels
         others = np.sqrt(np.mean(np.delete(errors, seed, axis=0).astype(np.float64) ** 2, axis=0))
         assert without[seed] == pytest.approx(np.quantile(others, (0.5, 0.99)), rel=1e-3)
 
@@ -53,11 +53,11 @@ def test_rms_over_seeds_is_the_definition():
 def test_errors_near_the_largest_float16_do_not_overflow():
     errors = np.full((2, 3, 3), 60000, np.float16)
     assert metrics.rms_over_seeds(errors) == pytest.approx(np.full((3, 3), 60000), rel=1e-3)
-    assert metrics.rms_quantiles(errors, (0.99,))[1] == pytest.approx(np.full((2, 1), 60000), rel=1e-3)
+    assert metrics.leave_one_out_rms_quantiles(errors, (0.99,)) == pytest.approx(np.full((2, 1), 60000), rel=1e-3)
 
 
 def test_one_seed_has_no_interval():
-    assert metrics.rms_quantiles(np.ones((1, 4, 4)), (0.5, 0.99))[1].shape == (0, 2)
+    assert metrics.leave_one_out_rms_quantiles(np.ones((1, 4, 4)), (0.5, 0.99)).shape == (0, 2)
     for interval in (metrics.mean_over_seeds([2.0]).interval(), metrics.jackknife(2.0, []).interval()):
         assert interval.value == 2
         assert np.isnan([interval.low, interval.high]).all()
@@ -110,8 +110,8 @@ def test_jackknife_intervals_of_the_rms_ratio_are_conservative():
     rng, trials, estimates = np.random.default_rng(6), 400, []
     for _ in range(trials):
         shared, one, two = rng.normal(size=(3, 8, 40, 50))
-        a, a_without = metrics.rms_quantiles(0.6 * (shared + one), (0.99,))
-        b, b_without = metrics.rms_quantiles(shared + two, (0.99,))
+        a, a_without = rms_quantiles(0.6 * (shared + one), (0.99,), None)
+        b, b_without = rms_quantiles(shared + two, (0.99,), None)
         estimates.append(metrics.jackknife(float(np.log(a / b)[0]), np.log(a_without / b_without)[:, 0]))
     assert covered([estimate.ratio() for estimate in estimates], 0.6) >= 0.94
     truth = np.std([estimate.value for estimate in estimates])
@@ -122,19 +122,15 @@ def test_bias_includes_the_references_error():
     rng = np.random.default_rng(7)
     reference_error = 0.1 * rng.normal(size=(40, 50))
     errors = 0.5 * rng.normal(size=(8, 40, 50)) - reference_error
-    assert abs(metrics.bias(errors, np.full((40, 50), 0.1)).z()) < 3
-    shifted = metrics.bias(errors + 0.05, np.full((40, 50), 0.1))
+    relative_se = np.full((40, 50), 0.1)
+    assert abs(metrics.bias(errors, relative_se=relative_se).z()) < 3
+    shifted = metrics.bias(errors + 0.05, relative_se=relative_se)
     assert shifted.value == pytest.approx(0.05, abs=0.02)
     assert shifted.z() > shifted.critical()
     exact = metrics.bias(errors)
-    assert math.hypot(exact.se, 0.1 / math.sqrt(2000)) == pytest.approx(metrics.bias(errors, np.full((40, 50), 0.1)).se)
-
-
-def test_the_references_error_is_subtracted():
-    rng = np.random.default_rng(8)
-    errors = 0.2 * rng.normal(size=(16, 100, 100)) - 0.1 * rng.normal(size=(100, 100))
-    corrected = metrics.subtract_reference_error(metrics.rms_over_seeds(errors), np.full((100, 100), 0.1))
-    assert np.mean(corrected**2) == pytest.approx(0.04, rel=0.02)
+    assert math.hypot(exact.se, 0.1 / math.sqrt(2000)) == pytest.approx(
+        metrics.bias(errors, relative_se=relative_se).se
+    )
 
 
 def test_the_lower_bound_of_relmse_is_reached_by_the_root():

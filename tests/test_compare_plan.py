@@ -141,10 +141,11 @@ def test_a_plan_keeps_its_preset(tmp_path):
 
 def test_options_override_a_preset():
     from isonoise.cli import _parser
-    from isonoise.commands.compare import _request
+    from isonoise.commands.compare import _preset, _request
 
     def parsed(*arguments):
-        return _request(_parser().parse_args(["compare", "--preset", "poster", "-o", "out", *arguments]))
+        options = _parser().parse_args(["compare", "--preset", "poster", "-o", "out", *arguments])
+        return _request(options, _preset(options), *(options.spp or ()))
 
     whole, preset = parsed(), PRESETS["poster"]
     assert (whole.scenes, whole.strategies, whole.seeds) == (preset.scenes, preset.strategies, preset.seeds)

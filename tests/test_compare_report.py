@@ -13,9 +13,9 @@ from simulated_comparison import SNAPSHOTS, make_comparison
 
 from isonoise.comparison.metric_columns import format_number, format_percent
 from isonoise.comparison.metrics import ideal_uniformity
+from isonoise.comparison.recorder import RUN_COLUMNS
 from isonoise.comparison.summary import summarise, summary_text, write_summary
 from isonoise.errors import UserError
-from isonoise.film.log import columns
 
 SCENES = ("bright", "dim")
 STRATEGIES = {"uniform": np.ones_like, "relative-median": lambda v: v, "oracle:rule=sqrt": np.sqrt}
@@ -54,7 +54,9 @@ def test_figures_agree_with_the_simulated_errors(rows):
     assert ratio["value"] == pytest.approx(bound, rel=0.1)
     assert ratio["low"] < ratio["value"] < ratio["high"] < 1
     assert root["rms_ratio"]["p99"]["high"] < 1
-    assert uniform["stated_over_true"]["p99"] == pytest.approx(0.98, rel=1e-6)
+    # stated errors are of the true image: the reference differs from it by 1e-4
+    assert uniform["stated_over_true"]["p99"]["value"] == pytest.approx(0.98, rel=1e-3)
+    assert uniform["stated_over_true"]["p99"]["lowest"] == pytest.approx(0.98, rel=1e-3)
     assert uniform["coverage"] == pytest.approx(0.95)
 
 
@@ -92,7 +94,7 @@ def test_a_noisy_reference_is_marked(tmp_path):
     folder = make_comparison(tmp_path / "out", ["a"], STRATEGIES, reference_se=0.1)
     scene = summarise(folder)["scenes"][0]
     assert [row["reference_too_noisy"] for row in scene["rows"]] == [True] * 3
-    assert scene["reference"]["p99"] == pytest.approx(0.1, rel=1e-3)
+    assert scene["reference"]["p99"] == pytest.approx(0.1 / (1 - 2.33 * 0.1), rel=0.05)  # over the noisy reference
     text = summary_text(folder)
     assert "† noisy reference" in text
     assert all("†" in line for line in text.splitlines() if line.startswith((" uniform", " relative-median")))
@@ -102,7 +104,7 @@ def test_a_noisy_reference_is_marked(tmp_path):
 
 def test_waves_csv_has_a_row_per_wave(folder):
     found = list(csv.DictReader(io.StringIO((folder / "waves.csv").read_text())))
-    assert list(found[0]) == ["scene", "strategy", "seed", *columns(true_errors=True), "device_s"]
+    assert list(found[0]) == ["scene", "strategy", "seed", *RUN_COLUMNS]
     assert len(found) == len(SCENES) * len(STRATEGIES) * 8 * SNAPSHOTS
     keys = [(row["scene"], row["strategy"], int(row["seed"]), int(row["wave"])) for row in found]
     slugs = ["uniform", "relative-median", "oracle-rule-sqrt"]

@@ -24,9 +24,9 @@ from compare_command import (
 )
 
 import isonoise
-from isonoise.comparison.recorder import SNAPSHOTS, Recorder
+from isonoise.comparison.recorder import RUN_COLUMNS, SNAPSHOTS, Recorder
 from isonoise.film.exr import read_reference
-from isonoise.film.log import LogRow, columns
+from isonoise.film.log import LogRow
 from isonoise.loop import Stops
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
@@ -70,7 +70,7 @@ def test_a_run_equals_a_render_with_the_same_options(tmp_path, strategy):
 
     rows = json.loads(str(run["rows"]))
     assert [row["samples"] for row in rows] == [row.samples for row in outcome.rows]
-    assert all(list(row) == [*columns(true_errors=True), "device_s"] for row in rows)
+    assert all(list(row) == list(RUN_COLUMNS) for row in rows)
     device = [row["device_s"] for row in rows]
     assert device[0] > 0
     assert device == sorted(device)

@@ -31,6 +31,13 @@ def positive(text: str) -> float:
     return value
 
 
+def positives(text: str) -> list[float]:
+    values = [positive(item) for item in text.split(",")]
+    if len(set(values)) < len(values):
+        raise argparse.ArgumentTypeError(f"{text} has a number twice")
+    return values
+
+
 def count(text: str) -> int:
     value = integer(text)
     if value < 1:

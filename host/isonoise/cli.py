@@ -134,7 +134,12 @@ def _add_compare(commands) -> None:
     )
     budget = compare.add_argument_group("budget of a run (one of them)")
     budget.add_argument("--time", metavar="S", type=argument_types.positive, help="seconds of rendering (default: 10)")
-    budget.add_argument("--spp", metavar="N", type=argument_types.positive, help="mean samples per pixel")
+    budget.add_argument(
+        "--spp",
+        metavar="N[,N..]",
+        type=argument_types.positives,
+        help="mean samples per pixel; several numbers are several comparisons in DIR/spp-N with the same references",
+    )
     settings = compare.add_argument_group("how to render")
     _add_scene_overrides(settings)
     _add_device(settings)

@@ -30,13 +30,16 @@ def compare_epilog() -> str:
     presets = []
     for name, preset in PRESETS.items():
         presets.append(f"  {name}: {preset.description}")
-        presets.append(f"    {preset.seeds} seeds, {preset.time:g} s per run; scenes {', '.join(preset.scenes)};")
+        budget = f"{preset.time:g} s" if preset.time else f"{', '.join(f'{n:g}' for n in preset.spp)} samples per pixel"
+        presets.append(f"    {preset.seeds} seeds, {budget} per run; scenes {', '.join(preset.scenes)};")
         presets += [f"    {spec}" for spec in preset.strategies]
     return f"""\
 strategies in addition to those of `isonoise render`:
-  oracle                   without file=: reads variances from a long uniform run, made once per scene
+  NAME:sampler=S           any of them with the sampler S of `isonoise render --help`, sobol if it is not named
+  oracle                   without file=: reads variances from long uniform runs, made once per scene
   mitsuba-independent      Mitsuba 3 with its sampler `independent`; needs the extra `peers`
-  mitsuba-multijitter      the same with `multijitter`; DRJIT_LIBLLVM_PATH may have to name the libLLVM to use
+  mitsuba-multijitter      the same with `multijitter`; DRJIT_LIBLLVM_PATH may have to name the libLLVM to use.
+                           Its strata are those of one pass, so a run is one pass of all samples
 
 presets:
 {chr(10).join(presets)}
@@ -45,7 +48,8 @@ files in DIR:
   report.html              tables and plots in one file
   summary.json             the tables' numbers
   tables.md                the tables as Markdown
-  waves.csv                one row per wave of every run: the columns of `isonoise render --help`, and device_s
+  waves.csv                one row per wave of every run: the columns of `isonoise render --help`, true errors without
+                           that of the reference (true_p99_corrected), and device_s
   plots/                   the plots as files
   references/SCENE.exr     rendered references: R, G, B and standard errors stderr.R, .G, .B
   runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again

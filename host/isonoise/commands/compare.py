@@ -8,7 +8,7 @@ from pathlib import Path
 
 from isonoise.commands import EXIT_DONE
 from isonoise.comparison.plan import Plan, Request, additions, differences, make_plan, read_plan, write_plan
-from isonoise.comparison.presets import PRESETS
+from isonoise.comparison.presets import PRESETS, Preset
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance, split_specs, with_variance
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable, remove_temporary_files
@@ -21,9 +21,25 @@ REPORT_PACKAGES = ("matplotlib", "jinja2")
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    request = _request(options)
-    _check_packages(request)
+    preset = _preset(options)
     directory = Path(options.output)
+    spps = options.spp or ([] if options.time is not None or not preset else list(preset.spp))
+    if len(spps) < 2:
+        return _compare(_request(options, preset, *spps), directory)
+
+    from isonoise.comparison.spp_series import comparison_folder, write_series
+
+    code = EXIT_DONE
+    first = comparison_folder(directory, max(spps))
+    for spp in sorted(spps, reverse=True):  # the reference for the most samples serves for all
+        code = code or _compare(_request(options, preset, spp), comparison_folder(directory, spp), first)
+    write_series(directory, spps, _print)
+    return code
+
+
+def _compare(request: Request, directory: Path, shared: Path | None = None) -> int:
+    """One comparison in `directory`, with the references of another one in the folder `shared`; the exit code."""
+    _check_packages(request)
     stored = read_plan(directory)
     plan = make_plan(request, stored)
     if any(needs_variance(strategy.spec) for strategy in plan.strategies):
@@ -32,9 +48,13 @@ def run(options: argparse.Namespace) -> int:
 
     from isonoise.comparison.runner import run_plan
 
+    if shared is not None and shared != directory:
+        from isonoise.comparison.spp_series import share_references
+
+        share_references(shared, directory, plan)
     code = EXIT_DONE
     try:
-        run_plan(plan, directory.resolve(), options.device, _print)
+        run_plan(plan, directory.resolve(), request.device, _print)
     except KeyboardInterrupt:
         code = 128 + signal.SIGINT
         print("isonoise: interrupted; finished runs are kept: rerun the same command to resume", file=sys.stderr)
@@ -49,18 +69,21 @@ def run(options: argparse.Namespace) -> int:
     return code
 
 
-def _request(options: argparse.Namespace) -> Request:
-    """The preset's settings, replaced by the given options."""
+def _preset(options: argparse.Namespace) -> Preset | None:
     if options.preset and options.preset not in PRESETS:
         raise UserError(f"there is no preset '{options.preset}'; known are {', '.join(PRESETS)}")
-    preset = PRESETS[options.preset] if options.preset else None
+    return PRESETS[options.preset] if options.preset else None
+
+
+def _request(options: argparse.Namespace, preset: Preset | None, spp: float | None = None) -> Request:
+    """The preset's settings, replaced by the given options, with a budget of `spp` samples per pixel if given."""
     strategies = [spec for text in options.strategies for spec in split_specs(text)]
     if not preset and not options.scenes:
         raise UserError("nothing to compare: give a SCENE or a --preset")
     if not preset and not strategies:
         raise UserError("nothing to compare: give --strategies or a --preset")
     time = options.time
-    if time is None and options.spp is None:
+    if time is None and spp is None:
         time = preset.time if preset else DEFAULT_TIME
     return Request(
         scenes=options.scenes or preset.scenes,
@@ -68,7 +91,7 @@ def _request(options: argparse.Namespace) -> Request:
         first_seed=options.seed,
         seeds=options.seeds or (preset.seeds if preset else DEFAULT_SEEDS),
         time=time,
-        spp=options.spp,
+        spp=spp,
         size=options.size,
         max_depth=options.max_depth,
         device=options.device,

@@ -69,27 +69,27 @@ def _with_range(value: MakeCell, *keys: str, form: Callable[[float | None], str]
 
     def cell(row: Mapping, scene: Mapping) -> Cell:
         low, high = (_lookup(row, *keys[:-1], keys[-1] + end) for end in ("lowest", "highest"))
-        return replace(value(row, scene), detail="" if low is None else f"({form(low)}{DASH}{form(high)})")
+        return replace(value(row, scene), detail=_format_interval({"low": low, "high": high}, form))
 
     return cell
+
+
+def ratio_cell(row: Mapping | None, *keys: str) -> Cell:
+    """Cell of the ratio at `keys` of a row with its interval; smaller is better."""
+    ratio = _lookup(row, *keys)
+    if ratio is None or ratio["value"] is None:
+        return EMPTY
+    return Cell(format_ratio(ratio["value"]), _format_interval(ratio), ratio["value"], _tone(ratio))
 
 
 def _ratio(*keys: str) -> MakeCell:
-    """Cell of a ratio to the baseline with its interval; smaller is better."""
-
-    def cell(row: Mapping, scene: Mapping) -> Cell:
-        ratio = _lookup(row, *keys)
-        if ratio is None:
-            return EMPTY
-        return Cell(format_ratio(ratio["value"]), _format_interval(ratio), ratio["value"], _tone(ratio))
-
-    return cell
+    return lambda row, scene: ratio_cell(row, *keys)
 
 
 def _format_interval(ratio: Mapping, form: Callable[[float | None], str] = format_ratio) -> str:
     if ratio["low"] is None or ratio["high"] is None or ratio["low"] == ratio["high"]:
         return ""
-    return f"({form(ratio['low'])}{DASH}{form(ratio['high'])})"
+    return f"({form(ratio['low']).removesuffix(' %')}{DASH}{form(ratio['high']).removesuffix(' %')})"
 
 
 def _tone(ratio: Mapping) -> str:
@@ -131,8 +131,8 @@ SCENE_COLUMNS = (
     _metric(
         "RMS p50",
         "median over the pixels of the RMS over the seeds of (x - r) / max(r, floor), where x is the luminance of the "
-        "image, r that of the reference, and the floor 1 % of the reference's log-average luminance. The reference's own "
-        "error is removed by simulation extrapolation, here and in all figures below that do not say otherwise",
+        "image, r that of the reference, and the floor 1 % of the reference's log-average luminance. The reference's "
+        "own error is removed by simulation extrapolation, here and in all figures that do not say otherwise",
         _value("rms", "p50", form=format_percent),
     ),
     _metric("RMS p95", "the same, 95 % quantile", _value("rms", "p95", form=format_percent)),
@@ -191,16 +191,14 @@ SCENE_COLUMNS = (
     ),
     _metric(
         "coverage",
-        "share of the pixels with |x - r| <= sqrt(h² + (1.96 se)²), h half the width of the stated 95 % interval, se the "
-        "standard error of the reference",
+        "share of the pixels with |x - r| <= sqrt(h² + (1.96 se)²), h half the width of the stated 95 % interval, se "
+        "the standard error of the reference",
         _value("coverage", form=_format_coverage),
-        True,
     ),
     _metric(
         "stated/true",
-        "stated error at p99 over the true error, geometric mean over the seeds, with its 95 % interval. Below 1 the "
-        "stated error is too small",
-        _interval("stated_over_true", "p99", form=format_ratio),
+        "stated error at p99 over the true error, geometric mean over the seeds. Below 1 the stated error is too small",
+        _value("stated_over_true", "p99", "value", form=format_ratio),
         True,
     ),
 )
@@ -234,7 +232,7 @@ SINGLE_IMAGE_COLUMNS = (
             f"stated over true error at {quantile}, geometric mean over the seeds; in brackets the lowest and highest "
             "value of all waves after the first",
             _with_range(
-                _interval("stated_over_true", quantile, form=format_ratio),
+                _value("stated_over_true", quantile, "value", form=format_ratio),
                 *("stated_over_true", quantile, ""),
                 form=format_ratio,
             ),
@@ -246,7 +244,11 @@ SINGLE_IMAGE_COLUMNS = (
         "as above; in brackets the lowest and highest value of all waves after the first",
         _with_range(_value("coverage", form=_format_coverage), "coverage_", form=_format_coverage),
     ),
-    _metric("true max", "error of the worst pixel; the reference's error is included", _value("true", "max", form=format_percent)),
+    _metric(
+        "true max",
+        "error of the worst pixel; the reference's error is included",
+        _value("true", "max", form=format_percent),
+    ),
     _metric(
         "relMSE, floor²",
         "mean of (x - r)² / (r² + floor²): relMSE without an absolute constant; the reference's error is included",
@@ -287,6 +289,15 @@ def summary_cell(row: Mapping | None, scene: Mapping) -> Cell:
     if rms is None or rel_mse is None or mean is None:
         return EMPTY
     return Cell(f"{format_ratio(rms)} / {format_ratio(rel_mse)} / {mean:.4f}", value=rms)
+
+
+def sampler_cell(row: Mapping | None) -> Cell:
+    """Ratios of RMS p99 and of relMSE to those with independent samples, with the interval of the latter."""
+    rms, rel_mse = _lookup(row, "sampler_ratio", "rms_p99", "value"), _lookup(row, "sampler_ratio", "rel_mse")
+    if rms is None or rel_mse["value"] is None:
+        return EMPTY
+    text = f"{format_ratio(rms)} / {format_ratio(rel_mse['value'])}"
+    return Cell(text, _format_interval(rel_mse), rel_mse["value"], _tone(rel_mse))
 
 
 def _lookup(row: Mapping | None, *keys: str):

@@ -54,34 +54,32 @@ class BatchSums:
     rgb: np.ndarray | float = 0.0  # mean over the batches, float64 (height, width, 3)
     rgb_m2: np.ndarray | float = 0.0  # sum over the batches of squared deviations
     count: np.ndarray | float = 0.0  # samples, float64 (height, width)
-    mean: np.ndarray | float = 0.0  # luminance, over all samples
-    m2: np.ndarray | float = 0.0  # sum over all samples of squared deviations
+    mean: np.ndarray | float = 0.0  # luminance, mean over the batches
+    mean_m2: np.ndarray | float = 0.0  # sum over the batches of squared deviations of the luminance
 
     def add(self, statistics: Statistics, seconds: float) -> None:
-        """Add a batch: Welford 1962 over the batches; Chan, Golub, LeVeque 1983 over the samples."""
+        """Add a batch (Welford 1962)."""
         self.seconds += seconds
         self.batches += 1
         deviation = statistics.rgb - self.rgb
         self.rgb = self.rgb + deviation / self.batches
         self.rgb_m2 = self.rgb_m2 + deviation * (statistics.rgb - self.rgb)
 
-        n = statistics.count.astype(np.float64)
-        total = self.count + n
-        difference = statistics.mean - self.mean
-        weight = n / np.maximum(total, 1)
-        self.m2 = (
-            self.m2 + statistics.variance_per_sample() * np.maximum(n - 1, 0) + difference**2 * self.count * weight
-        )
-        self.mean = self.mean + difference * weight
-        self.count = total
+        deviation = statistics.mean - self.mean
+        self.mean = self.mean + deviation / self.batches
+        self.mean_m2 = self.mean_m2 + deviation * (statistics.mean - self.mean)
+        self.count = self.count + statistics.count.astype(np.float64)
 
     def standard_error(self) -> np.ndarray:
         """Standard error of `rgb` from the variance between batches, float64 (height, width, 3)."""
         return np.sqrt(self.rgb_m2 / (self.batches * (self.batches - 1)))
 
     def relative_variance(self) -> np.ndarray:
-        """d s^2 / max(mean, floor)^2 of the luminance of one sample, d the design effect, float64 (height, width)."""
-        variance = self.m2 / np.maximum(self.count - 1, 1)
+        """n times the variance of the mean of a batch of n samples, over max(mean, floor)^2, float64 (height, width).
+
+        That is the variance of one sample if samples are independent.
+        """
+        variance = self.allocation * self.mean_m2 / (self.batches - 1)
         scale = np.maximum(self.mean, image_floor(self.mean))
         return np.divide(variance, scale**2, out=np.zeros_like(variance), where=scale > 0)
 

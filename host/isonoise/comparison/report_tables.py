@@ -9,6 +9,7 @@ from isonoise.comparison.metric_columns import (
     MetricColumn,
     format_percent,
     format_ratio,
+    sampler_cell,
     summary_cell,
     time_cell,
 )
@@ -88,6 +89,29 @@ def _table_of_scene(
     return Table([STRATEGY, *columns], rows, title, notes)
 
 
+def sampler_table(summary: Mapping) -> Table:
+    """RMS p99 and relMSE over those of independent samples: a row per strategy that was compared with both."""
+    note = (
+        "RMS p99 / relMSE over those of the same strategy with independent samples, with the 95 % interval of relMSE."
+    )
+    with_ratio = {row["strategy"] for scene in summary["scenes"] for row in scene["rows"] if "sampler_ratio" in row}
+    strategies = [strategy for strategy in summary["strategies"] if strategy["slug"] in with_ratio]
+    return _table_across_scenes(
+        {**summary, "strategies": strategies}, "Over independent samples", [note], lambda row, _: sampler_cell(row)
+    )
+
+
+def _warm_up_notes(summary: Mapping, scene: Mapping) -> list[str]:
+    """Warnings about adaptive strategies that had no samples to distribute."""
+    titles = strategy_titles(summary)
+    return [
+        f"Warning: {titles[row['strategy']]} had {row['spp']:.4g} samples per pixel and its warm-up has "
+        f"{row['warm_up_spp']:g}: none of its samples were distributed adaptively."
+        for row in scene["rows"]
+        if row["warm_up_spp"] is not None and row["spp"] <= row["warm_up_spp"]
+    ]
+
+
 def _scene_notes(summary: Mapping, scene: Mapping) -> list[str]:
     """Size, seeds, error of the reference, bound of the relMSE."""
     planned, seeds = len(summary["seeds"]), len(scene["seeds"])
@@ -106,10 +130,10 @@ def _scene_notes(summary: Mapping, scene: Mapping) -> list[str]:
     if scene["rel_mse_lower_bound"] is not None:
         notes.append(
             f"Lower bound of any allocation: {format_ratio(scene['rel_mse_lower_bound'])} times the mean relMSE of "
-            "uniform sampling with as many samples. It is mean(√V)² / mean(V), V the relative variance of one sample "
-            "(of the luminance, over the floor)."
+            "uniform sampling with as many samples. It is mean(√V)² / mean(V), V / n the relative variance of the mean "
+            "of n samples (of the luminance, over the floor)."
         )
-    return notes
+    return notes + _warm_up_notes(summary, scene)
 
 
 def text_tables(summary: Mapping) -> str:
@@ -137,7 +161,8 @@ def markdown_tables(summary: Mapping) -> str:
 
 def tables_across_scenes(summary: Mapping) -> list[Table]:
     """The tables with a column per scene."""
-    return [*(time_table(summary, metric) for metric in TIME_METRICS), summary_table(summary)]
+    tables = [*(time_table(summary, metric) for metric in TIME_METRICS), summary_table(summary), sampler_table(summary)]
+    return [table for table in tables if table.rows]
 
 
 def strategy_titles(summary: Mapping) -> dict[str, str]:

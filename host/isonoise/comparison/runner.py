@@ -8,12 +8,18 @@ from isonoise.comparison.mitsuba_worker import MitsubaWorkers
 from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, run_path, variance_path
 from isonoise.comparison.recorder import Recorder
 from isonoise.comparison.references import ensure_reference, ensure_variance
-from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, first_waves_spp, needs_variance, split_sampler, with_variance
+from isonoise.comparison.strategy_specs import (
+    MITSUBA_SAMPLERS,
+    first_waves_spp,
+    needs_variance,
+    split_sampler,
+    with_variance,
+)
 from isonoise.film.exr import read_reference
 from isonoise.loop import Stops, render_loop
 from isonoise.progress import ProgressBar, format_count, format_duration, format_percent
 from isonoise.renderer import Renderer
-from isonoise.strategies import describe
+from isonoise.samplers import SAMPLERS
 
 WARM_UP_S = 1.0
 """Seconds of the discarded render before the first run of a strategy on a scene: drivers compile at first use, and
@@ -64,9 +70,10 @@ class _Runner:
                 ensure_variance(self._renderer, scene, self.directory, budget, self.log, bar.show)
         self.start += time.perf_counter() - start  # the estimate of the remaining time is based on the runs alone
 
-    def _renderer(self, scene: SceneEntry, **options) -> Renderer:
+    def _renderer(self, scene: SceneEntry, sampler: str = SAMPLERS[0], **options) -> Renderer:
+        """A renderer with the size, depth and device of the comparison; the sampler of the scene is ignored."""
         size, depth = self.plan.size, self.plan.max_depth
-        return Renderer(scene.source, device=self.device, size=size, max_depth=depth, **options)
+        return Renderer(scene.source, device=self.device, size=size, max_depth=depth, sampler=sampler, **options)
 
     def _run(self, scene: SceneEntry, strategy: StrategyEntry, seed: int, reference, workers: MitsubaWorkers) -> None:
         path = run_path(self.directory, scene, strategy, seed)
@@ -97,9 +104,10 @@ class _Runner:
             spec = with_variance(spec, variance_path(self.directory, scene))
         if (scene.slug, strategy.slug) not in self.warmed_up:
             seconds = min(WARM_UP_S, self.stops.time or WARM_UP_S)
-            render_loop(self._renderer(scene, strategy=spec, seed=seed), Stops(time=seconds, spp=self.stops.spp))
+            warm_up = self._renderer(scene, strategy=spec, sampler=sampler, seed=seed)
+            render_loop(warm_up, Stops(time=seconds, spp=self.stops.spp))
             self.warmed_up.add((scene.slug, strategy.slug))
-        renderer = self._renderer(scene, strategy=spec, seed=seed, profile=True)
+        renderer = self._renderer(scene, strategy=spec, sampler=sampler, seed=seed, profile=True)
         recorder = Recorder(self.stops, *reference)
         outcome = render_loop(
             renderer,

@@ -1,9 +1,10 @@
-"""Strategy specs of a comparison: isonoise's own with a sampler, the oracle, whose file is made, and other renderers."""
+"""Strategy specs of a comparison: isonoise's own with a sampler, the oracle, other renderers."""
 
 from itertools import islice, takewhile
 from pathlib import Path
 
 from isonoise.errors import UserError
+from isonoise.samplers import SAMPLERS
 from isonoise.strategies import Strategy, describe, make_strategy
 
 MITSUBA_SAMPLERS = {"mitsuba-independent": "independent", "mitsuba-multijitter": "multijitter"}
@@ -11,8 +12,6 @@ MITSUBA_SAMPLERS = {"mitsuba-independent": "independent", "mitsuba-multijitter":
 ORACLE = "oracle"
 FIRST_WAVES = 8
 """A strategy that plans no adaptive wave among these is taken as uniform."""
-SAMPLERS = ("sobol", "independent")
-"""Values of the parameter `sampler`, which every strategy of isonoise has in a comparison; the first is the default."""
 
 
 def split_specs(text: str) -> list[str]:
@@ -33,7 +32,7 @@ def split_specs(text: str) -> list[str]:
 
 
 def split_sampler(spec: str) -> tuple[str, str]:
-    """The spec without its parameter `sampler`, and that sampler or the default.
+    """The spec without the parameter `sampler`, which all strategies have in a comparison; its value or the default.
 
     Raises UserError if there is no such sampler.
     """

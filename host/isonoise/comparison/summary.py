@@ -16,6 +16,7 @@ from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.recorder import RUN_COLUMNS
 from isonoise.comparison.report_tables import markdown_tables, text_tables
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
+from isonoise.comparison.strategy_specs import independent_counterpart
 from isonoise.film.files import write_atomically
 from isonoise.strategies.registry import DEFAULT_STRATEGY
 
@@ -60,6 +61,7 @@ def summarise(directory: Path) -> dict:
     | `stated_over_true` * | p50, p95, p99: geometric mean over the seeds, interval; `lowest`, `highest` of all waves |
     | `coverage` | mean; `coverage_lowest`, `coverage_highest` of all waves |
     | `image_mean_ratio`, `bias` | over the reference's mean; `metrics.bias`: interval, `z`, `critical` value |
+    | `sampler_ratio` * | `rms_p99`, `rel_mse`: over the same strategy with independent samples, if it was compared |
     | `time_to_equal_error` * | `rms_p99`, `rel_mse`: time to the baseline's final error over the baseline's time |
     | `curves` * | `rms_p99`, `rel_mse`: lists `time`, `error`, `low`, `high` (95 %): error against seconds |
 
@@ -131,9 +133,24 @@ def _scene(results: Results, scene: SceneEntry, runs: dict[str, dict[int, Run]])
         "ideal_uniformity": metrics.ideal_uniformity(len(seeds)) if seeds else math.nan,
         "rel_mse_lower_bound": math.nan if variance is None else metrics.rel_mse_lower_bound(variance),
         "rows": [
-            {"strategy": slug, "seeds": len(runs[slug])} | measurement.row(baseline, reference_quantiles["p99"])
+            {"strategy": slug, "seeds": len(runs[slug])}
+            | measurement.row(baseline, reference_quantiles["p99"])
+            | _sampler_ratio(results, slug, measured)
             for slug, measurement in measured.items()
         ],
+    }
+
+
+def _sampler_ratio(results: Results, slug: str, measured: "dict[str, _Measurement]") -> dict:
+    """The field `sampler_ratio` of a row; empty without the strategy with independent samples."""
+    specs = {strategy.slug: strategy.spec for strategy in results.plan.strategies}
+    wanted = independent_counterpart(specs[slug])
+    other = next((measured[other] for other in measured if specs[other] == wanted), None)
+    if other is None or wanted == specs[slug]:
+        return {}
+    measurement = measured[slug]
+    return {
+        "sampler_ratio": {"rms_p99": measurement.rms_ratio(other)["p99"], "rel_mse": measurement.rel_mse_ratio(other)}
     }
 
 
@@ -196,26 +213,29 @@ class _Measurement:
             "curves": {name: _with_band(curve) for name, curve in self._curves.items()},
         }
         fields |= {
-            name: self._mean(f"true_{name}")
-            for name in ("rel_mse_trimmed", "rel_mse_floor", "rel_mse_floor_trimmed")
+            name: self._mean(f"true_{name}") for name in ("rel_mse_trimmed", "rel_mse_floor", "rel_mse_floor_trimmed")
         }
         return fields | ({} if baseline is None else self._ratios(baseline))
 
     def _ratios(self, baseline: "_Measurement") -> dict:
         p99 = "true_p99_corrected"
-        with np.errstate(all="ignore"):
-            ratio = np.log(self._rms / baseline._rms)
-            leave_one_out = np.log(self._rms_leave_one_out / baseline._rms_leave_one_out)
         return {
-            "rms_ratio": {
-                q: asdict(metrics.jackknife(ratio[i], leave_one_out[:, i]).ratio()) for i, q in enumerate(QUANTILES)
-            },
+            "rms_ratio": self.rms_ratio(baseline),
             "true_p99_ratio": asdict(metrics.paired_ratio(self._values(p99), baseline._values(p99))),
-            "rel_mse_ratio": asdict(metrics.paired_ratio(self._rel_mse(), baseline._rel_mse())),
+            "rel_mse_ratio": self.rel_mse_ratio(baseline),
             "time_to_equal_error": {
                 name: asdict(metrics.time_ratio(curve, baseline._curves[name])) for name, curve in self._curves.items()
             },
         }
+
+    def rms_ratio(self, other: "_Measurement") -> dict:
+        with np.errstate(all="ignore"):
+            ratio = self._rms / other._rms
+            leave_one_out = self._rms_leave_one_out / other._rms_leave_one_out
+        return {q: asdict(_interval_of_log(ratio[i], leave_one_out[:, i])) for i, q in enumerate(QUANTILES)}
+
+    def rel_mse_ratio(self, other: "_Measurement") -> dict:
+        return asdict(metrics.paired_ratio(self._rel_mse(), other._rel_mse()))
 
     def _rms_interval(self, quantile: str) -> dict:
         index = list(QUANTILES).index(quantile)
@@ -243,7 +263,11 @@ class _Measurement:
         names = f"stated_{quantile}", f"true_{quantile}_corrected"
         with np.errstate(all="ignore"):
             interval = metrics.paired_ratio(*map(self._values, names))
-            waves = np.exp(np.log(self._over_waves(lambda row: _divide(*(_to_float(row.get(name)) for name in names)))).mean(axis=0))
+            waves = np.exp(
+                np.log(self._over_waves(lambda row: _divide(*(_to_float(row.get(name)) for name in names)))).mean(
+                    axis=0
+                )
+            )
         return asdict(interval) | _range("", waves)
 
 

@@ -20,8 +20,8 @@ class Oracle(Adaptive):
     Parameters
     ----------
     file : str
-        An .exr file with a float layer `variance`: for every pixel the luminance variance of one sample over
-        max(mean, floor)^2. `isonoise compare` makes one if the strategy is named without a file.
+        An .exr file with a float layer `variance`: for every pixel n times the variance of the mean luminance of n
+        samples, over max(mean, floor)^2. `isonoise compare` makes one if the strategy is named without a file.
 
     Further parameters: those of `Adaptive`.
     """

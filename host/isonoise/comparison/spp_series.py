@@ -1,0 +1,90 @@
+"""A series of comparisons at equal samples per pixel, in one folder: shared references and tables over all of them.
+
+Called by `isonoise compare` if --spp has several numbers.
+"""
+
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from isonoise.comparison.metric_columns import EMPTY, ratio_cell
+from isonoise.comparison.plan import Plan, variance_path
+from isonoise.comparison.report_tables import strategy_titles
+from isonoise.errors import UserError
+from isonoise.film.files import write_atomically
+from isonoise.tables import LEFT, Cell, Column, Table, markdown_table, text_table
+
+FIGURES = {
+    "relMSE, relative to {baseline}": ("rel_mse_ratio",),
+    "RMS p99, relative to {baseline}": ("rms_ratio", "p99"),
+    "relMSE over that of the same strategy with independent samples": ("sampler_ratio", "rel_mse"),
+    "RMS p99 over that of the same strategy with independent samples": ("sampler_ratio", "rms_p99"),
+}
+"""Title of a table -> keys of its intervals in a row of summary.json."""
+
+
+def comparison_folder(directory: Path, spp: float) -> Path:
+    """Folder of the comparison with this number of samples per pixel."""
+    return directory / f"spp-{spp:g}"
+
+
+def share_references(source: Path, target: Path, plan: Plan) -> None:
+    """Copy the finished references and variances that `target` lacks from another comparison of the same scenes."""
+    for scene in plan.scenes:
+        names = [variance_path(Path(), scene)]
+        if scene.reference_sha256 is None:
+            names.append(Path(scene.reference))
+        for name in names:
+            if (source / name).exists() and not (target / name).exists():
+                _copy(source / name, target / name)
+
+
+def series_tables(directory: Path, spps: Sequence[float]) -> list[Table]:
+    """A table per figure: a row per scene and number of samples, a column per strategy.
+
+    From the summary.json of the comparisons that have one.
+    """
+    summaries = {}
+    for spp in sorted(spps):
+        path = comparison_folder(directory, spp) / "summary.json"
+        if path.is_file():
+            summaries[spp] = json.loads(path.read_text(encoding="utf-8"))
+    return [table for figure in FIGURES.items() if (table := _table(*figure, summaries)).rows]
+
+
+def write_series(directory: Path, spps: Sequence[float], log: Callable[[str], None]) -> None:
+    """Write tables.md to `directory` and print the tables. Raises UserError if the file cannot be written."""
+    tables = series_tables(directory, spps)
+    text = "\n\n".join(f"### {table.title}\n\n{markdown_table(table)}" for table in tables) + "\n"
+    write_atomically(directory / "tables.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    for table in tables:
+        log(f"{table.title}\n{text_table(table)}\n")
+
+
+def _table(title: str, keys: Sequence[str], summaries: Mapping[float, Mapping]) -> Table:
+    titles = {slug: name for summary in summaries.values() for slug, name in strategy_titles(summary).items()}
+    cells = {
+        (scene["name"], spp): {row["strategy"]: ratio_cell(row, *keys) for row in scene["rows"]}
+        for spp, summary in summaries.items()
+        for scene in summary["scenes"]
+    }
+    shown = [slug for slug in titles if any(row.get(slug, EMPTY) != EMPTY for row in cells.values())]
+    names = list(dict.fromkeys(name for name, _ in cells))
+    rows = [
+        [Cell(name), Cell(f"{spp:g}"), *(cells[name, spp].get(slug, EMPTY) for slug in shown)]
+        for name in names
+        for spp in summaries
+        if shown and (name, spp) in cells
+    ]
+    baseline = next((titles[summary["baseline"]] for summary in summaries.values()), "")
+    columns = [Column("scene", LEFT), Column("spp"), *(Column(titles[slug]) for slug in shown)]
+    return Table(columns, rows, title.format(baseline=baseline))
+
+
+def _copy(source: Path, target: Path) -> None:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(target, lambda temporary: shutil.copyfile(source, temporary))
+    except OSError as error:
+        raise UserError(f"cannot copy '{source}' to '{target}': {error.strerror}") from error
