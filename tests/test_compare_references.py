@@ -77,8 +77,8 @@ def normal_statistics(rng, count, mean, sigma):
 
 
 def test_batches_add_up():
-    """20 batches of 5 normal samples: the squared standard error over the true one is chi-square with 19 degrees of
-    freedom, s^2 with 99. So their means over 10,000 pixels have these relative standard errors; five are allowed.
+    """20 batches of 5 normal samples: the variance between batches over the true one is chi-square with 19 degrees of
+    freedom. So its means over 10,000 pixels have these relative standard errors; five are allowed.
     """
     rng = np.random.default_rng(5)
     sigma = rng.uniform(0.1, 1, (100, 100))
@@ -90,10 +90,10 @@ def test_batches_add_up():
     assert (sums.count == 100).all()
     error = sums.standard_error()[..., 0]
     assert np.mean(error**2 / (sigma**2 / 100)) == pytest.approx(1, abs=5 * np.sqrt(2 / 19 / 10_000))
-    assert np.mean(sums.m2 / 99 / sigma**2) == pytest.approx(1, abs=5 * np.sqrt(2 / 99 / 10_000))
+    assert np.mean(sums.mean_m2 / 19 / (sigma**2 / 5)) == pytest.approx(1, abs=5 * np.sqrt(2 / 19 / 10_000))
     assert np.mean(((sums.rgb[..., 0] - mean) / sigma) ** 2 * 100) == pytest.approx(1, abs=5 * np.sqrt(2 / 10_000))
     np.testing.assert_allclose(sums.mean, sums.rgb[..., 1], rtol=1e-6)
-    np.testing.assert_allclose(sums.relative_variance(), sums.m2 / 99 / sums.mean**2, rtol=1e-12)
+    np.testing.assert_allclose(sums.relative_variance(), 5 * sums.mean_m2 / 19 / sums.mean**2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("spp", [2, 3, 7, 64])
