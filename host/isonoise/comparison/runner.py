@@ -13,6 +13,7 @@ from isonoise.comparison.strategy_specs import (
     first_waves_spp,
     needs_variance,
     split_sampler,
+    with_sampler,
     with_variance,
 )
 from isonoise.film.exr import read_reference
@@ -20,6 +21,7 @@ from isonoise.loop import Stops, render_loop
 from isonoise.progress import ProgressBar, format_count, format_duration, format_percent
 from isonoise.renderer import Renderer
 from isonoise.samplers import SAMPLERS
+from isonoise.strategies import describe
 
 WARM_UP_S = 1.0
 """Seconds of the discarded render before the first run of a strategy on a scene: drivers compile at first use, and
@@ -118,7 +120,7 @@ class _Runner:
         )
         first_wave_spp, warm_up_spp = first_waves_spp(renderer.strategy)
         facts = {
-            "strategy": strategy.parameters,
+            "strategy": with_sampler(describe(renderer.strategy), sampler),
             "first_wave_spp": first_wave_spp,
             "warm_up_spp": warm_up_spp,
             "scene": scene.name,

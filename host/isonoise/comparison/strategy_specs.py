@@ -52,7 +52,12 @@ def independent_counterpart(spec: str) -> str:
     if spec in MITSUBA_SAMPLERS:
         return next(name for name, sampler in MITSUBA_SAMPLERS.items() if sampler == "independent")
     strategy, _ = split_sampler(spec)
-    return f"{strategy}{',' if ':' in strategy else ':'}sampler=independent"
+    return with_sampler(strategy, "independent")
+
+
+def with_sampler(spec: str, sampler: str) -> str:
+    """The spec with the parameter `sampler`, which it must not have."""
+    return f"{spec}{',' if '=' in spec else ':'}sampler={sampler}"
 
 
 def needs_variance(spec: str) -> bool:
@@ -83,8 +88,7 @@ def describe_spec(spec: str) -> str:
     if spec in MITSUBA_SAMPLERS:
         return spec
     spec, sampler = split_sampler(spec)
-    parameters = _describe_strategy(spec)
-    return f"{parameters}{',' if '=' in parameters else ':'}sampler={sampler}"
+    return with_sampler(_describe_strategy(spec), sampler)
 
 
 def first_waves_spp(strategy: Strategy) -> tuple[float, float | None]:
