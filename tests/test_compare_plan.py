@@ -9,8 +9,16 @@ from compare_command import HEIGHT, SIZE, WIDTH, compare, options, write_flat_re
 import isonoise
 from isonoise.comparison import plan as plans
 from isonoise.comparison.presets import PRESETS
-from isonoise.comparison.strategy_specs import describe_spec, needs_variance, split_specs
+from isonoise.comparison.strategy_specs import (
+    describe_spec,
+    first_waves_spp,
+    independent_counterpart,
+    needs_variance,
+    split_sampler,
+    split_specs,
+)
 from isonoise.errors import UserError
+from isonoise.strategies import make_strategy
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -43,6 +51,36 @@ def test_an_oracle_without_a_file_needs_the_variance():
     assert not needs_variance("uniform")
     assert describe_spec("oracle:rule=sqrt").startswith("oracle:rule=sqrt,")
     assert "file" not in describe_spec("oracle")
+
+
+@pytest.mark.parametrize(
+    ("spec", "expected"),
+    [
+        ("uniform", ("uniform", "sobol")),
+        ("uniform:sampler=independent", ("uniform", "independent")),
+        ("uniform:warmup=4,sampler=independent", ("uniform:warmup=4", "independent")),
+        ("uniform:sampler=sobol,warmup=4", ("uniform:warmup=4", "sobol")),
+        ("module:Class:sampler=independent", ("module:Class", "independent")),
+        ("module:Class", ("module:Class", "sobol")),
+    ],
+)
+def test_a_spec_may_name_its_sampler(spec, expected):
+    assert split_sampler(spec) == expected
+
+
+def test_samplers_are_described_and_have_an_independent_counterpart():
+    assert describe_spec("uniform:sampler=independent").endswith(",sampler=independent")
+    assert describe_spec("uniform").endswith(",sampler=sobol")
+    assert needs_variance("oracle:sampler=independent")
+    assert "file" not in describe_spec("oracle:sampler=independent")
+    assert independent_counterpart("uniform") == "uniform:sampler=independent"
+    assert independent_counterpart("uniform:warmup=4,sampler=sobol") == "uniform:warmup=4,sampler=independent"
+    assert independent_counterpart("mitsuba-multijitter") == "mitsuba-independent"
+
+
+def test_the_samples_before_the_first_adaptive_wave():
+    assert first_waves_spp(make_strategy("uniform:warmup=4")) == (4, None)
+    assert first_waves_spp(make_strategy("relative-mean:warmup=5")) == (5, 5)
 
 
 def request(**changes):
@@ -153,6 +191,7 @@ def test_options_override_a_preset():
     small = parsed("--time", "1", "--seeds", "2", "--size", "64x64")
     assert (small.time, small.seeds, small.size, small.strategies) == (1, 2, (64, 64), preset.strategies)
     assert (parsed("--spp", "4").time, parsed("--spp", "4").spp) == (None, 4)
+    assert all((preset.time is None) == bool(preset.spp) for preset in PRESETS.values())
     assert parsed("--strategies", "uniform").strategies == ["uniform"]
     assert parsed("cornell").scenes == ["cornell"]
 
@@ -161,6 +200,9 @@ def test_options_override_a_preset():
     ("arguments", "message"),
     [
         (("--time", "1", "--spp", "4"), "--time and --spp are both given"),
+        (("--spp", "4,4"), "4,4 has a number twice"),
+        (("--spp", "4,0"), "more than 0"),
+        (("--strategies", "uniform:sampler=sobel"), "no sampler 'sobel'"),
         (("--time", "0"), "more than 0"),
         (("--seeds", "0"), "1 or more"),
         (("--seeds", "1.5"), "not a whole number"),

@@ -7,6 +7,7 @@ values, 0.8 % for its image means, 6e-5 for each check of its stated variance.
 import importlib.util
 import itertools
 import json
+import math
 import os
 from pathlib import Path
 
@@ -17,10 +18,12 @@ from compare_command import HEIGHT, WIDTH, compare, options, read_run, run_files
 
 import isonoise
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
+from isonoise.comparison.mitsuba_worker import MitsubaWorker, _rounded_spp
 from isonoise.comparison.recorder import RUN_COLUMNS, SNAPSHOTS
 from isonoise.comparison.references import BatchSums, reference_allocation
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference
+from isonoise.loop import Stops
 from isonoise.luminance import luminance
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
@@ -187,6 +190,45 @@ def test_mitsuba_renders_the_same_image(reference_file):
         assert last_row[strategy]["true_p99"] < 2 * last_row["uniform"]["true_p99"]
         assert np.isnan(last_row[strategy]["stated_p99"])
         assert np.isnan(last_row[strategy]["true_coverage"])
+
+
+class FakeMitsuba(MitsubaWorker):
+    """Renders 100 samples per pixel and second; rounds as multijitter does."""
+
+    _max_spp = 2**20
+
+    def __init__(self):
+        self.rendered = []
+
+    def render(self, spp, seed):
+        self.rendered.append(spp)
+        return np.zeros((1, 1, 3), np.float32), spp / 100
+
+    def _request(self, name, spp):
+        return _rounded_spp(self, spp, name == "rounded_down")
+
+    def set_sample_count(self, spp):
+        rows = math.isqrt(spp)
+        self.count = rows * -(-spp // rows)
+
+    def sample_count(self):
+        return self.count
+
+
+@pytest.mark.parametrize(
+    ("stops", "images"),
+    [
+        (Stops(spp=64), [[2], [4], [8], [16], [35], [64]]),
+        (Stops(spp=1024), [[35], [64], [132], [256], [528], [1024]]),
+        (Stops(spp=128), [[4], [8], [16], [35], [64], [121, 6, 1]]),
+        (Stops(spp=1), [[1]]),
+        (Stops(time=10), [[35], [72], [132], [272], [528], [992]]),
+    ],
+)
+def test_an_image_of_mitsuba_is_one_pass_of_a_size_that_multijitter_keeps(stops, images):
+    mitsuba = FakeMitsuba()
+    assert mitsuba.schedule(stops) == images
+    assert {size for passes in images for size in passes} <= set(mitsuba.rendered)
 
 
 @pytest.mark.skipif(not HAS_MITSUBA, reason="needs Mitsuba 3: pip install 'isonoise[peers]'")

@@ -5,10 +5,13 @@ import csv
 import io
 import itertools
 import json
+import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
+from compare_command import compare, options
 from simulated_comparison import SNAPSHOTS, make_comparison
 
 from isonoise.comparison.metric_columns import format_number, format_percent
@@ -100,6 +103,48 @@ def test_a_noisy_reference_is_marked(tmp_path):
     assert all("†" in line for line in text.splitlines() if line.startswith((" uniform", " relative-median")))
     exact = summarise(make_comparison(tmp_path / "exact", ["a"], STRATEGIES, reference_se=None))
     assert [row["reference_too_noisy"] for row in exact["scenes"][0]["rows"]] == [False] * 3
+
+
+def test_strategies_without_samples_after_the_warm_up_are_named(tmp_path):
+    folder = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1, 2], warm_up_spp=65)
+    assert re.search(r"Warning: relative-median had 6\d[.\d]* samples .* its warm-up has 65", summary_text(folder))
+    folder = make_comparison(tmp_path / "more", ["a"], STRATEGIES, seeds=[1, 2], warm_up_spp=60)
+    assert "Warning" not in summary_text(folder)
+
+
+def test_errors_over_those_of_independent_samples(tmp_path):
+    """Four times as many samples stand for a better sampler."""
+    strategies = {"uniform:sampler=independent": np.ones_like, "uniform": np.ones_like}
+    folder = make_comparison(tmp_path / "out", ["a"], strategies, range(8), (60, 80), speed=4)
+    independent, sobol = summarise(folder)["scenes"][0]["rows"]
+    assert "sampler_ratio" not in independent
+    ratio = sobol["sampler_ratio"]
+    assert ratio["rel_mse"]["value"] == pytest.approx(0.25, rel=0.1)
+    assert ratio["rms_p99"]["value"] == pytest.approx(0.5, rel=0.1)
+    assert "Over independent samples" in summary_text(folder)
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_several_numbers_of_samples_share_references_and_have_common_tables(capsys):
+    pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
+    pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
+    assert compare(*options("out", ("uniform", "uniform:sampler=independent"), 2, "4,16")) == 0
+    assert sorted(path.name for path in Path("out").iterdir()) == ["spp-16", "spp-4", "tables.md"]
+    folders = Path("out/spp-4"), Path("out/spp-16")
+    few, many = ((folder / "references/cornell.exr").read_bytes() for folder in folders)
+    assert few == many
+    for folder, spp in zip(folders, (4, 16), strict=True):
+        for name in ("uniform", "uniform-sampler-independent"):
+            with np.load(folder / f"runs/cornell/{name}/1.npz") as run:
+                assert (run["count"] == spp).all()
+    text = Path("out/tables.md").read_text()
+    assert "| cornell | 4 |" in text
+    assert "| cornell | 16 |" in text
+    files = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*.npz")}
+    capsys.readouterr()
+    assert compare(*options("out", ("uniform", "uniform:sampler=independent"), 2, "4,16")) == 0
+    assert "resuming" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in Path("out").rglob("*.npz")} == files
 
 
 def test_waves_csv_has_a_row_per_wave(folder):
