@@ -30,6 +30,11 @@ FIRST_MEASURED_SPP = 16
 """Samples per pixel of the first pass that measures the speed."""
 MIN_MEASURED_SHARE = 0.25
 """The speed is known once a pass takes this share of the time of a run."""
+MAX_CORRECTIONS = 4
+"""Further sizes that are measured, because the time of a sample depends on the size of the pass: multijitter permutes
+numbers by walking cycles of the next power of two, so 32 x 33 samples take 1.4 times as long as 32 x 32."""
+PASS_TOLERANCE = 0.03
+"""A pass may take longer than planned by this share: times repeat to about as much."""
 SNAPSHOT_MARGIN = 1.05
 """A pass for an earlier moment of the curve is planned for this multiple of its time, so that it is not before it."""
 MAX_PASS_SAMPLES = 2**31
@@ -78,6 +83,7 @@ class MitsubaWorkers:
                 image, seconds = worker.render(size, int(pass_seed))
                 elapsed += seconds
                 total = total + size * image.astype(np.float64)
+            elapsed = max([elapsed, *(earlier["elapsed_s"] for earlier in recorder.rows)])  # no smaller pass is slower
             rgb = (total / spp).astype(np.float32)
             row = LogRow(
                 elapsed_s=elapsed,
@@ -142,16 +148,16 @@ class MitsubaWorker:
     def schedule(self, stops: Stops) -> list[list[int]]:
         """The images of a run, the last for the whole budget; of each, the samples per pixel of its passes.
 
-        Every pass was rendered once, so that it is compiled before the clock starts. With a time the samples follow
-        from the measured speed, and an image is one pass. With samples per pixel an image has exactly these if it is
-        the last; it is one pass unless the sampler would round them up.
+        Every pass was rendered once, so that it is compiled before the clock starts. With a time, the last image is the
+        largest pass that was measured to take no longer, and every image is one pass. With samples per pixel, the last
+        image has exactly these; it is one pass unless the sampler would round them up.
         """
         if stops.time is None:
             last = self._exact_passes(max(round(stops.spp), 1))
             spp, margin = float(sum(last)), 1.0
         else:
-            spp, margin = self._measured_speed(stops.time) * stops.time, SNAPSHOT_MARGIN
-            last = [self._nearest_spp(spp)]
+            spp, margin = self._most_spp_in(stops.time), SNAPSHOT_MARGIN
+            last = [spp]
         images = []
         for halvings in range(SNAPSHOTS - 1, 0, -1):
             size = self._request("rounded_up", max(round(margin * spp / 2**halvings), 1))
@@ -174,15 +180,28 @@ class MitsubaWorker:
         wanted = min(max(round(spp), 1), self._max_spp)
         return min((self._request(f"rounded_{way}", wanted) for way in ("down", "up")), key=lambda n: abs(n - spp))
 
-    def _measured_speed(self, time_s: float) -> float:
-        """Samples per pixel and second of a pass that takes a good part of `time_s`."""
-        spp = FIRST_MEASURED_SPP
+    def _most_spp_in(self, time_s: float) -> int:
+        """The most samples per pixel of all measured passes that take at most `time_s`."""
+        spp, measured = FIRST_MEASURED_SPP, {}
         while True:
-            self.render(spp, 0)  # compiles
-            _, seconds = self.render(spp, 1)
-            if seconds >= MIN_MEASURED_SHARE * time_s or 4 * spp > self._max_spp:
-                return spp / seconds
+            measured[spp] = self._measure(spp)
+            if measured[spp] >= MIN_MEASURED_SHARE * time_s or 4 * spp > self._max_spp:
+                break
             spp *= 4
+        for _ in range(MAX_CORRECTIONS):
+            spp = self._nearest_spp(spp * time_s / measured[spp])
+            if spp in measured:
+                break
+            measured[spp] = self._measure(spp)
+            if abs(measured[spp] / time_s - 1) <= PASS_TOLERANCE:
+                break
+        in_time = [n for n, seconds in measured.items() if seconds <= (1 + PASS_TOLERANCE) * time_s]
+        return max(in_time, default=min(measured))
+
+    def _measure(self, spp: int) -> float:
+        """Seconds of a pass: the shorter of two, as other programs may have slowed down the longer one."""
+        self.render(spp, 0)  # compiles
+        return min(self.render(spp, seed)[1] for seed in (1, 2))
 
     def render(self, spp: int, seed: int) -> tuple[np.ndarray, float]:
         """Linear RGB float32 (height, width, 3), and the seconds it took."""
