@@ -172,6 +172,7 @@ def needs_of(features: dict[str, bool]) -> Needs:
         batch=4 if features["BATCH_MEANS"] else 1,
         power=2.0 if features["POWER_MEAN"] else None,
         half=features["HALF_BUFFER"],
+        nets=features["NET_MEANS"],
     )
 
 

@@ -161,7 +161,7 @@ def test_documents_are_short(path):
 def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, foggy, instanced, lit, needs, more):
     """What `isonoise info` and kernels/README.md say against what is allocated for two pools and two image sizes."""
     (sample_bytes,) = (int(number) for number in re.findall(r"\| (\d+) a path", KERNEL_TEXT))
-    (pixel_bytes,) = (int(number) for number in re.findall(r"\| (\d+) a pixel", KERNEL_TEXT))
+    pixel_bytes, design_effect_bytes = (int(number) for number in re.findall(r"\| (\d+) a pixel", KERNEL_TEXT))
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 2},
@@ -200,4 +200,4 @@ def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, foggy, instanced, lit, need
     blocks = 4 * 1024 / 512  # of the compaction, 4 bytes for 512 paths on a CPU and for 64 on a GPU
     bytes_per_path = sum(path_bytes(features).values()) + sample_bytes
     assert 0 <= allocated(2048, (8, 8)) - small - 1024 * bytes_per_path <= 8 * blocks
-    assert allocated(1024, (16, 8)) - small == 64 * (pixel_bytes + more)
+    assert allocated(1024, (16, 8)) - small == 64 * (pixel_bytes + design_effect_bytes + more)

@@ -123,7 +123,8 @@ class Renderer:
         with self._measured("compile"):
             opencl_device = Device(device, profile)
             self.device_name = opencl_device.name
-            self._wavefront = Wavefront(opencl_device, self.scene, bvh, self.strategy.needs, seed, pool_size)
+            needs = replace(self.strategy.needs, nets=self.scene.sampler == "sobol")
+            self._wavefront = Wavefront(opencl_device, self.scene, bvh, needs, seed, pool_size)
             self._wavefront.warm_up()
         self._schedule = self.strategy.waves()
         self._unfinished_wave: Wave | None = None  # the rest of a shortened uniform wave

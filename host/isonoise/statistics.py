@@ -27,6 +27,8 @@ class Needs:
         hold the same information.
     half : bool
         Keep the mean of every second sample.
+    nets : bool
+        Keep means over nets, from which the design effect is estimated. Set by the renderer for the sampler sobol.
 
     Raises
     ------
@@ -39,6 +41,7 @@ class Needs:
     batch: int = 1
     power: float | None = None
     half: bool = False
+    nets: bool = False
 
     def __post_init__(self):
         if self.chunk not in range(1, 32, 2):

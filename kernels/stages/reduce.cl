@@ -84,6 +84,31 @@ INLINE void add_power(float x, float q, Compensated* power_sum)
 }
 #endif
 
+#if FEATURE_NET_MEANS
+// Number of the sample that completes the net of the sample after the n-th.
+INLINE uint net_end(uint n)
+{
+    return (n >> net_size_log2(n) << net_size_log2(n)) + (1u << net_size_log2(n));
+}
+
+// Ends the net that the n-th sample completes, and merges pairs of nets when there are NET_COUNT. `nets`: planes of the
+// sum of all samples up to the last full net, two parts, and of the means of the nets.
+INLINE void end_net(const Moments* m, uint n, __global float* nets, uint stride)
+{
+    const uint size_log2 = net_size_log2(n - 1u), size = 1u << size_log2;
+    const uint k = (n >> size_log2) - 1u, pending_count = n % SAMPLE_BLOCK_SIZE;
+    Compensated sum = m->sum[3];
+    if (pending_count) sum = add_block_sum(sum, m->shift, pending_count, m->block_sum);
+    const Compensated before = load_sum(nets, stride);
+    __global float* means = nets + 2 * stride;
+    means[k * stride] = ((sum.high - before.high) + (sum.low - before.low)) / (float)size;
+    store_sum(sum, nets, stride);
+    if (k + 1u == NET_COUNT)
+        for (uint j = 0; j < NET_COUNT / 2u; ++j)
+            means[j * stride] = 0.5f * (means[2u * j * stride] + means[(2u * j + 1u) * stride]);
+}
+#endif
+
 __kernel void reduce(
 #include "generated/reduce_parameters.h"
 )
@@ -114,6 +139,9 @@ __kernel void reduce(
     load_sums(half_sum, 3, halves + pixel, total_pixels);
 #endif
     uint n = count[pixel], new_rejected = 0;
+#if FEATURE_NET_MEANS
+    uint next_net_end = net_end(n);
+#endif
 
     for (uint sample = begin; sample < end; ++sample) {
         const Vec3 rgb = LOAD3(sample, samples);
@@ -135,6 +163,12 @@ __kernel void reduce(
         if (n & 1u) add_rgb(half_sum, rgb);
 #endif
         ++n;
+#if FEATURE_NET_MEANS
+        if (n == next_net_end) {
+            end_net(&moments, n, net_means + pixel, total_pixels);
+            next_net_end = net_end(n);
+        }
+#endif
     }
 
     store_moments(&moments, sums + pixel, sample_block_sums + pixel, total_pixels);

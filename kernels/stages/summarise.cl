@@ -52,6 +52,14 @@ __kernel void summarise(
     store_sum(divide_compensated(load_sum(powers + pixel, total_pixels), divisor), out + i, stride);
     out += 2 * stride;
 #endif
+#if FEATURE_NET_MEANS
+    const float mean = divide_compensated(moments.sum[3], divisor).high,
+                s2 = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
+    const float relative_variance = mean > 0.0f ? s2 / mean / mean : 0.0f;
+    const bool has_noise = relative_variance >= 0x1p-60f && relative_variance < INFINITY;  // more than rounding
+    net_variances[pixel] = has_noise ? relative_variance : 0.0f;
+    net_variances[total_pixels + pixel] = has_noise ? net_variance(n, net_means + pixel, total_pixels) / s2 : 0.0f;
+#endif
 #if FEATURE_HALF_BUFFER
     Compensated half_sum[3];
     load_sums(half_sum, 3, halves + pixel, total_pixels);

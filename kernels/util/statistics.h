@@ -68,16 +68,55 @@ INLINE Moments load_moments(__global const float* sums, __global const float* sa
     return m;
 }
 
-// Merges the block, of k samples after n others, into the sums. k * shift is exact as product + fma.
+// The sum, and the k samples of a block more. k * shift is exact as product + fma.
+INLINE Compensated add_block_sum(Compensated sum, float shift, uint k, float block_sum)
+{
+    const float product = shift * (float)k;
+    sum = add_compensated(add_compensated(sum, product), FMA(shift, (float)k, -product));
+    return add_compensated(sum, block_sum);
+}
+
+// Merges the block, of k samples after n others, into the sums.
 INLINE void merge_block(Moments* m, uint n, uint k)
 {
     const float shift_error = n ? divide_compensated(m->sum[3], n).low : 0.0f;
     m->m2 = merge_m2(m->m2, n, k, m->shift, shift_error, m->block_sum, m->block_squares);
     add_rgb(m->sum, m->block_rgb);
-    const float product = m->shift * (float)k;
-    const Compensated shifted = add_compensated(add_compensated(m->sum[3], product), FMA(m->shift, (float)k, -product));
-    m->sum[3] = add_compensated(shifted, m->block_sum);
+    m->sum[3] = add_block_sum(m->sum[3], m->shift, k, m->block_sum);
 }
+
+#if FEATURE_NET_MEANS
+// log2 of the samples of a net whose mean is kept: n samples hold from NET_COUNT / 2 to NET_COUNT - 1 full nets.
+INLINE uint net_size_log2(uint n)
+{
+    return n < NET_COUNT ? 0u : 32u - NET_COUNT_LOG2 - clz(n);
+}
+
+// log2 of the size S of the nets that `net_variance` compares, an average.
+INLINE float net_level(uint n)
+{
+    const uint size_log2 = net_size_log2(n), pairs = n >> size_log2 >> 1u;
+    return (float)size_log2 + 1.0f + (pairs > 1u ? 1.0f / (float)(pairs + 1u) : 0.0f);
+}
+
+// S v(S) of n samples, v(S) the variance of half the difference between the halves of a net of S samples: the mean over
+// all pairs of nets and, from four nets on, over the first two pairs. See stages/design_effect.cl. `nets`: as in
+// stages/reduce.cl.
+INLINE float net_variance(uint n, __global const float* nets, uint stride)
+{
+    __global const float* means = nets + 2u * stride;
+    const uint size_log2 = net_size_log2(n), size = 1u << size_log2, pairs = n >> size_log2 >> 1u;
+    float sum = 0.0f;
+    for (uint k = 0; k < pairs; ++k) {
+        const float half_difference = 0.5f * (means[2u * k * stride] - means[(2u * k + 1u) * stride]);
+        sum += half_difference * half_difference * (float)(2u * size);
+    }
+    if (pairs < 2u) return sum;
+    const float first = means[0] + means[stride], second = means[2u * stride] + means[3u * stride];
+    const float half_difference = 0.25f * (first - second);
+    return (sum + half_difference * half_difference * (float)(4u * size)) / (float)(pairs + 1u);
+}
+#endif
 
 #if FEATURE_CHUNK_MEDIANS
 // Median of `count` values, which are sorted in place; for an even count the mean of the middle two.

@@ -1,5 +1,7 @@
 """The per-pixel statistics on the device: the planes that the stage `reduce` updates, and reading them on the host."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from isonoise.integrator.stages import Stages
@@ -11,6 +13,12 @@ SAMPLE_BLOCK_SIZE = 16
 SUMMARY_STRIP_PIXELS = 2**16
 """Pixels that are summarised and read at a time, so that a strip stays in a CPU's cache."""
 
+NET_COUNT_LOG2 = 3
+"""log2 of the nets of a pixel whose means are kept at a time."""
+
+TILE_SIZE, GRID_BINS = 16, 25
+"""Pixels per side of a tile, and bins of the relative variance, over which design effects are pooled."""
+
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and M2 over full sample blocks
 # Planes of the unfinished sample block: sums of red, green, blue; shift, the mean of x before the block; sums of
 # x - shift and of its square.
@@ -19,7 +27,15 @@ _BLOCK_SUMS = 6
 
 def build_constants(needs: Needs) -> dict[str, int]:
     """Build constants of the stages `reduce` and `summarise`."""
-    return {"SAMPLE_BLOCK_SIZE": SAMPLE_BLOCK_SIZE, "CHUNK_SIZE": needs.chunk, "BATCH_SIZE": needs.batch}
+    return {
+        "SAMPLE_BLOCK_SIZE": SAMPLE_BLOCK_SIZE,
+        "NET_COUNT": 2**NET_COUNT_LOG2,
+        "NET_COUNT_LOG2": NET_COUNT_LOG2,
+        "TILE_SIZE": TILE_SIZE,
+        "GRID_BINS": GRID_BINS,
+        "CHUNK_SIZE": needs.chunk,
+        "BATCH_SIZE": needs.batch,
+    }
 
 
 class Accumulator:
@@ -43,7 +59,9 @@ class Accumulator:
         self.rejected = planes(1, "the counts of rejected samples")
         # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
         medians = 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
-        summary = 6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half  # kernels/stages/summarise.cl
+        summary = (
+            6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half + 2 * needs.nets
+        )  # kernels/stages/summarise.cl
         self._summary = self._device.buffer(4 * summary * SUMMARY_STRIP_PIXELS, "the summary of the statistics")
         self._summary_floats = summary * SUMMARY_STRIP_PIXELS
         stages.arguments.update(
@@ -62,6 +80,30 @@ class Accumulator:
             stages.arguments["power"] = np.float32(needs.power)
         if needs.half:
             stages.arguments["halves"] = planes(6, "the sums of every second sample")
+
+        if needs.nets:
+            stages.arguments["net_means"] = planes(2 + 2**NET_COUNT_LOG2, "the means over nets")
+            self._make_design_effect_buffers()
+
+    def _make_design_effect_buffers(self) -> None:
+        height, width = self._shape
+        self._tiles = -(-height // TILE_SIZE) * -(-width // TILE_SIZE)
+        what = "the design effect"
+        self._stages.arguments.update(
+            image_width=np.uint32(width),
+            tile_count=np.uint32(self._tiles),
+            net_variances=self._device.buffer(8 * self.pixels, what),
+            grid=self._device.buffer(12 * GRID_BINS * self._tiles, what),
+            steps=self._device.buffer(4 * GRID_BINS * self._tiles, what),
+            design_effect=self._device.buffer(4 * self.pixels, what),
+        )
+
+    def _design_effect(self) -> np.ndarray:
+        """Variance of the mean over that of independent samples, (pixels,) float64; after `summarise`."""
+        self._stages.launch("sum_tiles", self._tiles)
+        self._stages.launch("fit_steps", self._tiles)
+        self._stages.launch("compute_design_effect", self.pixels)
+        return self._device.read(self._stages.arguments["design_effect"], np.float32, self.pixels).astype(np.float64)
 
     def reset(self) -> None:
         """Forget all samples."""
@@ -90,6 +132,8 @@ class Accumulator:
             self._stages.launch("summarise", pixels, **bounds)
             with self._device.mapped(self._summary, np.float32, self._summary_floats) as summary:
                 self._read_strip(flat, slice(begin, begin + pixels), summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
+        if needs.nets:
+            flat = replace(flat, design_effect=self._design_effect())
         planes = {name: plane for name, plane in vars(flat).items() if plane is not None}
         for name, plane in planes.items():
             planes[name] = plane.reshape(*self._shape, *plane.shape[1:])

@@ -221,6 +221,11 @@ FEATURES = {
         "mean of a power of the samples", lambda use: use.needs.power is not None, {"powers": "8 bytes a pixel"}
     ),
     "HALF_BUFFER": Feature("mean of every second sample", lambda use: use.needs.half, {"halves": "24 bytes a pixel"}),
+    "NET_MEANS": Feature(
+        "means over nets, for the error of well-distributed samples",
+        lambda use: use.needs.nets,
+        {"net_means": "40 bytes a pixel", "net_variances": "8 bytes a pixel"},
+    ),
     "COUNT_TESTS": Feature("node and triangle tests, counted for measurements", lambda use: False),
 }
 """All features, in the order in which they are printed. Buffers of every program belong to no feature."""
@@ -234,5 +239,5 @@ def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool
 
 def statistics_features(needs: Needs) -> dict[str, bool]:
     """Which features of the stages `reduce` and `summarise` the statistics of `needs` use."""
-    names = ("CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER")
+    names = ("CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER", "NET_MEANS")
     return {name: FEATURES[name].is_used(_Use(None, needs)) for name in names}

@@ -120,6 +120,7 @@ ARGUMENT_FEATURES = {
     "medians": ("CHUNK_MEDIANS",),
     **dict.fromkeys(("powers", "power"), ("POWER_MEAN",)),
     "halves": ("HALF_BUFFER",),
+    **dict.fromkeys(("net_means", "net_variances"), ("NET_MEANS",)),
     **{prefix + name: field.features for name, field in PATH_STATE.items() for prefix in ("", "next_")},
 }
 """Features of which one has to be on for an argument to be there. All other arguments are always there."""
@@ -172,6 +173,7 @@ def is_present(argument: str, features: Mapping[str, bool]) -> bool:
 _SURFACES = f"triangles faces corner_normals uvs {_TEXTURES} analytics shapes bsdfs instances"
 _SHADOW_RAY = "shadow_origin shadow_direction shadow_radiance hit path_ids"
 _BRUTE_FORCE = "corners corner_indices analytics"
+_GRID = "image_width tile_count total_pixels"
 _COUNTS = "corner_count triangle_count analytic_count"
 
 KERNELS = {
@@ -219,13 +221,18 @@ KERNELS = {
         "reduce.cl",
         "first_pixel pixels slice_samples total_pixels power",
         "samples pixel_offset",
-        "count rejected sums sample_block_sums medians powers halves",
+        "count rejected sums sample_block_sums medians powers halves net_means",
     ),
     "summarise": _kernel(
         "summarise.cl",
         "first_pixel pixels stride total_pixels",
-        "count sums sample_block_sums medians powers halves",
-        "summary",
+        "count sums sample_block_sums medians powers halves net_means",
+        "summary net_variances",
+    ),
+    "sum_tiles": _kernel("design_effect.cl", _GRID, "count net_variances", "grid", needs="NET_MEANS"),
+    "fit_steps": _kernel("design_effect.cl", _GRID, "grid", "steps", needs="NET_MEANS"),
+    "compute_design_effect": _kernel(
+        "design_effect.cl", _GRID, "count net_variances steps", "design_effect", needs="NET_MEANS"
     ),
 }
 
@@ -248,7 +255,7 @@ BRUTE_FORCE_KERNELS = {
 """Kernels that replace those of the same name if rays are tested against all primitives, without the BVH."""
 
 PROGRAMS = (
-    ("list_samples.cl", "reduce.cl", "summarise.cl"),
+    ("list_samples.cl", "reduce.cl", "summarise.cl", "design_effect.cl"),
     ("generate.cl", "compact.cl", "intersect.cl", "intersect_brute_force.cl", "shadow.cl", "shadow_brute_force.cl"),
 )
 """Files that are built as one program. Every other file is a program of its own.
