@@ -122,7 +122,7 @@ def test_without_samples():
     for name, plane in vars(statistics).items():
         if plane is not None:
             assert (plane[0, [0, 2]] == 0).all(), name
-        assert np.isfinite(plane).all(), name
+            assert np.isfinite(plane).all(), name
 
 
 @pytest.mark.parametrize("needs", VARIANTS)

@@ -47,6 +47,16 @@ INLINE void add_to_moments(Moments* m, uint n, Vec3 rgb, float x)
 }
 
 #if FEATURE_CHUNK_MEDIANS
+INLINE void load_chunk(float* pending, __global const float* planes, uint stride)
+{
+    for (uint k = 0; k + 1 < CHUNK_SIZE; ++k) pending[k] = planes[k * stride];
+}
+
+INLINE void store_chunk(const float* pending, __global float* planes, uint stride)
+{
+    for (uint k = 0; k + 1 < CHUNK_SIZE; ++k) planes[k * stride] = pending[k];
+}
+
 // Stores an entry in its chunk. The median of a full chunk is added to the sum.
 INLINE void add_to_chunk(uint entry_index, float entry, float* pending, Compensated* median_sum)
 {
@@ -92,8 +102,8 @@ INLINE uint net_end(uint n)
 }
 
 // Ends the net that the n-th sample completes, and merges pairs of nets when there are NET_COUNT. `nets`: planes of the
-// sum of all samples up to the last full net, two parts, and of the means of the nets.
-INLINE void end_net(const Moments* m, uint n, __global float* nets, uint stride)
+// sum of all samples up to the last full net, two parts, and of the means of the nets. Returns the end of the next net.
+INLINE uint end_net(const Moments* m, uint n, __global float* nets, uint stride)
 {
     const uint size_log2 = net_size_log2(n - 1u), size = 1u << size_log2;
     const uint k = (n >> size_log2) - 1u, pending_count = n % SAMPLE_BLOCK_SIZE;
@@ -106,6 +116,7 @@ INLINE void end_net(const Moments* m, uint n, __global float* nets, uint stride)
     if (k + 1u == NET_COUNT)
         for (uint j = 0; j < NET_COUNT / 2u; ++j)
             means[j * stride] = 0.5f * (means[2u * j * stride] + means[(2u * j + 1u) * stride]);
+    return net_end(n);
 }
 #endif
 
@@ -126,7 +137,7 @@ __kernel void reduce(
     __global float* median_state = medians + pixel;
     Compensated median_sum = load_sum(median_state, total_pixels);
     float pending[CHUNK_SIZE];
-    for (uint k = 0; k + 1 < CHUNK_SIZE; ++k) pending[k] = median_state[(2 + k) * total_pixels];
+    load_chunk(pending, median_state + 2 * total_pixels, total_pixels);
 #endif
 #if FEATURE_BATCH_MEANS
     Compensated batch_sum = load_sum(median_state + (CHUNK_SIZE + 1) * total_pixels, total_pixels);
@@ -164,17 +175,14 @@ __kernel void reduce(
 #endif
         ++n;
 #if FEATURE_NET_MEANS
-        if (n == next_net_end) {
-            end_net(&moments, n, net_means + pixel, total_pixels);
-            next_net_end = net_end(n);
-        }
+        if (n == next_net_end) next_net_end = end_net(&moments, n, net_means + pixel, total_pixels);
 #endif
     }
 
     store_moments(&moments, sums + pixel, sample_block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
     store_sum(median_sum, median_state, total_pixels);
-    for (uint k = 0; k + 1 < CHUNK_SIZE; ++k) median_state[(2 + k) * total_pixels] = pending[k];
+    store_chunk(pending, median_state + 2 * total_pixels, total_pixels);
 #endif
 #if FEATURE_BATCH_MEANS
     store_sum(batch_sum, median_state + (CHUNK_SIZE + 1) * total_pixels, total_pixels);
