@@ -128,19 +128,17 @@ __kernel void reduce(
     if (i >= pixels) return;
     const uint pixel = first_pixel + i;
     const uint begin = pixel_offset[pixel];
-    const uint next = i + 1u < pixels ? pixel_offset[pixel + 1u] : slice_samples;
-    const uint end = MIN(next, slice_samples);  // a slice may have been cut short
+    // a slice may have been cut short
+    const uint end = i + 1u < pixels ? MIN(pixel_offset[pixel + 1u], slice_samples) : slice_samples;
     if (begin >= end) return;
-
     Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
-    __global float* median_state = medians + pixel;
-    Compensated median_sum = load_sum(median_state, total_pixels);
+    Compensated median_sum = load_sum(medians + pixel, total_pixels);
     float pending[CHUNK_SIZE];
-    load_chunk(pending, median_state + 2 * total_pixels, total_pixels);
+    load_chunk(pending, medians + pixel + 2 * total_pixels, total_pixels);
 #endif
 #if FEATURE_BATCH_MEANS
-    Compensated batch_sum = load_sum(median_state + (CHUNK_SIZE + 1) * total_pixels, total_pixels);
+    Compensated batch_sum = load_sum(medians + pixel + (CHUNK_SIZE + 1) * total_pixels, total_pixels);
 #endif
 #if FEATURE_POWER_MEAN
     Compensated power_sum = load_sum(powers + pixel, total_pixels);
@@ -153,7 +151,6 @@ __kernel void reduce(
 #if FEATURE_NET_MEANS
     uint next_net_end = net_end(n);
 #endif
-
     for (uint sample = begin; sample < end; ++sample) {
         const Vec3 rgb = LOAD3(sample, samples);
         const float x = luminance(rgb);
@@ -178,14 +175,13 @@ __kernel void reduce(
         if (n == next_net_end) next_net_end = end_net(&moments, n, net_means + pixel, total_pixels);
 #endif
     }
-
     store_moments(&moments, sums + pixel, sample_block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
-    store_sum(median_sum, median_state, total_pixels);
-    store_chunk(pending, median_state + 2 * total_pixels, total_pixels);
+    store_sum(median_sum, medians + pixel, total_pixels);
+    store_chunk(pending, medians + pixel + 2 * total_pixels, total_pixels);
 #endif
 #if FEATURE_BATCH_MEANS
-    store_sum(batch_sum, median_state + (CHUNK_SIZE + 1) * total_pixels, total_pixels);
+    store_sum(batch_sum, medians + pixel + (CHUNK_SIZE + 1) * total_pixels, total_pixels);
 #endif
 #if FEATURE_POWER_MEAN
     store_sum(power_sum, powers + pixel, total_pixels);
