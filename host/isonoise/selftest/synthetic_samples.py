@@ -16,8 +16,10 @@ class Reducer:
 
     def __init__(self, device: Device, pixels: int, needs: Needs = BASIC_NEEDS):
         self.device = device
-        table = {name: KERNELS[name] for name in ("reduce", "summarise")}
-        self.stages = Stages(self.device, table, statistics_features(needs), build_constants(needs), {})
+        features = statistics_features(needs)
+        names = ("reduce", "summarise", "sum_tiles", "fit_steps", "compute_design_effect")
+        table = {name: KERNELS[name] for name in names if KERNELS[name].is_launched(features)}
+        self.stages = Stages(self.device, table, features, build_constants(needs), {})
         self.accumulator = Accumulator(self.stages, (1, pixels), needs)
         self.stages.arguments["pixel_offset"] = self.device.buffer(4 * pixels, "the offsets")
 

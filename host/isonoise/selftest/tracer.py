@@ -11,7 +11,7 @@ from isonoise.scene.accel.bounds import analytic_bounds
 from isonoise.scene.accel.bvh import Bvh, build_bvh
 
 _ON = ("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS")
-_OFF = ("INSTANCES", "COUNT_TESTS", "NEXT_EVENT")
+_OFF = ("INSTANCES", "COUNT_TESTS", "NEXT_EVENT", "PARALLELOGRAM_LIGHTS")
 _FEATURES = dict.fromkeys(_ON, True) | dict.fromkeys(_OFF, False)
 _PADDING = 128  # a work-item of intersect_brute_force.cl reads all of its lanes
 
