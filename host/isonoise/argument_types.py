@@ -52,6 +52,13 @@ def quantile(text: str) -> float:
     return value
 
 
+def confidence(text: str) -> float:
+    value = finite_number(text)
+    if not 0.5 <= value < 1:
+        raise argparse.ArgumentTypeError(f"{text} must be at least 0.5 and below 1, as in 0.95")
+    return value
+
+
 def seed(text: str) -> int:
     value = integer(text)
     if not 0 <= value < 1 << 64:

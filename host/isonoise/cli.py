@@ -76,7 +76,11 @@ def _add_render(commands) -> None:
         "--time", metavar="S", type=argument_types.positive, help="seconds of rendering, without set-up"
     )
     limits.add_argument(
-        "--error", metavar="E", type=argument_types.positive, help="stated relative error, such as 0.02"
+        "--error",
+        metavar="E",
+        type=argument_types.positive,
+        help="until the true relative error of a share --quantile of the pixels is below E with --confidence, as far "
+        "as the samples show: light that no sample has found is in no estimate",
     )
     limits.add_argument(
         "--quantile",
@@ -84,6 +88,13 @@ def _add_render(commands) -> None:
         type=argument_types.quantile,
         default=0.99,
         help="quantile of the pixels' errors that --error limits (default: %(default)s)",
+    )
+    limits.add_argument(
+        "--confidence",
+        metavar="C",
+        type=argument_types.confidence,
+        default=0.95,
+        help="probability that --error ends no render too early, over all its waves (default: %(default)s)",
     )
     settings = render.add_argument_group("how to render")
     settings.add_argument(

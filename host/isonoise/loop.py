@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.error.stated_error import relative_standard_error, stated_error
+from isonoise.error.stopping import ErrorStop
 from isonoise.error.true_error import true_error
 from isonoise.errors import UserError
 from isonoise.film.log import LogRow
@@ -49,9 +50,12 @@ class Stops:
     time : float or None
         Seconds of rendering, without set-up.
     error : float or None
-        Stated relative error at `quantile`, such as 0.02.
+        Relative error at `quantile`, such as 0.02. The render ends when the true error is below it with `confidence`.
     quantile : float
         Quantile over the pixels, between 0 and 1.
+    confidence : float
+        Probability, at least 0.5 and below 1, that the true error is below `error` when the render ends because of it.
+        It holds for all waves together, and as far as the limits of the stated error allow.
 
     Raises
     ------
@@ -63,6 +67,7 @@ class Stops:
     time: float | None = None
     error: float | None = None
     quantile: float = 0.99
+    confidence: float = 0.95
 
     def __post_init__(self):
         for name in ("spp", "time", "error"):
@@ -71,6 +76,8 @@ class Stops:
                 raise UserError(f"{name} has to be a number above 0, not {value}")
         if not 0 < self.quantile < 1:
             raise UserError(f"quantile has to lie between 0 and 1, not {self.quantile}")
+        if not 0.5 <= self.confidence < 1:
+            raise UserError(f"confidence has to be at least 0.5 and below 1, not {self.confidence}")
         if self.spp is None and self.time is None and self.error is None:
             raise UserError("a render needs a limit: spp, time or error")
 
@@ -91,6 +98,8 @@ class Outcome:
         Statistics of all samples.
     floor : float
         Relative errors divide by max(luminance, floor).
+    error_bound : float or None
+        Upper confidence bound of the true error at the quantile of `Stops`. None without `Stops.error` or waves.
     """
 
     reason: str
@@ -98,6 +107,7 @@ class Outcome:
     elapsed_s: float
     statistics: Statistics
     floor: float
+    error_bound: float | None = None
 
     @property
     def rgb(self) -> np.ndarray:
@@ -116,6 +126,7 @@ def render(
     time: float | None = None,
     error: float | None = None,
     quantile: float = 0.99,
+    confidence: float = 0.95,
     **options,
 ) -> Outcome:
     """Render a scene until a limit is reached.
@@ -124,7 +135,7 @@ def render(
     ----------
     scene : str, path or dict
         As for `Renderer`.
-    spp, time, error, quantile
+    spp, time, error, quantile, confidence
         As for `Stops`. Without spp, time and error the scene's sample_count is the limit.
     **options
         Further parameters of `Renderer`, such as `strategy`, `seed` and `size`.
@@ -148,7 +159,7 @@ def render(
     renderer = Renderer(scene, **options)
     if spp is None and time is None and error is None:
         spp = float(renderer.scene.sample_count)
-    return render_loop(renderer, Stops(spp, time, error, quantile))
+    return render_loop(renderer, Stops(spp, time, error, quantile, confidence))
 
 
 def render_loop(
@@ -202,6 +213,7 @@ class _RenderLoop:
         self.samples = 0
         self.samples_per_s: float | None = None  # of the last wave, host work included
         self.error: float | None = None  # stated, at the quantile of `stops`
+        self.error_stop = None if stops.error is None else ErrorStop(stops.error, stops.quantile, stops.confidence)
         self.clock_start = time.perf_counter()
         self.last_progress_s = 0.0
 
@@ -217,7 +229,8 @@ class _RenderLoop:
             self.clock_start += self._elapsed() - row.elapsed_s  # true errors and `on_wave` do not count
         if statistics is None:
             statistics = self.renderer.statistics()
-        return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics))
+        bound = None if self.error_stop is None else self.error_stop.bound
+        return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics), bound)
 
     def _elapsed(self) -> float:
         return time.perf_counter() - self.clock_start
@@ -232,7 +245,7 @@ class _RenderLoop:
     def _stop_reason(self) -> str | None:
         if self.should_stop():
             return "interrupted"
-        if self.stops.error is not None and self.error is not None and self.error < self.stops.error:
+        if self.error_stop is not None and self.error_stop.passed:
             return "error"
         if self.renderer.remaining_pixel_samples < MIN_REMAINING_PIXEL_SAMPLES:
             return "full"
@@ -278,10 +291,11 @@ class _RenderLoop:
         return max(int(share * self.samples_per_s * left), 1)
 
     def _samples_to_error(self) -> float | None:
-        """Samples missing to `stops.error`, if the stated error falls with the square root of the sample count."""
-        if self.stops.error is None or self.error is None or not math.isfinite(self.error):
+        """Samples missing to `stops.error`, if the error's bound falls with the square root of the sample count."""
+        bound = None if self.error_stop is None else self.error_stop.bound
+        if bound is None or not math.isfinite(bound):
             return None
-        return self.samples * max((self.error / self.stops.error) ** 2 - 1, 0)
+        return self.samples * max((bound / self.stops.error) ** 2 - 1, 0)
 
     def _report_progress(self) -> None:
         elapsed = self._elapsed()
@@ -302,9 +316,15 @@ class _RenderLoop:
             estimates.append(missing / samples_per_s)
         return min(estimates, default=None)
 
+    def _stated_errors(self, statistics: Statistics) -> list[float]:
+        """At LOG_QUANTILES and the quantile of `stops`."""
+        quantiles, floor = (*LOG_QUANTILES, self.stops.quantile), self._floor(statistics)
+        if self.error_stop is None:
+            return stated_error(statistics, quantiles, floor).tolist()
+        return self.error_stop.update(statistics, floor, quantiles).tolist()
+
     def _add_row(self, record: WaveRecord, statistics: Statistics) -> LogRow:
-        stated = stated_error(statistics, (*LOG_QUANTILES, self.stops.quantile), self._floor(statistics))
-        p50, p95, p99, self.error = (float(error) for error in stated)
+        p50, p95, p99, self.error = self._stated_errors(statistics)
         elapsed = self._elapsed()
         true = None
         if self.reference is not None:
@@ -321,6 +341,7 @@ class _RenderLoop:
             stated_p99=p99,
             true=true,
             rejected=int(statistics.rejected.sum(dtype=np.int64)),
+            error_bound=math.nan if self.error_stop is None else self.error_stop.bound,
         )
         self.rows.append(row)
         return row

@@ -109,7 +109,9 @@ def _stops(options: argparse.Namespace, renderer: Renderer) -> Stops:
     """The given limits; without any, the scene's samples per pixel."""
     has_limit = options.spp or options.time or options.error
     spp = options.spp if has_limit else float(renderer.scene.sample_count)
-    return Stops(spp=spp, time=options.time, error=options.error, quantile=options.quantile)
+    return Stops(
+        spp=spp, time=options.time, error=options.error, quantile=options.quantile, confidence=options.confidence
+    )
 
 
 def _check_reference_size(options: argparse.Namespace, reference, renderer: Renderer) -> None:
@@ -188,6 +190,8 @@ def _result(options: argparse.Namespace, renderer: Renderer, stops: Stops, outco
         "floor": outcome.floor,
         "stopped_by": outcome.reason,
         "quantile": stops.quantile,
+        "confidence": stops.confidence,
+        "error_bound": outcome.error_bound,
         "stated_error": float(stated_error(statistics, [stops.quantile], outcome.floor)[0]),
         "waves": len(outcome.rows),
         "last_wave": row_values(outcome.rows[-1]) if outcome.rows else None,
@@ -222,6 +226,9 @@ def _print_result(result: dict[str, object]) -> None:
     reasons = {"interrupted": "by a signal", "full": "because a pixel's sample count is full"}
     _print_line("stopped", reasons.get(result["stopped_by"], f"by --{result['stopped_by']}"))
     _print_line("error", f"{format_percent(result['stated_error'])} (stated, quantile {result['quantile']:g})")
+    if result["error_bound"] is not None:
+        bound, confidence = format_percent(result["error_bound"]), format_percent(result["confidence"])
+        _print_line("", f"true error below {bound} with {confidence} confidence, as far as samples show")
     last = result["last_wave"] or {}
     if "true_p99" in last:
         true, stated = (

@@ -1,5 +1,6 @@
 """The error log: one row per wave, the meaning of its columns, and the CSV file that a render writes as it runs."""
 
+import math
 import os
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Literal
@@ -11,8 +12,8 @@ if TYPE_CHECKING:
     from isonoise.error.true_error import TrueError
 
 
-def _column(meaning: str):
-    return field(metadata={"doc": meaning})
+def _column(meaning: str, **options):
+    return field(metadata={"doc": meaning}, **options)
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,11 @@ class LogRow:
     stated_p99: float = _column("the same at q = 0.99")
     true: "TrueError | None"
     rejected: int = _column("samples so far that were negative or not finite; they enter no statistic")
+    error_bound: float = _column(
+        "with --error, the value that the true error at --quantile is below with --confidence, in all rows together, "
+        "as far as the samples show; the render ends when it is below E; without --error nan",
+        default=math.nan,
+    )
 
 
 def columns(true_errors: bool) -> dict[str, str]:
