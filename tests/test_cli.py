@@ -247,7 +247,7 @@ def test_help_lists_strategies_and_every_column(capsys):
     for word in (
         "(default: pooled)",
         "pooled:rule=sqrt",
-        "window=3",
+        "window=5",
         "kappa=8",
         "uniform",
         *columns(true_errors=True),

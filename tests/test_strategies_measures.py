@@ -13,13 +13,12 @@ from isonoise.strategies.measures import (
     confidence,
     half_buffer,
     image_floor,
-    pooled_variance,
+    neighbour_variance,
     relative_mean,
     relative_median,
     standard_error,
     tsallis,
     variance_per_sample,
-    window_sum,
 )
 
 
@@ -62,31 +61,64 @@ def test_the_design_effect_multiplies_the_variance_of_the_mean():
         standard_error,
         lambda s: relative_mean(s, 0.1),
         lambda s: relative_median(s, 0.1),
-        lambda s: pooled_variance(s, 0.1, 3),
+        lambda s: neighbour_variance(s, 0.1, 3),
         lambda s: confidence(s, 0.05),
     ):
         assert (measure(s) == measure(scaled)).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 5), (3, 2)])
-@pytest.mark.parametrize("window", [1, 3, 5, 31])
-def test_pooled_is_a_plain_loop_over_the_window(shape, window, monkeypatch):
+@pytest.mark.parametrize("window", [3, 5, 31])
+@pytest.mark.parametrize("all_known", [True, False])
+def test_neighbour_variance_is_a_plain_loop_over_the_window(shape, window, all_known, monkeypatch):
     monkeypatch.setattr(measures, "MEASURE_STRIP_PIXELS", 10)  # a few rows at a time
     rng = np.random.default_rng(3)
-    s = make_statistics(rng.integers(2, 50, size=shape), rng.lognormal(size=shape), rng.lognormal(size=shape))
-    n, reach = s.count.astype(float), window // 2
-    for (y, x), value in np.ndenumerate(pooled_variance(s, 0.5, window)):
-        around = np.s_[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
-        variance, mean = (np.average(plane[around], weights=n[around]) for plane in (s.variance, s.mean))
-        assert value == pytest.approx(variance / max(mean, 0.5) ** 2, rel=1e-12)
-    if window == 1:
-        assert pooled_variance(s, 0.5, 1) == pytest.approx(variance_per_sample(s, relative_mean(s, 0.5)), rel=1e-14)
+    count = rng.integers(2 if all_known else 0, 50 if all_known else 4, size=shape)
+    s = make_statistics(count, rng.lognormal(size=shape), np.where(count >= 2, rng.lognormal(size=shape), 0))
+    s = replace(s, design_effect=rng.uniform(0.1, 1, size=shape))
+    own, reach = s.design_effect * s.variance, window // 2
+    for (y, x), value in np.ndenumerate(neighbour_variance(s, 0.5, window)):
+        around = np.zeros(shape, dtype=bool)
+        around[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1] = True
+        if shape != (1, 1):
+            around[y, x] = False
+        around &= count >= 2
+        if count[y, x] < 2 or not around.any():
+            assert value == np.inf
+        else:
+            expected = own[around].mean() / max(s.mean[around].mean(), 0.5) ** 2
+            assert value == pytest.approx(expected, rel=1e-12)
 
 
-def test_window_sums_do_not_cancel():
-    values = np.full((9, 9), 1e-20)
-    values[0, 0] = 1e20
-    assert window_sum(values, 3)[8, 8] == pytest.approx(4e-20, rel=1e-15)
+def test_neighbour_variance_does_not_depend_on_the_pixel_itself():
+    s = noisy_statistics((9, 8))
+    changed = replace(s, mean=s.mean.copy(), variance=s.variance.copy(), count=s.count.copy())
+    changed.mean[4, 3], changed.variance[4, 3], changed.count[4, 3] = 1e30, 1e60, 10**6
+    before, after = neighbour_variance(s, 0.1, 5), neighbour_variance(changed, 0.1, 5)
+    assert after[4, 3] == before[4, 3]
+    differs = np.zeros(s.shape, dtype=bool)
+    differs[2:7, 1:6] = True
+    differs[4, 3] = False
+    assert ((after != before) == differs).all()
+
+
+def test_outliers_count_with_their_own_variance_as_far_as_their_share_of_the_energy_allows():
+    """Three pixels of 20x20 have seen an outlier; the image has 100 samples per pixel and a sum of 400."""
+    variance = np.full((20, 20), 0.01)
+    for pixel, error in (((3, 3), 2.0), ((10, 10), 1.0), ((15, 15), 0.5)):
+        variance[pixel] = 100 * error**2
+    s = make_statistics(100, np.ones((20, 20)), variance)
+
+    def with_own(share):
+        difference = neighbour_variance(s, 0.1, 5, share) != neighbour_variance(s, 0.1, 5)
+        return {(int(y), int(x)) for y, x in np.argwhere(difference)}
+
+    # The limit is share / sqrt(100) * 400 = 40 share, against errors of 2, then 1, then 0.5.
+    assert with_own(0.049) == set()
+    assert with_own(0.051) == {(3, 3)}
+    assert with_own(0.076) == {(3, 3), (10, 10)}
+    assert with_own(0.09) == {(3, 3), (10, 10), (15, 15)}
+    assert neighbour_variance(s, 0.1, 5, 0.051)[3, 3] == pytest.approx(400)
 
 
 @pytest.mark.parametrize("q", [0.5, 1.0, 1.5, 2.0, 3.0])

@@ -182,7 +182,7 @@ def test_names_from_entry_points(monkeypatch):
         ("relative-mean:growth=inf", "0.01 to 4"),
         ("relative-mean:rule=best", "deficit, sqrt, proportional"),
         ("relative-median:chunk=4", "odd"),
-        ("pooled:window=2", "odd"),
+        ("pooled:window=4", "odd"),
         ("tsallis:q=0", "0.1 to 8"),
         ("relative-mean:cap=1", "from 2"),
         ("relative-mean:cap=2.5", "whole number"),

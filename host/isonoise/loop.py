@@ -152,7 +152,7 @@ def render(
 
     Examples
     --------
-    >>> outcome = isonoise.render("cornell", spp=32, size=(64, 48), strategy="pooled:window=5")
+    >>> outcome = isonoise.render("cornell", spp=32, size=(64, 48), strategy="pooled:window=7")
     >>> outcome.reason, outcome.rgb.shape, len(outcome.rows)
     ('spp', (48, 64, 3), 9)
     """

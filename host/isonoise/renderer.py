@@ -16,7 +16,7 @@ from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load
-from isonoise.statistics import Statistics
+from isonoise.statistics import Statistics, UniformSamples
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
 from isonoise.strategies.uniform_allocation import MAX_COUNT, uniform_allocation
 
@@ -129,6 +129,8 @@ class Renderer:
         self._schedule = self.strategy.waves()
         self._unfinished_wave: Wave | None = None  # the rest of a shortened uniform wave
         self._statistics: Statistics | None = None  # None: out of date
+        needs_uniform = self.strategy.needs.uniform
+        self._uniform = UniformSamples((self.scene.height, self.scene.width)) if needs_uniform else None
         self._wave_index = 0
         self._max_pixel_samples = 0  # upper bound of the samples that any pixel has
 
@@ -189,15 +191,24 @@ class Renderer:
             )
         self._max_pixel_samples += max_allocation
         self._wave_index += 1
+        before = self.statistics() if self._uniform and wave.kind == "uniform" else None
         self._statistics = None
         traced = self._wavefront.trace(allocation, should_continue or (lambda samples_so_far: True))
+        if before:
+            self._uniform.add_wave(before, self.statistics())
+            self._statistics = self._with_uniform(self.statistics())
         return WaveRecord(wave.kind, traced, planned, time.perf_counter() - start)
 
     def statistics(self) -> Statistics:
         """Return the statistics of all samples so far, in the scene's units. Waits for the device."""
         if self._statistics is None:
-            self._statistics = self._wavefront.accumulator.statistics(self.scene.radiance_scale)
+            statistics = self._wavefront.accumulator.statistics(self.scene.radiance_scale)
+            self._statistics = self._with_uniform(statistics)
         return self._statistics
+
+    def _with_uniform(self, statistics: Statistics) -> Statistics:
+        """The statistics with those of uniform waves, if the strategy needs them."""
+        return replace(statistics, uniform=self._uniform.statistics(statistics)) if self._uniform else statistics
 
     def image(self) -> np.ndarray:
         """Return the mean linear RGB, (height, width, 3) float32. Waits for the device."""

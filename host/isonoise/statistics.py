@@ -1,7 +1,7 @@
 """Per-pixel sample statistics: which of them a strategy needs, and the arrays that the host reads from the device."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,9 @@ class Needs:
         Keep the mean of every second sample.
     nets : bool
         Keep means over nets, from which the design effect is estimated. Set by the renderer for the sampler sobol.
+    uniform : bool
+        Keep count, mean and variance of the samples of uniform waves. Not on the device but on the host, which reads
+        the statistics before and after every uniform wave.
 
     Raises
     ------
@@ -42,6 +45,7 @@ class Needs:
     power: float | None = None
     half: bool = False
     nets: bool = False
+    uniform: bool = False
 
     def __post_init__(self):
         if self.chunk not in range(1, 32, 2):
@@ -85,6 +89,8 @@ class Statistics:
     design_effect : (height, width) float64 or None
         Variance of the mean over that of as many independent samples (Kish 1965, "Survey sampling"). None: 1
         everywhere.
+    uniform : Statistics or None
+        Count, mean and variance of the samples of uniform waves, without RGB and design effect; None unless needed.
     """
 
     count: np.ndarray
@@ -96,6 +102,7 @@ class Statistics:
     power: np.ndarray | None = None
     half: np.ndarray | None = None
     design_effect: np.ndarray | None = None
+    uniform: "Statistics | None" = None
 
     def variance_of_mean(self) -> np.ndarray:
         """d s^2 / n, d the design effect: the squared standard error of the mean of x, a new array; inf where n < 2."""
@@ -117,3 +124,30 @@ class Statistics:
     def samples(self) -> int:
         """Samples that entered so far, over the whole image."""
         return int(self.count.sum(dtype=np.int64))
+
+
+class UniformSamples:
+    """Sums over every pixel's samples that came in uniform waves, from the statistics before and after each wave."""
+
+    def __init__(self, shape: tuple[int, int]):
+        self._sums = np.zeros((3, *shape))  # count, x, x^2
+
+    def add_wave(self, before: Statistics, after: Statistics) -> None:
+        """Add the samples of a uniform wave."""
+        self._sums += _sums(after)
+        self._sums -= _sums(before)
+
+    def statistics(self, statistics: Statistics) -> Statistics:
+        """Count, mean and variance of the samples so far; what else `statistics` has is left out."""
+        count, total, squares = self._sums
+        mean = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
+        variance = np.zeros_like(mean)
+        np.divide(squares - total * mean, count - 1, out=variance, where=count >= 2)
+        np.maximum(variance, 0, out=variance)  # below 0 by rounding only
+        optional = {"median": None, "power": None, "half": None, "design_effect": None, "uniform": None}
+        return replace(statistics, count=count.astype(np.uint32), mean=mean, variance=variance, rgb=None, **optional)
+
+
+def _sums(statistics: Statistics) -> np.ndarray:
+    count, mean = statistics.count.astype(np.float64), statistics.mean
+    return np.stack([count, count * mean, np.maximum(count - 1, 0) * statistics.variance + count * mean * mean])

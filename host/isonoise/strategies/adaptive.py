@@ -179,24 +179,34 @@ class Tsallis(Adaptive):
 
 @dataclass(kw_only=True, eq=False)
 class Pooled(Adaptive):
-    """Measure: the relative standard error, with variance and mean pooled over a window around the pixel.
+    """Measure: the relative standard error, with variance and mean of the pixel's neighbours.
 
     The default rule, `sqrt`, minimises the mean of the squared measure over the pixels for a given number of samples.
 
-    A pixel with a bright outlier also raises its neighbours' variance, so samples go where outliers are to be expected.
-    Without pooling they go only where one was seen, dilute it, and leave the image too dark.
+    A pixel that chooses its count by its own samples gets more of them when it has seen a bright outlier. They dilute
+    the outlier and leave the image too dark (Kirk and Arvo, "Unbiased sampling techniques for image synthesis", 1991).
+    Neighbours expect the same outliers and do not know whether the pixel has seen one.
 
     Parameters
     ----------
     window : int
-        Pixels per side, odd, 1 to 31; 1 is `relative-mean`.
+        Pixels per side of the neighbourhood, odd, 3 to 31; the pixel itself is left out.
+    outlier_share : float
+        Pixels with far more variance than their neighbours count with their own, the worst first, as long as their
+        standard errors sum to at most outlier_share / sqrt(samples per pixel) of the image's sum, 0 to 1. It dilutes
+        the brightest outliers at the cost of a small loss of energy, which falls as the render goes on.
+    unbiased : bool
+        Read only the uniform waves' samples, and no pixel's own variance (outlier_share counts as 0). Then a pixel's
+        count does not depend on its own samples, but for its share in sums over the image.
 
     Further parameters: those of `Adaptive`.
     """
 
     name = "pooled"
 
-    window: int = ranged(3, 1, 31)
+    window: int = ranged(5, 3, 31)
+    outlier_share: float = ranged(0.012, 0, 1)
+    unbiased: bool = False
     rule: str = "sqrt"
     ratio: float = ranged(0.35, 0.01)
     growth: float = ranged(0.2, 0.01, 4)
@@ -206,5 +216,12 @@ class Pooled(Adaptive):
         super().__post_init__()
         check_odd("window", self.window)
 
+    @property
+    def needs(self) -> Needs:
+        return Needs(uniform=self.unbiased)
+
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
-        return measures.pooled_variance(statistics, floor, self.window)
+        if self.unbiased:
+            uniform = statistics.uniform
+            return measures.neighbour_variance(uniform, measures.image_floor(uniform.mean), self.window)
+        return measures.neighbour_variance(statistics, floor, self.window, self.outlier_share)

@@ -11,6 +11,8 @@ from isonoise.student_t import quantile
 
 MEASURE_STRIP_PIXELS = 2**15
 """Pixels that are pooled at a time, so that the temporary arrays stay in the cache."""
+OUTLIER_RATIO = 16
+"""Only pixels with so many times the variance of their neighbours may count with their own variance."""
 
 
 def image_floor(mean: np.ndarray) -> float:
@@ -51,42 +53,91 @@ def relative_median(statistics: Statistics, floor: float, kappa: float = 8.0) ->
     return _divide(standard_error(statistics), np.maximum(scale, floor, out=scale))
 
 
-def pooled_variance(statistics: Statistics, floor: float, window: int) -> np.ndarray:
-    """V = d s^2 / max(mean, floor)^2, the relative variance of one sample, with d s^2 and mean pooled over a window.
+def neighbour_variance(statistics: Statistics, floor: float, window: int, outlier_share: float = 0.0) -> np.ndarray:
+    """V = s^2 / max(mean, floor)^2, the relative variance of one sample, of the pixel's neighbours.
 
-    d is the design effect. Every sample has the same weight: d s^2 is sum n d s^2 / sum n, the mean sum n mean / sum n,
-    over `window` x `window` pixels (odd) around the pixel, as far as they are inside the image.
+    s^2 (times the design effect) and mean are averages over the `window` x `window` pixels (odd) around the pixel, as
+    far as they are inside the image, without the pixel itself. Neighbours weigh equally: counts as weights would favour
+    those that have seen an outlier. A pixel's own samples therefore do not affect its V. inf where n < 2 or no
+    neighbour has n >= 2. The only pixel of an image has its own V.
+
+    With `outlier_share` > 0 some pixels have their own s^2 in place of the neighbours': among those whose s^2 is more
+    than `OUTLIER_RATIO` times as large, the ones with the largest se / max(mean, floor)^2, as long as their standard
+    errors se sum to at most `outlier_share` / sqrt(samples per pixel) of the sum of the image.
     """
     height, width = statistics.shape
-    result = np.empty((height, width))
+    if height * width == 1:
+        return variance_per_sample(statistics, relative_mean(statistics, floor))
+    known = statistics.count >= 2
+    result, outliers = np.empty((height, width)), []
     radius, rows = window // 2, max(1, MEASURE_STRIP_PIXELS // width)
     for top in range(0, height, rows):
-        begin, end = max(top - radius, 0), min(top + rows + radius, height)
-        inside = np.s_[top - begin : min(top + rows, height) - begin]
-        strip = np.s_[begin:end]
-        weight = statistics.count[strip].astype(np.float64)
-        samples = np.maximum(window_sum(weight, window)[inside], 1)
-        scale = window_sum(weight * statistics.mean[strip], window)[inside]
-        scale /= samples
+        bottom = min(top + rows, height)
+        begin, end = max(top - radius, 0), min(bottom + radius, height)
+        inside, strip = np.s_[top - begin : bottom - begin], np.s_[begin:end]
+        own = statistics.variance_per_sample(strip)
+        neighbours = _count_neighbours(known[strip], window)[inside]
+        divisor = np.maximum(neighbours, 1)
+        variance = _neighbour_sum(own, window)[inside] / divisor
+        scale = _neighbour_sum(statistics.mean[strip] * known[strip], window)[inside] / divisor
         np.maximum(scale, floor, out=scale)
-        variance = window_sum(np.multiply(weight, statistics.variance_per_sample(strip), out=weight), window)[inside]
-        variance /= samples
-        result[top : top + rows] = _divide(_divide(variance, scale), scale)
-    result[statistics.count < 2] = np.inf
+        if outlier_share:
+            outliers.append(_outliers(statistics, own[inside], variance, scale, top))
+        variance = _divide(_divide(variance, scale), scale)
+        variance[neighbours == 0] = np.inf
+        result[top:bottom] = variance
+    if outlier_share:
+        _use_own_variance(result.reshape(-1), statistics, outlier_share, *np.concatenate(outliers, axis=1))
+    result[~known] = np.inf
     return result
 
 
-def window_sum(values: np.ndarray, window: int) -> np.ndarray:
-    """Sums over `window` x `window` pixels around each pixel, as far as they are inside the image."""
+def _outliers(statistics: Statistics, own: np.ndarray, variance: np.ndarray, scale: np.ndarray, top: int) -> np.ndarray:
+    """Of the pixels of a strip with far more variance than their neighbours: index, se, relative variance, rank."""
+    found = np.flatnonzero((own > OUTLIER_RATIO * variance) & (scale > 0))
+    index = found + top * statistics.shape[1]
+    scale = scale.reshape(-1)[found]
+    own = own.reshape(-1)[found]
+    error = np.sqrt(own / statistics.count.reshape(-1)[index])
+    return np.stack([index, error, own / scale / scale, error / scale / scale])
+
+
+def _use_own_variance(result, statistics: Statistics, share: float, index, error, own, rank) -> None:
+    """Write the pixels' own relative variances to `result`, highest rank first, as far as `share` allows."""
+    order = np.argsort(-rank, kind="stable")
+    limit = share * float(statistics.mean.sum()) * np.sqrt(statistics.count.size / max(statistics.samples, 1))
+    chosen = order[: np.searchsorted(np.cumsum(error[order]), limit, side="right")]
+    result[index[chosen].astype(np.intp)] = own[chosen]
+
+
+def _neighbour_sum(values: np.ndarray, window: int) -> np.ndarray:
+    """Sums over `window` x `window` pixels around each pixel, as far as they are inside the image, without itself.
+
+    Nothing is subtracted, so that a large value leaves no rounding error behind.
+    """
     radius = window // 2
-    for axis in (0, 1):
-        lines = np.moveaxis(values, axis, 0)
-        total = lines.copy()
-        for step in range(1, min(radius, len(lines) - 1) + 1):  # no differences of running sums: these cancel
-            total[step:] += lines[:-step]
-            total[:-step] += lines[step:]
-        values = np.moveaxis(total, 0, axis)
-    return values
+    total = np.zeros_like(values)
+    _add_shifted(total.T, values.T, radius)
+    _add_shifted(total, values + total, radius)
+    return total
+
+
+def _add_shifted(total: np.ndarray, lines: np.ndarray, radius: int) -> None:
+    """Add to each line of `total` the lines up to `radius` before and after it."""
+    for step in range(1, min(radius, len(lines) - 1) + 1):
+        total[step:] += lines[:-step]
+        total[:-step] += lines[step:]
+
+
+def _count_neighbours(known: np.ndarray, window: int) -> np.ndarray:
+    """Neighbours in the window that are known, float64."""
+    if not known.all():
+        return _neighbour_sum(known.astype(np.float64), window)
+    rows, columns = (
+        np.minimum(np.arange(size), window // 2) + np.minimum(np.arange(size)[::-1], window // 2) + 1.0
+        for size in known.shape
+    )
+    return np.outer(rows, columns) - 1
 
 
 def tsallis(statistics: Statistics, q: float) -> np.ndarray:
