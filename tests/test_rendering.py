@@ -35,7 +35,7 @@ def test_invalid_limits(limits, message):
 
 @pytest.mark.parametrize("strategy", BUILT_IN)
 def test_a_stated_error_ends_the_render(strategy):
-    outcome = render(lamp_over_floor(), error=0.1, spp=100_000, strategy=strategy)
+    outcome = render(lamp_over_floor(), error=0.1, spp=100_000, strategy=strategy, sampler="independent")
     assert outcome.reason == "error"
     assert outcome.rows[-1].stated_p99 < outcome.error_bound < 0.1
     assert all(row.error_bound >= 0.1 for row in outcome.rows[:-1])

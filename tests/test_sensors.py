@@ -36,7 +36,11 @@ SENSORS = {
 
 
 def scene_with(sensor: dict, film: dict) -> dict:
-    return {"type": "scene", "sensor": {**sensor, "film": {"type": "hdrfilm", **film, "rfilter": {"type": "box"}}}}
+    sampler = {"type": "independent"}
+    return {
+        "type": "scene",
+        "sensor": {**sensor, "sampler": sampler, "film": {"type": "hdrfilm", **film, "rfilter": {"type": "box"}}},
+    }
 
 
 def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:

@@ -123,7 +123,7 @@ class Renderer:
         with self._measured("compile"):
             opencl_device = Device(device, profile)
             self.device_name = opencl_device.name
-            needs = replace(self.strategy.needs, nets=self.scene.sampler == "sobol")
+            needs = self.strategy.needs.with_sampler(self.scene.sampler)
             self._wavefront = Wavefront(opencl_device, self.scene, bvh, needs, seed, pool_size)
             self._wavefront.warm_up()
         self._schedule = self.strategy.waves()

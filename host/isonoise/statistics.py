@@ -55,6 +55,10 @@ class Needs:
         if self.power is not None and not 0 < self.power < math.inf:
             raise UserError(f"Needs: power = {self.power} must be a finite number above 0")
 
+    def with_sampler(self, sampler: str) -> "Needs":
+        """These statistics, and those that the error of samples from this sampler needs."""
+        return replace(self, nets=sampler == "sobol")
+
 
 BASIC_NEEDS = Needs()
 """Only the statistics that are always kept."""

@@ -51,7 +51,7 @@ def _print_scene(source: str, parameters: dict[str, str]) -> None:
 
     scene = compile_scene(load(source, parameters))
     print(label_lines(describe_scene(scene).items()))
-    used = features(scene, make_strategy(DEFAULT_STRATEGY).needs)
+    used = features(scene, make_strategy(DEFAULT_STRATEGY).needs.with_sampler(scene.sampler))
     name_width = max(map(len, used))
 
     def print_features(is_on: bool) -> None:
