@@ -49,8 +49,8 @@ MAX_SKEWNESS_SCATTER = 4.0
 def relative_errors(statistics: Statistics, rows: slice, floor: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean square and normal share of the relative error of every pixel, |deviation + sqrt(v) Z| / scale.
 
-    scale = max(smoothed mean, floor). The design effect varies slowly over the image and multiplies the shrunk
-    variances.
+    scale = max(smoothed mean, floor). The variances that are shrunk are d s^2, d the design effect: a pixel that has
+    seen a rare bright sample has a larger d than its neighbours.
 
     Parameters
     ----------
@@ -113,7 +113,6 @@ def _shrunk_noise(cells: "_Cells", scale: np.ndarray, exponent: float) -> tuple[
     s2 = cells.s2 / scale / scale
     np.minimum(s2, MAX_MEAN, out=s2)
     variance, factor = _shrunk_variance(cells.n, cells.x / scale, cells.dof, s2, exponent)
-    variance *= cells.design_effect
     return _divide(variance, cells.n), factor
 
 
@@ -134,13 +133,10 @@ class _Cells:
         self.known = inside & (n > 1)
         self.n = n * self.known
         self.x = self._gather(_limited(statistics.mean[rows] / self.unit, MAX_MEAN))
-        self.s2 = self._gather(_limited(statistics.variance[rows] / self.unit / self.unit, MAX_MEAN**2))
+        self.s2 = self._gather(_limited(statistics.variance_per_sample(rows) / self.unit / self.unit, MAX_MEAN**2))
         self.dof = self.n - self.known
-        self.design_effect = np.float32(1)
-        if statistics.design_effect is not None:
-            self.design_effect = self._gather(statistics.design_effect[rows])
         self.means = _pyramid(self.n, self.x)
-        self.variances = _pyramid(self.dof, self.design_effect * self.s2)
+        self.variances = _pyramid(self.dof, self.s2)
 
     def _gather(self, values: np.ndarray) -> np.ndarray:
         """Values of the pixels in the order of the pyramid, 0 where n < 2."""
