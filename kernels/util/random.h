@@ -5,13 +5,15 @@
 #include "util/sobol.h"
 
 // Dimension blocks, by random_vertex_index. The camera has one. A path vertex has four: BSDF and light are numbered
-// together, materials and media in ranges of their own. So the numbers of a block do not depend on the features.
-#define BLOCK_CAMERA 0u  // filter x, filter y, lens x, lens y
+// together, materials and media in ranges of their own. So the numbers of a block do not depend on the features. The
+// first pairs of an even block and of the odd one after it form a group (util/sobol.h): camera and first light, BSDF
+// and light of the next vertex.
+#define BLOCK_CAMERA 1u  // filter x, filter y, lens x, lens y
 #define BLOCKS_PER_VERTEX 2u
-#define BLOCK_BSDF(depth) (1u + BLOCKS_PER_VERTEX * (depth))   // direction x, direction y, lobe, Russian roulette
-#define BLOCK_LIGHT(depth) (2u + BLOCKS_PER_VERTEX * (depth))  // light and x, y, low bits of x, unused
-#define BLOCK_MATERIAL(depth) (0x80000000u + (depth))          // choice of a nested material
-#define BLOCK_MEDIUM(depth) (0xC0000000u + (depth))            // channel, distance, distance (low bits)
+#define BLOCK_LIGHT(depth) (BLOCKS_PER_VERTEX * (depth))      // light and x, y, low bits of x, unused
+#define BLOCK_BSDF(depth) (3u + BLOCKS_PER_VERTEX * (depth))  // direction x, direction y, lobe, Russian roulette
+#define BLOCK_MATERIAL(depth) (0x80000001u + BLOCKS_PER_VERTEX * (depth))  // choice of a nested material
+#define BLOCK_MEDIUM(depth) (0xC0000001u + BLOCKS_PER_VERTEX * (depth))    // channel, distance, distance (low bits)
 
 // The four numbers of one dimension block of one sample: in [0, 1), multiples of 2^-24. The pairs (x, y) and (z, w) are
 // well distributed over consecutive samples of a pixel with the sampler `sobol`, else independent.
