@@ -13,6 +13,7 @@ from isonoise.integrator.stages import Stages
 from isonoise.loop import render
 from isonoise.scene import compile_scene, load, structs
 
+BLOCK_CAMERA = 1  # kernels/util/random.h
 SEED = (7, 9)
 SAMPLES = 8  # per pixel
 VIEW = np.array([[0.8, 0, 0.6, 1], [0, 1, 0, 2], [-0.6, 0, 0.8, 3], [0, 0, 0, 1]])
@@ -86,7 +87,7 @@ def test_rays_equal_mitsubas(name, film):
     origins, directions = generate_rays(description)
     width, height = film.get("crop_width", film["width"]), film.get("crop_height", film["height"])
     for pixel, index in np.ndindex(len(origins), SAMPLES):
-        u = np.array([word >> 8 for word in philox_4x32((pixel, index, 0, 0), SEED)]) / 2**24
+        u = np.array([word >> 8 for word in philox_4x32((pixel, index, BLOCK_CAMERA, 0), SEED)]) / 2**24
         at = ((pixel % width + u[0]) / width, (pixel // width + u[1]) / height)
         ray, _ = theirs.sample_ray(0.0, 0.0, at, u[2:])
         np.testing.assert_allclose(directions[pixel, index, :3], np.array(ray.d), atol=2e-6)
