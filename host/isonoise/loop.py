@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from isonoise.error.energy_loss import EnergyLoss
 from isonoise.error.stated_error import relative_standard_error, stated_error
 from isonoise.error.stopping import ErrorStop
 from isonoise.error.true_error import true_error
@@ -210,6 +211,7 @@ class _RenderLoop:
         self.pixels = renderer.scene.width * renderer.scene.height
         self.max_samples = None if stops.spp is None else max(1, round(stops.spp * self.pixels))
         self.rows: list[LogRow] = []
+        self.energy_loss = EnergyLoss()
         self.samples = 0
         self.samples_per_s: float | None = None  # of the last wave, host work included
         self.error: float | None = None  # stated, at the quantile of `stops`
@@ -325,6 +327,8 @@ class _RenderLoop:
 
     def _add_row(self, record: WaveRecord, statistics: Statistics) -> LogRow:
         p50, p95, p99, self.error = self._stated_errors(statistics)
+        self.energy_loss.add_wave(record.kind, statistics)
+        energy_loss, energy_loss_se = self.energy_loss.estimate(statistics)
         elapsed = self._elapsed()
         true = None
         if self.reference is not None:
@@ -342,6 +346,8 @@ class _RenderLoop:
             true=true,
             rejected=int(statistics.rejected.sum(dtype=np.int64)),
             error_bound=math.nan if self.error_stop is None else self.error_stop.bound,
+            energy_loss=energy_loss,
+            energy_loss_se=energy_loss_se,
         )
         self.rows.append(row)
         return row

@@ -230,6 +230,9 @@ def _print_result(result: dict[str, object]) -> None:
         bound, confidence = format_percent(result["error_bound"]), format_percent(result["confidence"])
         _print_line("", f"true error below {bound} with {confidence} confidence, as far as samples show")
     last = result["last_wave"] or {}
+    if last.get("energy_loss_se"):
+        loss, error = (format_percent(last[name]) for name in ("energy_loss", "energy_loss_se"))
+        _print_line("energy", f"loss of the image mean {loss}, standard error {error} (from the uniform waves)")
     if "true_p99" in last:
         true, stated = (
             ", ".join(f"p{q} {format_percent(last[f'{kind}_p{q}'])}" for q in (50, 95, 99))

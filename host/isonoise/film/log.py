@@ -37,6 +37,12 @@ class LogRow:
         "as far as the samples show; the render ends when it is below E; without --error nan",
         default=math.nan,
     )
+    energy_loss: float = _column(
+        "estimated loss of the image's mean luminance, because samples decide where the next ones go: 1 - mean / mean "
+        "of the samples of uniform waves; below 0 by chance",
+        default=math.nan,
+    )
+    energy_loss_se: float = _column("its standard error", default=math.nan)
 
 
 def columns(true_errors: bool) -> dict[str, str]:
