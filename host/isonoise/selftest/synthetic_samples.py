@@ -12,15 +12,15 @@ from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 
 class Reducer:
-    """The kernels `reduce` and `summarise` for an image of 1 x `pixels`."""
+    """The kernels `reduce` and `summarise` for an image of `pixels`, in rows of `width`; without it, in one row."""
 
-    def __init__(self, device: Device, pixels: int, needs: Needs = BASIC_NEEDS):
+    def __init__(self, device: Device, pixels: int, needs: Needs = BASIC_NEEDS, width: int | None = None):
         self.device = device
         features = statistics_features(needs)
         names = ("reduce", "summarise", "sum_tiles", "fit_steps", "compute_design_effect")
         table = {name: KERNELS[name] for name in names if KERNELS[name].is_launched(features)}
         self.stages = Stages(self.device, table, features, build_constants(needs), {})
-        self.accumulator = Accumulator(self.stages, (1, pixels), needs)
+        self.accumulator = Accumulator(self.stages, (pixels // (width or pixels), width or pixels), needs)
         self.stages.arguments["pixel_offset"] = self.device.buffer(4 * pixels, "the offsets")
 
     def add(self, samples: list[np.ndarray], repeats: int = 1) -> None:
