@@ -29,7 +29,7 @@ INLINE float bin_position(float relative_variance)
 
 // Sums over the pixels of a tile: one work-item per tile. `net_variances`: planes of the relative variance s^2 / mean^2
 // and of S v(S) / s^2. `grid`: for every tile and bin the sums of the weight, of weight * S v(S) / s^2 and of weight *
-// log2(S), the weight of a pixel being its relative variance.
+// log2(S), and 0; the weight of a pixel is its relative variance.
 __kernel void sum_tiles(
 #include "generated/sum_tiles_parameters.h"
 )
@@ -37,30 +37,32 @@ __kernel void sum_tiles(
     const uint tile = get_global_id(0);
     const uint tiles_across = (image_width + TILE_SIZE - 1u) / TILE_SIZE;
     if (tile >= tile_count) return;
-    __global float* sums = grid + tile * GRID_BINS * 3u;
-    for (uint k = 0; k < GRID_BINS * 3u; ++k) sums[k] = 0.0f;
+    __global float4* sums = (__global float4*)grid + tile * GRID_BINS;
+    for (uint k = 0; k < GRID_BINS; ++k) sums[k] = (float4)(0.0f);
     const uint left = tile % tiles_across * TILE_SIZE, top = tile / tiles_across * TILE_SIZE;
-    const uint right = MIN(left + TILE_SIZE, image_width), bottom = MIN(top + TILE_SIZE, total_pixels / image_width);
-    for (uint y = top; y < bottom; ++y)
-        for (uint x = left; x < right; ++x) {
-            const uint pixel = y * image_width + x;
-            const float relative_variance = net_variances[pixel], ratio = net_variances[total_pixels + pixel];
-            if (!(relative_variance > 0.0f)) continue;
-            const float position = bin_position(relative_variance);
-            const uint bin = MIN((uint)position, GRID_BINS - 2u);
-            const float fraction = position - (float)bin, level = net_level(count[pixel]);
-            for (uint k = 0; k < 2u; ++k) {
-                const float weight = relative_variance * (k ? fraction : 1.0f - fraction);
-                __global float* sum = sums + 3u * (bin + k);
-                sum[0] += weight;
-                sum[1] += weight * ratio;
-                sum[2] += weight * level;
-            }
+    const uint width = MIN(TILE_SIZE, image_width - left), bottom = MIN(top + TILE_SIZE, total_pixels / image_width);
+    float position[TILE_SIZE], level[TILE_SIZE];
+    for (uint y = top; y < bottom; ++y) {
+        const uint row = y * image_width + left;
+        VECTORIZE_PIXELS
+        for (uint x = 0; x < width; ++x) {
+            position[x] = bin_position(net_variances[row + x]);
+            level[x] = net_level(count[row + x]);
         }
+        for (uint x = 0; x < width; ++x) {
+            const float relative_variance = net_variances[row + x];
+            if (!(relative_variance > 0.0f)) continue;
+            const uint bin = MIN((uint)position[x], GRID_BINS - 2u);
+            const float fraction = position[x] - (float)bin;
+            const float4 values = (float4)(1.0f, net_variances[total_pixels + row + x], level[x], 0.0f);
+            sums[bin] += relative_variance * (1.0f - fraction) * values;
+            sums[bin + 1u] += relative_variance * fraction * values;
+        }
+    }
 }
 
 // The factor by which S v(S) changes from one size to the next, 2^-exponent, for every tile and bin, from the sums over
-// 3x3 tiles with the weights 1, 2, 1 along both axes; -1 where no pixel is. One work-item per tile.
+// 3x3 tiles with the weights 1, 2, 1 along both axes; 0 where no pixel is. One work-item per tile.
 __kernel void fit_steps(
 #include "generated/fit_steps_parameters.h"
 )
@@ -70,27 +72,25 @@ __kernel void fit_steps(
     const int across = (int)((image_width + TILE_SIZE - 1u) / TILE_SIZE), down = (int)tile_count / across;
     const int column = (int)tile % across, row = (int)tile / across;
     for (uint bin = 0; bin < GRID_BINS; ++bin) {
-        float total = 0.0f, ratio = 0.0f, level = 0.0f;
+        float4 total = (float4)(0.0f);  // of weight, weight * ratio, weight * level
         for (int y = MAX(row - 1, 0); y <= MIN(row + 1, down - 1); ++y)
             for (int x = MAX(column - 1, 0); x <= MIN(column + 1, across - 1); ++x) {
                 const float weight = (x == column ? 2.0f : 1.0f) * (y == row ? 2.0f : 1.0f);
-                __global const float* sum = grid + ((uint)(y * across + x) * GRID_BINS + bin) * 3u;
-                total += weight * sum[0];
-                ratio += weight * sum[1];
-                level += weight * sum[2];
+                total += weight * ((__global const float4*)grid)[(uint)(y * across + x) * GRID_BINS + bin];
             }
-        float step = -1.0f;
-        if (total > 0.0f) step = MIN(MAX(exp2(log2(ratio / total) * (total / level)), MIN_STEP), 1.0f);
+        float step = 0.0f;
+        if (total.x > 0.0f) step = MIN(MAX(exp2(log2(total.y / total.x) * (total.x / total.z)), MIN_STEP), 1.0f);
         steps[tile * GRID_BINS + bin] = step;
     }
 }
 
-// x^n
+// x^n, n < 32. Without branches: LLVM vectorises the loop over pixels that calls it.
 INLINE float power(float x, uint n)
 {
     float result = 1.0f;
-    for (; n; n >>= 1u) {
-        if (n & 1u) result *= x;
+#pragma unroll
+    for (uint bit = 0; bit < 5u; ++bit) {
+        result *= n >> bit & 1u ? x : 1.0f;
         x *= x;
     }
     return result;
@@ -110,6 +110,7 @@ INLINE float design_effect_of(uint n, float step)
     // beyond the nets measured the gain slows down: step^(3/4)
     const float root = SQRT(step), extrapolated_step = root * SQRT(root);
     float ratio = power(step, size_log2), sum = 0.0f;
+#pragma unroll
     for (uint k = 0; k < 3u; ++k) {  // nets of 1, 2 and 4 times `size`; smaller ones count for less than 0.01
         sum += net_term(n, size << k, ratio);
         ratio *= k < 2u ? step : extrapolated_step;
@@ -120,36 +121,45 @@ INLINE float design_effect_of(uint n, float step)
     return sum + 0.5f * fill * ratio * extrapolated_step / (1.0f - 0.5f * extrapolated_step);
 }
 
-// One work-item per pixel: the step, interpolated between tiles and bins, and the design effect.
+// The step, interpolated between tiles and bins, and the design effect. One work-item per run of at most TILE_SIZE
+// pixels of a row, which lie between the centres of the same four tiles.
 __kernel void compute_design_effect(
 #include "generated/compute_design_effect_parameters.h"
 )
 {
-    const uint pixel = get_global_id(0);
-    if (pixel >= total_pixels) return;
-    const uint n = count[pixel];
-    const float relative_variance = net_variances[pixel];
-    float result = 1.0f;
-    if (n >= NET_COUNT && relative_variance > 0.0f) {  // fewer samples tell nothing: their nets make up all of s^2
-        const int across = (int)((image_width + TILE_SIZE - 1u) / TILE_SIZE), down = (int)tile_count / across;
-        const float x = ((float)(pixel % image_width) + 0.5f) * (1.0f / TILE_SIZE) + 0.5f;  // in tiles, of centres
-        const float y = ((float)(pixel / image_width) + 0.5f) * (1.0f / TILE_SIZE) + 0.5f;
+    const uint height = total_pixels / image_width;
+    const uint across = (image_width + TILE_SIZE - 1u) / TILE_SIZE, down = tile_count / across, runs = across + 1u;
+    const uint column = get_global_id(0) % runs, y = get_global_id(0) / runs;  // column: of the tiles on the right
+    if (y >= height) return;
+    const uint begin = MAX(column * TILE_SIZE, TILE_SIZE / 2u) - TILE_SIZE / 2u;
+    const uint end = MIN(column * TILE_SIZE + TILE_SIZE / 2u, image_width);
+    const float row_position = ((float)y + 0.5f) * (1.0f / TILE_SIZE) + 0.5f;  // in tiles, of centres
+    const uint row = (uint)row_position;
+    const uint left = MAX(column, 1u) - 1u, right = MIN(column, across - 1u);
+    const uint upper = (MAX(row, 1u) - 1u) * across, lower = MIN(row, down - 1u) * across;
+    const uint tiles[4] = {upper + left, upper + right, lower + left, lower + right};
+    const float lower_weight = row_position - (float)row;
+    VECTORIZE_PIXELS
+    for (uint x = begin; x < end; ++x) {
+        const int pixel = (int)(y * image_width + x);
+        const uint n = count[pixel];
+        const float relative_variance = net_variances[pixel];
+        const float right_weight = ((float)x + 0.5f) * (1.0f / TILE_SIZE) + 0.5f - (float)column;
         const float position = bin_position(relative_variance);
-        const int column = (int)x, row = (int)y, bin = MIN((int)position, (int)GRID_BINS - 2);
+        const int bin = MIN((int)position, (int)GRID_BINS - 2);
+        const float upper_bin_weight = position - (float)bin;
         float total = 0.0f, sum = 0.0f;
-        for (int k = 0; k < 8; ++k) {
-            const int right = k & 1, lower = (k >> 1) & 1, upper_bin = k >> 2;
-            const int tile_x = MIN(MAX(column - 1 + right, 0), across - 1);
-            const int tile_y = MIN(MAX(row - 1 + lower, 0), down - 1);
-            const float step = steps[(uint)(tile_y * across + tile_x) * GRID_BINS + (uint)(bin + upper_bin)];
-            const float fraction_x = x - (float)column, fraction_y = y - (float)row, fraction = position - (float)bin;
-            const float weight = (right ? fraction_x : 1.0f - fraction_x) * (lower ? fraction_y : 1.0f - fraction_y) *
-                                 (upper_bin ? fraction : 1.0f - fraction);
-            if (step < 0.0f) continue;
-            total += weight;
+#pragma unroll
+        for (uint k = 0; k < 8u; ++k) {
+            const float step = steps[(int)(tiles[k & 3u] * GRID_BINS + (k >> 2)) + bin];
+            const float weight = (k & 1u ? right_weight : 1.0f - right_weight) *
+                                 (k & 2u ? lower_weight : 1.0f - lower_weight) *
+                                 (k & 4u ? upper_bin_weight : 1.0f - upper_bin_weight);
+            total += step > 0.0f ? weight : 0.0f;
             sum += weight * step;
         }
-        result = total > 0.0f ? design_effect_of(n, sum / total) : 1.0f;
+        const float effect = design_effect_of(n, sum / total);
+        // fewer samples than NET_COUNT tell nothing: their nets make up all of s^2
+        design_effect[pixel] = n >= NET_COUNT && relative_variance > 0.0f && total > 0.0f ? effect : 1.0f;
     }
-    design_effect[pixel] = result;
 }

@@ -1,5 +1,6 @@
 // Stage: turns the state of `reduce` into the statistics that the host reads. Radiance is radiance_scale times that of
-// the scene (host/isonoise/scene/compiled_scene.py). One work-item per pixel of a strip of at most `stride` pixels.
+// the scene (host/isonoise/scene/compiled_scene.py). A strip has at most `stride` pixels, a work-item
+// PIXELS_PER_ITEM of them.
 // Reads the state; writes `summary`, one plane after another:
 // mean of x (high, low), variance, mean RGB (three floats a pixel), M_x, mean power (high, low), mean RGB of the half.
 #include "util/statistics.h"
@@ -9,60 +10,64 @@ __kernel void summarise(
 #include "generated/summarise_parameters.h"
 )
 {
-    const uint i = get_global_id(0);
-    if (i >= pixels) return;
-    const uint pixel = first_pixel + i;
-    const uint n = count[pixel], pending_count = n % SAMPLE_BLOCK_SIZE;
-    const uint divisor = MAX(n, 1u);  // without samples every sum is 0
+    const uint begin = get_global_id(0) * PIXELS_PER_ITEM, end = MIN(begin + PIXELS_PER_ITEM, pixels);
+    VECTORIZE_PIXELS
+    for (int i = (int)begin; i < (int)end; ++i) {
+        const int pixel = (int)first_pixel + i;
+        const uint n = count[pixel], pending_count = n % SAMPLE_BLOCK_SIZE;
+        const uint divisor = MAX(n, 1u);  // without samples every sum is 0
 
-    Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
-    if (pending_count) merge_block(&moments, n - pending_count, pending_count);
-    __global float* out = summary;
-    store_sum(divide_compensated(moments.sum[3], divisor), out + i, stride);
-    out += 2 * stride;
-    out[i] = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
-    out += stride;
-    for (uint c = 0; c < 3; ++c) out[3 * i + c] = divide_compensated(moments.sum[c], divisor).high;
-    out += 3 * stride;
+        Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
+        if (pending_count) merge_block(&moments, n - pending_count, pending_count);
+        __global float* out = summary;
+        store_sum(divide_compensated(moments.sum[3], divisor), out + i, stride);
+        out += 2 * stride;
+        out[i] = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
+        out += stride;
+#pragma unroll
+        for (int c = 0; c < 3; ++c) out[3 * i + c] = divide_compensated(moments.sum[c], divisor).high;
+        out += 3 * stride;
 
 #if FEATURE_CHUNK_MEDIANS
-    __global const float* median_state = medians + pixel;
+        __global const float* median_state = medians + pixel;
 #if FEATURE_BATCH_MEANS
-    const uint entries = n / BATCH_SIZE;
+        const uint entries = n / BATCH_SIZE;
 #else
-    const uint entries = n;
+        const uint entries = n;
 #endif
-    float median = 0.0f;
-    if (entries >= CHUNK_SIZE) {
-        median = divide_compensated(load_sum(median_state, total_pixels), entries / CHUNK_SIZE).high;
-    } else if (entries) {  // no full chunk yet: the median of its entries
-        float pending[CHUNK_SIZE];
-        for (uint k = 0; k < entries; ++k) pending[k] = median_state[(2 + k) * total_pixels];
-        median = chunk_median(pending, entries);
-    }
+        float median = 0.0f;
+        if (entries >= CHUNK_SIZE) {
+            median = divide_compensated(load_sum(median_state, total_pixels), entries / CHUNK_SIZE).high;
+        } else if (entries) {  // no full chunk yet: the median of its entries
+            float pending[CHUNK_SIZE];
+            for (uint k = 0; k < entries; ++k) pending[k] = median_state[(2 + k) * total_pixels];
+            median = chunk_median(pending, entries);
+        }
 #if FEATURE_BATCH_MEANS
-    else if (n) {  // no full batch yet: the mean of its samples
-        median = divide_compensated(load_sum(median_state + (CHUNK_SIZE + 1) * total_pixels, total_pixels), n).high;
-    }
+        else if (n) {  // no full batch yet: the mean of its samples
+            median = divide_compensated(load_sum(median_state + (CHUNK_SIZE + 1) * total_pixels, total_pixels), n).high;
+        }
 #endif
-    out[i] = median;
-    out += stride;
+        out[i] = median;
+        out += stride;
 #endif
 #if FEATURE_POWER_MEAN
-    store_sum(divide_compensated(load_sum(powers + pixel, total_pixels), divisor), out + i, stride);
-    out += 2 * stride;
+        store_sum(divide_compensated(load_sum(powers + pixel, total_pixels), divisor), out + i, stride);
+        out += 2 * stride;
 #endif
 #if FEATURE_NET_MEANS
-    const float mean = divide_compensated(moments.sum[3], divisor).high,
-                s2 = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
-    const float relative_variance = mean > 0.0f ? s2 / mean / mean : 0.0f;
-    const bool has_noise = relative_variance >= 0x1p-60f && relative_variance < INFINITY;  // more than rounding
-    net_variances[pixel] = has_noise ? relative_variance : 0.0f;
-    net_variances[total_pixels + pixel] = has_noise ? net_variance(n, net_means + pixel, total_pixels) / s2 : 0.0f;
+        const float mean = divide_compensated(moments.sum[3], divisor).high,
+                    s2 = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
+        const float relative_variance = mean > 0.0f ? s2 / mean / mean : 0.0f;
+        const bool has_noise = relative_variance >= 0x1p-60f && relative_variance < INFINITY;  // more than rounding
+        net_variances[pixel] = has_noise ? relative_variance : 0.0f;
+        net_variances[total_pixels + pixel] = has_noise ? net_variance(n, net_means + pixel, total_pixels) / s2 : 0.0f;
 #endif
 #if FEATURE_HALF_BUFFER
-    Compensated half_sum[3];
-    load_sums(half_sum, 3, halves + pixel, total_pixels);
-    for (uint c = 0; c < 3; ++c) out[3 * i + c] = n > 1u ? divide_compensated(half_sum[c], n / 2u).high : 0.0f;
+        Compensated half_sum[3];
+        load_sums(half_sum, 3, halves + pixel, total_pixels);
+#pragma unroll
+        for (int c = 0; c < 3; ++c) out[3 * i + c] = n > 1u ? divide_compensated(half_sum[c], n / 2u).high : 0.0f;
 #endif
+    }
 }

@@ -37,6 +37,7 @@ INLINE Compensated merge_m2(Compensated m2, uint n, uint k, float shift, float s
 
 INLINE void load_sums(Compensated* sums, uint sum_count, __global const float* planes, uint stride)
 {
+#pragma unroll
     for (uint c = 0; c < sum_count; ++c) sums[c] = load_sum(planes + 2 * c * stride, stride);
 }
 
@@ -89,7 +90,7 @@ INLINE void merge_block(Moments* m, uint n, uint k)
 // log2 of the samples of a net whose mean is kept: n samples hold from NET_COUNT / 2 to NET_COUNT - 1 full nets.
 INLINE uint net_size_log2(uint n)
 {
-    return n < NET_COUNT ? 0u : 32u - NET_COUNT_LOG2 - clz(n);
+    return n < NET_COUNT ? 0u : 32u - NET_COUNT_LOG2 - leading_zeros(n);
 }
 
 // log2 of the size S of the nets that `net_variance` compares, an average.
@@ -107,9 +108,10 @@ INLINE float net_variance(uint n, __global const float* nets, uint stride)
     __global const float* means = nets + 2u * stride;
     const uint size_log2 = net_size_log2(n), size = 1u << size_log2, pairs = n >> size_log2 >> 1u;
     float sum = 0.0f;
-    for (uint k = 0; k < pairs; ++k) {
+#pragma unroll
+    for (uint k = 0; k + 1u < NET_COUNT / 2u; ++k) {  // without branches, for vectorised loops over pixels
         const float half_difference = 0.5f * (means[2u * k * stride] - means[(2u * k + 1u) * stride]);
-        sum += half_difference * half_difference * (float)(2u * size);
+        sum += k < pairs ? half_difference * half_difference * (float)(2u * size) : 0.0f;
     }
     if (pairs < 2u) return sum;
     const float first = means[0] + means[stride], second = means[2u * stride] + means[3u * stride];

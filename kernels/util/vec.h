@@ -49,6 +49,14 @@
 #define MAD8(a, b, c) ((a) * (b) + (c))
 #endif
 
+// Before a loop over pixels whose iterations are independent. PoCL does not vectorise across work-items, but such loops.
+#if defined(__clang__) && (defined(__x86_64__) || defined(__aarch64__))
+#define VECTORIZE_PIXELS _Pragma("clang loop vectorize(assume_safety) interleave(disable)")
+#pragma clang diagnostic ignored "-Wpass-failed"  // a loop that is not vectorised is slow, not wrong
+#else
+#define VECTORIZE_PIXELS
+#endif
+
 // Prefetches the cache line at `byte_offset` of a buffer, on CPUs: there a work-item would wait for it.
 #if (defined(__x86_64__) || defined(__aarch64__)) && HAS_BUILTIN(__builtin_prefetch)
 #define PREFETCH(buffer, byte_offset) __builtin_prefetch((const void*)((size_t)(buffer) + (byte_offset)))
@@ -247,6 +255,16 @@ INLINE uint mask_bits(int8 mask)
     const int4 half_lanes = lanes.lo | lanes.hi;
     const int2 quarter_lanes = half_lanes.lo | half_lanes.hi;
     return (uint)(quarter_lanes.x | quarter_lanes.y);
+#endif
+}
+
+// Number of leading zero bits; `bits` must not be 0.
+INLINE uint leading_zeros(uint bits)
+{
+#if HAS_BUILTIN(__builtin_clz)
+    return (uint)__builtin_clz(bits);
+#else
+    return clz(bits);
 #endif
 }
 

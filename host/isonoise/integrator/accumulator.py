@@ -25,9 +25,15 @@ _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and 
 _BLOCK_SUMS = 6
 
 
-def build_constants(needs: Needs) -> dict[str, int]:
-    """Build constants of the stages `reduce` and `summarise`."""
+def pixels_per_item(lanes: int) -> int:
+    """Pixels that a work-item of `summarise` processes: several where loops over lanes are vectorised."""
+    return 16 if lanes > 1 else 1
+
+
+def build_constants(needs: Needs, lanes: int = 1) -> dict[str, int]:
+    """Build constants of the stages `reduce` and `summarise`; `lanes` are those of the device."""
     return {
+        "PIXELS_PER_ITEM": pixels_per_item(lanes),
         "SAMPLE_BLOCK_SIZE": SAMPLE_BLOCK_SIZE,
         "NET_COUNT": 2**NET_COUNT_LOG2,
         "NET_COUNT_LOG2": NET_COUNT_LOG2,
@@ -93,7 +99,7 @@ class Accumulator:
             image_width=np.uint32(width),
             tile_count=np.uint32(self._tiles),
             net_variances=self._device.buffer(8 * self.pixels, what),
-            grid=self._device.buffer(12 * GRID_BINS * self._tiles, what),
+            grid=self._device.buffer(16 * GRID_BINS * self._tiles, what),
             steps=self._device.buffer(4 * GRID_BINS * self._tiles, what),
             design_effect=self._device.buffer(4 * self.pixels, what),
         )
@@ -102,7 +108,8 @@ class Accumulator:
         """Variance of the mean over that of independent samples, (pixels,) float64; after `summarise`."""
         self._stages.launch("sum_tiles", self._tiles)
         self._stages.launch("fit_steps", self._tiles)
-        self._stages.launch("compute_design_effect", self.pixels)
+        height, width = self._shape
+        self._stages.launch("compute_design_effect", height * (-(-width // TILE_SIZE) + 1))
         return self._device.read(self._stages.arguments["design_effect"], np.float32, self.pixels).astype(np.float64)
 
     def reset(self) -> None:
@@ -129,7 +136,7 @@ class Accumulator:
         for begin in range(0, n, SUMMARY_STRIP_PIXELS):
             pixels = min(SUMMARY_STRIP_PIXELS, n - begin)
             bounds = {"first_pixel": np.uint32(begin), "pixels": np.uint32(pixels)}
-            self._stages.launch("summarise", pixels, **bounds)
+            self._stages.launch("summarise", pixels, pixels_per_item(self._device.lanes), **bounds)
             with self._device.mapped(self._summary, np.float32, self._summary_floats) as summary:
                 self._read_strip(flat, slice(begin, begin + pixels), summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
         if needs.nets:

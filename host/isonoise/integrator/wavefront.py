@@ -89,7 +89,7 @@ class Wavefront:
         self.brute_force = self.lanes > 1 and not needs_bvh and use_brute_force(scene)
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
-        constants = CONSTANTS | build_constants(needs)
+        constants = CONSTANTS | build_constants(needs, device.lanes)
         constants |= {"LANES": self.lanes, "PATH_BLOCK_SIZE": self.path_block_size}
         constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
         small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
