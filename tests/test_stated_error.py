@@ -254,6 +254,13 @@ def test_half_widths_know_the_neighbours_outliers(n):
     assert np.mean(np.abs(s.mean - 1) <= half_width_95(s)) > 0.9
 
 
+def test_half_widths_use_the_design_effect_of_the_neighbours():
+    """Whether a pixel has seen an outlier decides about its own: here 0.1 or 1 at random, so all have 0.55."""
+    design_effect = np.random.default_rng(76).choice([0.1, 1.0], size=(64, 64))
+    half_width = half_width_95(make_statistics(10**6, np.ones((64, 64)), 4.0, design_effect=design_effect))
+    assert half_width == pytest.approx(1.959964 * 2e-3 * np.sqrt(0.55), rel=0.15)  # 16x16 of them: 5 standard errors
+
+
 @pytest.mark.parametrize("n", [2, 4, 16])
 def test_half_width_covers_95_percent(n):
     """For n = 2 up to 0.5 % more: an estimate of a true share of 0 is above 0, which lowers the degrees of freedom."""

@@ -26,6 +26,7 @@ mean, s2 a sample variance, dof its degrees of freedom n - 1.
 """
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -87,7 +88,11 @@ def relative_errors(statistics: Statistics, rows: slice, floor: float) -> tuple[
 
 
 def shrunk_variance_of_mean(statistics: Statistics, rows: slice, floor: float) -> tuple[np.ndarray, np.ndarray]:
-    """d sigma_i^2 / n, sigma_i^2 the best estimate of a pixel's variance, d the design effect, and its precision.
+    """d sigma_i^2 / n, sigma_i^2 the best estimate of a pixel's variance, and its precision.
+
+    d is the design effect of the pixel's group of 16x16 pixels, the mean of theirs with their relative variances as
+    weights. A pixel that has seen no rare bright sample has a small s^2 and a small design effect of its own; shrunk
+    alone, sigma^2 would be that of its neighbours and d would not.
 
     Parameters as for `relative_errors`.
 
@@ -98,14 +103,25 @@ def shrunk_variance_of_mean(statistics: Statistics, rows: slice, floor: float) -
     dof : float64, of the shape of the rows
         Degrees of freedom of the estimate, if the samples are normal: (n - 1) / b, 1 or more.
     """
-    cells = _Cells(statistics, rows, floor)
+    cells = _Cells(replace(statistics, design_effect=None), rows, floor)
     scale = np.maximum(_smoothed_mean(cells)[0], cells.floor)
     noise, true_share = _shrunk_noise(cells, scale, exponent=1.0)
+    if statistics.design_effect is not None:
+        noise *= _group_design_effect(cells, cells.gather(statistics.design_effect[rows]), scale)
     pixels = cells.order[cells.known]
     variance, dof = np.full(cells.shape, np.inf), np.ones(cells.shape)
     variance.reshape(-1)[pixels] = (np.square(scale, dtype=np.float64) * noise * cells.unit**2)[cells.known]
     dof.reshape(-1)[pixels] = (cells.dof / np.maximum(true_share, MIN_TRUE_SHARE))[cells.known]
     return variance, dof
+
+
+def _group_design_effect(cells: "_Cells", design_effect: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """The design effect of every pixel's largest group: the mean of its pixels', weighted with s^2 / scale^2."""
+    weight = np.minimum(cells.s2 / scale / scale, MAX_MEAN)
+    group_pixels = 4**LEVELS
+    total = weight.reshape(group_pixels, -1).sum(axis=0)
+    group = _divide((weight * design_effect).reshape(group_pixels, -1).sum(axis=0), total)
+    return np.tile(group, group_pixels)
 
 
 def _shrunk_noise(cells: "_Cells", scale: np.ndarray, exponent: float) -> tuple[np.ndarray, np.ndarray]:
@@ -132,13 +148,13 @@ class _Cells:
         n = count.reshape(-1)[self.order].astype(np.float32)
         self.known = inside & (n > 1)
         self.n = n * self.known
-        self.x = self._gather(_limited(statistics.mean[rows] / self.unit, MAX_MEAN))
-        self.s2 = self._gather(_limited(statistics.variance_per_sample(rows) / self.unit / self.unit, MAX_MEAN**2))
+        self.x = self.gather(_limited(statistics.mean[rows] / self.unit, MAX_MEAN))
+        self.s2 = self.gather(_limited(statistics.variance_per_sample(rows) / self.unit / self.unit, MAX_MEAN**2))
         self.dof = self.n - self.known
         self.means = _pyramid(self.n, self.x)
         self.variances = _pyramid(self.dof, self.s2)
 
-    def _gather(self, values: np.ndarray) -> np.ndarray:
+    def gather(self, values: np.ndarray) -> np.ndarray:
         """Values of the pixels in the order of the pyramid, 0 where n < 2."""
         return values.astype(np.float32).reshape(-1)[self.order] * self.known
 
