@@ -41,9 +41,15 @@ PRESETS = {
         time=10.0,
     ),
     "equal-samples": Preset(
-        description="the samplers at equal samples per pixel, valid ones for multijitter",
+        description="samplers and the default at equal samples per pixel, valid ones for multijitter",
         scenes=BUILT_IN_SCENES,
-        strategies=("uniform", "uniform:sampler=independent", *MITSUBA),
+        strategies=(
+            "uniform",
+            "uniform:sampler=independent",
+            DEFAULT_STRATEGY,
+            "oracle:rule=sqrt",
+            *MITSUBA,
+        ),
         seeds=8,
         spp=(64, 256, 1024),
     ),
