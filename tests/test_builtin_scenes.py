@@ -12,11 +12,12 @@ from isonoise.scene.builtin import find_scene
 SHA256 = {
     "bright-spots": "6f9ef43a3c1e3de5621910c3efc54e00e934fad71d48dd579039e511cec3ecb3",
     "cornell": "169a51f4e51b358c5dc15f9e2ed10e83ede77dbce878cc67d5ef7a5e095906fc",
+    "glass-roof": "eb3ae40204ab66049db16cddcc1e5ba2b28300c85e7f21c79211fe0d8c83bc5f",
     "penumbra": "41a919ce1ff7b7643b2e30ce72e788ca9bb03c69f0e2b6beee323aeaa2702c5f",
 }
 """sha256 of each file with \\n line ends. An improved scene needs a new name."""
 
-DEPTHS = {"bright-spots": (12, 8), "cornell": (8, 5), "penumbra": (6, 5)}
+DEPTHS = {"bright-spots": (12, 8), "cornell": (8, 5), "glass-roof": (12, 8), "penumbra": (6, 5)}
 """max_depth and rr_depth, as scenes/README.md states them."""
 
 
