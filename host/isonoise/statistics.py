@@ -90,7 +90,7 @@ class Statistics:
         Mean of max(x, 0)^q, or of x ln x for q = 1; None unless needed.
     half : (height, width, 3) float32 or None
         Mean RGB of samples 2, 4, 6, ...; None unless needed.
-    design_effect : (height, width) float64 or None
+    design_effect : (height, width) float32 or None
         Variance of the mean over that of as many independent samples (Kish 1965, "Survey sampling"). None: 1
         everywhere.
     uniform : Statistics or None

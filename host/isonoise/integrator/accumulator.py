@@ -105,12 +105,12 @@ class Accumulator:
         )
 
     def _design_effect(self) -> np.ndarray:
-        """Variance of the mean over that of independent samples, (pixels,) float64; after `summarise`."""
+        """Variance of the mean over that of independent samples, (pixels,) float32; after `summarise`."""
         self._stages.launch("sum_tiles", self._tiles)
         self._stages.launch("fit_steps", self._tiles)
         height, width = self._shape
         self._stages.launch("compute_design_effect", height * (-(-width // TILE_SIZE) + 1))
-        return self._device.read(self._stages.arguments["design_effect"], np.float32, self.pixels).astype(np.float64)
+        return self._device.read(self._stages.arguments["design_effect"], np.float32, self.pixels)
 
     def reset(self) -> None:
         """Forget all samples."""

@@ -1,11 +1,14 @@
 """Allocation rules: distribute a budget of samples over the pixels as whole numbers that sum to it exactly."""
 
 from bisect import bisect_right
+from collections.abc import Iterator
 
 import numpy as np
 
 from isonoise.strategies.uniform_allocation import MAX_COUNT, check_budget, first_in_hashed_order, uniform_allocation
 
+STRIP_PIXELS = 2**14
+"""Pixels that are processed at a time, so that the temporary arrays stay in the cache."""
 SUBSAMPLE_PIXELS = 2**14
 """Pixels from which the first guess of the water level is computed."""
 MAX_ITERATIONS = 200
@@ -127,21 +130,26 @@ def _allocate_capped(count, slope, offset, budget: int, wave_index: int, cap: fl
     budget = int(budget)
     check_budget(budget, count.size * MAX_COUNT - int(count.sum(dtype=np.int64)))
 
-    capacity = _capacity(count, cap)
-    share = _water_fill(slope, offset, capacity, budget)
-    if share is not None:
-        allocation = _round_to_budget(share, budget, wave_index)
+    shares = _Shares(slope, offset, count, cap)
+    t = shares.find_level(budget)
+    if t is not None:
+        allocation = _round_to_budget(shares.at(t), budget, wave_index)
     elif cap < np.inf:
-        allocation = np.where(slope > 0, capacity, 0).astype(np.int64)
+        allocation = np.where(slope > 0, _capacity(count, cap), 0).astype(np.int64)
     else:
         allocation = np.zeros(count.size, int)
-    del share, slope, capacity
+    del shares, slope
     for limit in (cap, np.inf):  # evenly below the cap, then evenly everywhere
         missing = budget - int(allocation.sum())
         if missing:
             free = np.maximum(_capacity(count, limit).astype(np.int64) - allocation, 0)
             allocation += _spread_evenly(free, missing, wave_index)
     return allocation.astype(np.uint32).reshape(shape)
+
+
+def _strips(size: int) -> Iterator[slice]:
+    """Parts of a flat image that are processed at a time."""
+    return (slice(begin, min(begin + STRIP_PIXELS, size)) for begin in range(0, size, STRIP_PIXELS))
 
 
 def _capacity(count: np.ndarray, cap: float) -> np.ndarray:
@@ -154,76 +162,138 @@ def _clip_variance(variance: np.ndarray, clip: float) -> np.ndarray:
     """A copy of V, finite, not negative, cut, and scaled by a power of two so that its maximum is in [1/2, 1)."""
     if not 0 < clip <= 1:
         raise ValueError(f"clip must be a quantile in (0, 1], not {clip}")
-    variance = np.array(variance, dtype=np.float64)
-    unknown = np.isposinf(variance)
-    variance[~(variance > 0) | unknown] = 0.0
-    positive = variance[variance > 0]
-    if positive.size == 0:
-        variance[unknown if unknown.any() else np.s_[:]] = 0.5
-        return variance
-    max_variance = positive.max()
+    result = np.empty(variance.size)
+    max_variance, has_unknown = 0.0, False
+    for strip in _strips(variance.size):
+        known = np.fmax(variance[strip], 0.0, out=result[strip])  # NaN counts as 0
+        max_known = float(known.max())
+        if max_known == np.inf:  # unknown: marked as -1 until the maximum is known
+            has_unknown = True
+            known[np.isposinf(known)] = -1.0
+            max_known = float(known.max())
+        max_variance = max(max_variance, max_known)
+    if max_variance == 0:
+        if has_unknown:
+            return np.where(result < 0, 0.5, 0.0)
+        result[:] = 0.5
+        return result
     if clip < 1:
         # An element of the data, not an interpolated value: scaling V must not move the cut by a rounding.
+        positive = result[result > 0]
         rank = min(int(clip * positive.size), positive.size - 1)
         positive.partition(rank)
         max_variance = positive[rank]
-        np.minimum(variance, max_variance, out=variance)
-    variance[unknown] = max_variance
-    return np.ldexp(variance, -np.frexp(max_variance)[1], out=variance)
+    exponent = -int(np.frexp(max_variance)[1])
+    for strip in _strips(variance.size):
+        values = result[strip]
+        if has_unknown:
+            values[values < 0] = max_variance
+        if clip < 1:
+            np.minimum(values, max_variance, out=values)
+        np.ldexp(values, exponent, out=values)
+    return result
 
 
-def _water_fill(slope: np.ndarray, offset: np.ndarray, capacity: np.ndarray, budget: int) -> np.ndarray | None:
-    """Real shares min(max(0, slope t - offset), capacity) that sum to the budget; None if all capacity is less."""
-    if float(capacity.sum(where=slope > 0)) <= budget:
-        return None
-    first_guess = None
-    if slope.size > 4 * SUBSAMPLE_PIXELS:
-        subsample = np.s_[:: slope.size // SUBSAMPLE_PIXELS]
-        part = slope[subsample], offset[subsample], capacity[subsample]
-        if part[0].any():
-            first_guess = _find_level(*part, budget * part[0].size / slope.size, None)[0]
-    return _find_level(slope, offset, capacity, budget, first_guess)[1]
+class _Shares:
+    """Real shares min(max(0, slope t - offset), capacity) as functions of the water level t."""
 
+    def __init__(self, slope: np.ndarray, offset: np.ndarray, count: np.ndarray, cap: float):
+        self._slope, self._offset, self._count, self._cap = slope, offset, count, cap
+        self._only_cap_limits = count.max() * cap <= MAX_COUNT
+        self._buffers = np.empty((2, STRIP_PIXELS))
 
-def _find_level(slope, offset, capacity, budget: float, first_guess: float | None) -> tuple[float, np.ndarray]:
-    """The water level t, at which the shares sum to the budget, and the shares.
+    def at(self, t: float) -> np.ndarray:
+        """The shares."""
+        result = np.empty(self._slope.size)
+        for strip in _strips(result.size):
+            self._compute(strip, t, result[strip])
+        return result
 
-    Newton's method with bisection as a safeguard. The sum is piecewise linear in t, so the method ends when it has
-    found the right piece.
-    """
-    low, high = 0.0, np.inf
-    t = first_guess or (budget + float(offset.sum())) / float(slope.sum())  # exact if every pixel gets a share
-    for _ in range(MAX_ITERATIONS):
-        share = slope * t
-        share -= offset
-        interior = share > 0
-        interior &= share < capacity
-        np.clip(share, 0, capacity, out=share)
-        missing = budget - float(share.sum())
-        if abs(missing) <= SUM_ROUNDING * budget:
-            break
-        low, high = (t, high) if missing > 0 else (low, t)
-        derivative = float(slope.sum(where=interior))
-        next_t = t + missing / derivative if derivative > 0 else np.inf
-        if not low < next_t < high:
-            next_t = 2 * t if high == np.inf else 0.5 * (low + high)
-            if not low < next_t < high:
+    def find_level(self, budget: int) -> float | None:
+        """The water level at which the shares sum to the budget; None if all capacity is less."""
+        size = self._slope.size
+        capacity = 0.0
+        for strip in _strips(size):
+            values = self._capacity(strip)
+            capacity += float(np.multiply(values, self._slope[strip] > 0, out=values).sum())
+        if capacity <= budget:
+            return None
+        first_guess = None
+        if size > 4 * SUBSAMPLE_PIXELS:
+            every = np.s_[:: size // SUBSAMPLE_PIXELS]
+            part = _Shares(self._slope[every], self._offset[every], self._count[every], self._cap)
+            if part._slope.any():
+                first_guess = part._search(budget * part._slope.size / size, None)
+        return self._search(budget, first_guess)
+
+    def _capacity(self, strip: slice) -> np.ndarray:
+        """`_capacity` of the pixels, in a buffer."""
+        capacity = self._buffers[1, : strip.stop - strip.start]
+        if self._only_cap_limits:
+            return np.multiply(self._count[strip], self._cap - 1.0, out=capacity)
+        capacity[:] = _capacity(self._count[strip], self._cap)
+        return capacity
+
+    def _compute(self, strip: slice, t: float, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Write the shares of a strip to `out`; returns their slopes and where they are neither 0 nor the capacity."""
+        slope, capacity = self._slope[strip], self._capacity(strip)
+        np.multiply(slope, t, out=out)
+        out -= self._offset[strip]
+        interior = out > 0
+        interior &= out < capacity
+        np.maximum(out, 0, out=out)
+        np.minimum(out, capacity, out=out)
+        return slope, interior
+
+    def _sums(self, t: float) -> tuple[float, float]:
+        """The sum of the shares, and its derivative."""
+        total, derivative = 0.0, 0.0
+        for strip in _strips(self._slope.size):
+            share = self._buffers[0, : strip.stop - strip.start]
+            slope, interior = self._compute(strip, t, share)
+            total += float(share.sum())
+            derivative += float(np.multiply(slope, interior, out=share).sum())
+        return total, derivative
+
+    def _search(self, budget: float, first_guess: float | None) -> float:
+        """Newton's method with bisection as a safeguard.
+
+        The sum is piecewise linear in t, so the method ends when it has found the right piece.
+        """
+        low, high = 0.0, np.inf
+        # exact if every pixel gets a share
+        t = first_guess or (budget + float(self._offset.sum(dtype=np.float64))) / float(self._slope.sum())
+        for _ in range(MAX_ITERATIONS):
+            total, derivative = self._sums(t)
+            missing = budget - total
+            if abs(missing) <= SUM_ROUNDING * budget:
                 break
-        t = next_t
-    return t, share
+            low, high = (t, high) if missing > 0 else (low, t)
+            next_t = t + missing / derivative if derivative > 0 else np.inf
+            if not low < next_t < high:
+                next_t = 2 * t if high == np.inf else 0.5 * (low + high)
+                if not low < next_t < high:
+                    break
+            t = next_t
+        return t
 
 
 def _round_to_budget(share: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
     """Whole numbers (int64) of sum `budget` from shares of that sum, by largest remainders. Overwrites `share`."""
-    allocation = share.astype(np.int64)  # shares are not negative: this is the floor
-    share -= allocation
+    allocation = np.empty(share.size, np.int64)
+    for strip in _strips(share.size):
+        remainder = share[strip]
+        allocation[strip] = remainder  # shares are not negative: this is the floor
+        remainder -= allocation[strip]
     missing = budget - int(allocation.sum())
     # One pass in general; more only if rounding moved the sum of the shares by 1 or more.
     while missing > 0:
-        candidates = np.flatnonzero(share > 0) if missing <= np.count_nonzero(share > 0) else np.arange(share.size)
-        chosen = candidates[_k_largest(share[candidates], min(missing, candidates.size), candidates, wave_index)]
-        allocation[chosen] += 1
-        missing -= chosen.size
+        k = min(missing, share.size)
+        threshold, ties = _threshold(share, k)
+        allocation += share > threshold
+        equal = np.flatnonzero(share == threshold)
+        allocation[equal[first_in_hashed_order(equal.astype(np.uint32), ties, wave_index)]] += 1
+        missing -= k
     while missing < 0:
         candidates = np.flatnonzero(allocation)
         chosen = candidates[_k_largest(-share[candidates], min(-missing, candidates.size), candidates, wave_index)]
@@ -259,8 +329,27 @@ def _k_largest(values: np.ndarray, k: int, pixels: np.ndarray, wave_index: int) 
     """Indices of the k largest values; ties go to the pixels that come first in the hashed order."""
     if k == 0:
         return np.zeros(0, dtype=np.intp)
-    threshold = np.partition(values, values.size - k)[values.size - k]
-    above = np.flatnonzero(values > threshold)
+    threshold, ties = _threshold(values, k)
     equal = np.flatnonzero(values == threshold)
-    tied = first_in_hashed_order(pixels[equal].astype(np.uint32), k - above.size, wave_index)
-    return np.concatenate([above, equal[tied]])
+    tied = first_in_hashed_order(pixels[equal].astype(np.uint32), ties, wave_index)
+    return np.concatenate([np.flatnonzero(values > threshold), equal[tied]])
+
+
+def _threshold(values: np.ndarray, k: int) -> tuple[float, int]:
+    """The k-th largest value, k from 1 on, and how many values equal to it are among the k largest.
+
+    A subsample brackets the value, and only the values in between are partitioned.
+    """
+    low, high = -np.inf, np.inf
+    if values.size > 4 * SUBSAMPLE_PIXELS:
+        subsample = np.sort(values[:: values.size // SUBSAMPLE_PIXELS])
+        rank = subsample.size * (1 - k / values.size)
+        margin = 2 * np.sqrt(subsample.size)  # four standard deviations of the rank, or more
+        low, high = (subsample[int(min(max(r, 0), subsample.size - 1))] for r in (rank - margin, rank + margin))
+    above = int(np.count_nonzero(values > high))
+    between = values[(values >= low) & (values <= high)]
+    if not above < k <= above + between.size:  # the bracket misses
+        above, between = 0, values
+    rank = between.size - (k - above)
+    threshold = np.partition(between, rank)[rank]
+    return threshold, k - above - int(np.count_nonzero(between > threshold))

@@ -4,6 +4,8 @@ All take `Statistics` and return float64 of shape (height, width). n is the samp
 stated otherwise a measure is inf where n < 2 (nothing is known) and 0 where all samples are equal.
 """
 
+import weakref
+
 import numpy as np
 
 from isonoise.statistics import Statistics
@@ -19,16 +21,38 @@ def image_floor(mean: np.ndarray) -> float:
     """1 % of the geometric mean of max(L, 1e-4 mean L) over the pixels with L > 0, both means over these pixels.
 
     `mean` is the luminance image L, shape (height, width). 0 if no pixel is positive. Scaling the image by a power of
-    two scales the result exactly.
+    two scales the result exactly. The floor of the last read-only image is remembered: the render loop, the errors and
+    the strategy ask for it in turn.
     """
-    positive = mean[mean > 0].astype(np.float64)
-    if positive.size == 0:
+    global _last_floor
+    image, floor = _last_floor
+    if image() is mean and not mean.flags.writeable:
+        return floor
+    floor = _compute_image_floor(mean.reshape(-1))
+    if not mean.flags.writeable:
+        _last_floor = weakref.ref(mean), floor
+    return floor
+
+
+_last_floor = (lambda: None), 0.0
+"""Weak reference to a read-only image, and its floor."""
+
+
+def _compute_image_floor(mean: np.ndarray) -> float:
+    strips = [mean[begin : begin + MEASURE_STRIP_PIXELS] for begin in range(0, mean.size, MEASURE_STRIP_PIXELS)]
+    size, total = 0, 0.0
+    for strip in strips:
+        size += int(np.count_nonzero(strip > 0))
+        total += float(np.maximum(strip, 0, dtype=np.float64).sum())
+    if size == 0:
         return 0.0
-    average = positive.mean()
+    average = total / size
     exponent = int(np.frexp(average)[1])  # taken out before the logarithm, so that it scales exactly
-    np.maximum(positive, 1e-4 * average, out=positive)
-    np.log(np.ldexp(positive, -exponent, out=positive), out=positive)
-    return float(np.ldexp(0.01 * np.exp(positive.mean()), exponent))
+    logarithms = 0.0
+    for strip in strips:
+        values = np.maximum(strip[strip > 0], 1e-4 * average, dtype=np.float64)
+        logarithms += float(np.log(np.ldexp(values, -exponent, out=values), out=values).sum())
+    return float(np.ldexp(0.01 * np.exp(logarithms / size), exponent))
 
 
 def standard_error(statistics: Statistics) -> np.ndarray:
