@@ -326,6 +326,10 @@ class Device:
         finally:
             array.base.release(self.queue)
 
+    def flush(self) -> None:
+        """Let the device begin with what has been enqueued."""
+        self.queue.flush()
+
     def finish(self) -> None:
         """Wait for the device."""
         self.queue.finish()

@@ -68,15 +68,18 @@ class Accumulator:
         summary = (
             6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half + 2 * needs.nets
         )  # kernels/stages/summarise.cl
-        self._summary = self._device.buffer(4 * summary * SUMMARY_STRIP_PIXELS, "the summary of the statistics")
         self._summary_floats = summary * SUMMARY_STRIP_PIXELS
+        self._summaries = [
+            self._device.buffer(4 * self._summary_floats, "the summary of the statistics")
+            for _ in range(2)  # the host reads one while the device fills the other
+        ]
         stages.arguments.update(
             total_pixels=np.uint32(self.pixels),
             count=self.count,
             rejected=self.rejected,
             sums=planes(_SUMS, "the statistics"),
             sample_block_sums=planes(_BLOCK_SUMS, "the statistics of unfinished sample blocks"),
-            summary=self._summary,
+            summary=self._summaries[0],
             stride=np.uint32(SUMMARY_STRIP_PIXELS),
         )
         if needs.median:
@@ -104,13 +107,12 @@ class Accumulator:
             design_effect=self._device.buffer(4 * self.pixels, what),
         )
 
-    def _design_effect(self) -> np.ndarray:
-        """Variance of the mean over that of independent samples, (pixels,) float32; after `summarise`."""
+    def _launch_design_effect(self) -> None:
+        """Variance of the mean over that of independent samples; after `summarise`."""
+        height, width = self._shape
         self._stages.launch("sum_tiles", self._tiles)
         self._stages.launch("fit_steps", self._tiles)
-        height, width = self._shape
         self._stages.launch("compute_design_effect", height * (-(-width // TILE_SIZE) + 1))
-        return self._device.read(self._stages.arguments["design_effect"], np.float32, self.pixels)
 
     def reset(self) -> None:
         """Forget all samples."""
@@ -133,19 +135,33 @@ class Accumulator:
             power=np.empty(n) if needs.power is not None else None,
             half=np.empty((n, 3), np.float32) if needs.half else None,
         )
-        for begin in range(0, n, SUMMARY_STRIP_PIXELS):
-            pixels = min(SUMMARY_STRIP_PIXELS, n - begin)
-            bounds = {"first_pixel": np.uint32(begin), "pixels": np.uint32(pixels)}
-            self._stages.launch("summarise", pixels, pixels_per_item(self._device.lanes), **bounds)
-            with self._device.mapped(self._summary, np.float32, self._summary_floats) as summary:
-                self._read_strip(flat, slice(begin, begin + pixels), summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
+        begins = range(0, n, SUMMARY_STRIP_PIXELS)
+        self._launch_summarise(0)
+        for begin in begins:
+            buffer = self._summaries[begin // SUMMARY_STRIP_PIXELS % 2]
+            with self._device.mapped(buffer, np.float32, self._summary_floats) as summary:
+                if begin != begins[-1]:
+                    self._launch_summarise(begin + SUMMARY_STRIP_PIXELS)
+                elif needs.nets:
+                    self._launch_design_effect()
+                self._device.flush()
+                strip = slice(begin, min(begin + SUMMARY_STRIP_PIXELS, n))
+                self._read_strip(flat, strip, summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
         if needs.nets:
-            flat = replace(flat, design_effect=self._design_effect())
+            design_effect = self._device.read(self._stages.arguments["design_effect"], np.float32, n)
+            flat = replace(flat, design_effect=design_effect)
         planes = {name: plane for name, plane in vars(flat).items() if plane is not None}
         for name, plane in planes.items():
             planes[name] = plane.reshape(*self._shape, *plane.shape[1:])
             planes[name].flags.writeable = False
         return Statistics(**{"median": None} | planes)
+
+    def _launch_summarise(self, begin: int) -> None:
+        """Summarise the strip of pixels from `begin` on."""
+        pixels = min(SUMMARY_STRIP_PIXELS, self.pixels - begin)
+        bounds = {"first_pixel": np.uint32(begin), "pixels": np.uint32(pixels)}
+        summary = self._summaries[begin // SUMMARY_STRIP_PIXELS % 2]
+        self._stages.launch("summarise", pixels, pixels_per_item(self._device.lanes), summary=summary, **bounds)
 
     def _read_strip(self, statistics: Statistics, strip: slice, summary: np.ndarray, scale: float) -> None:
         """Fill the pixels `strip` of `statistics`, in the scene's units, from the planes of `summary`."""
