@@ -11,7 +11,7 @@ import numpy as np
 from isonoise.statistics import Statistics
 from isonoise.student_t import quantile
 
-MEASURE_STRIP_PIXELS = 2**15
+MEASURE_STRIP_PIXELS = 2**16
 """Pixels that are pooled at a time, so that the temporary arrays stay in the cache."""
 OUTLIER_RATIO = 16
 """Only pixels with so many times the variance of their neighbours may count with their own variance."""
@@ -93,6 +93,7 @@ def neighbour_variance(statistics: Statistics, floor: float, window: int, outlie
     if height * width == 1:
         return variance_per_sample(statistics, relative_mean(statistics, floor))
     known = statistics.count >= 2
+    all_known = bool(known.all())
     result, outliers = np.empty((height, width)), []
     radius, rows = window // 2, max(1, MEASURE_STRIP_PIXELS // width)
     for top in range(0, height, rows):
@@ -100,19 +101,25 @@ def neighbour_variance(statistics: Statistics, floor: float, window: int, outlie
         begin, end = max(top - radius, 0), min(bottom + radius, height)
         inside, strip = np.s_[top - begin : bottom - begin], np.s_[begin:end]
         own = statistics.variance_per_sample(strip)
-        neighbours = _count_neighbours(known[strip], window)[inside]
-        divisor = np.maximum(neighbours, 1)
-        variance = _neighbour_sum(own, window)[inside] / divisor
-        scale = _neighbour_sum(statistics.mean[strip] * known[strip], window)[inside] / divisor
+        mean = statistics.mean[strip] if all_known else statistics.mean[strip] * known[strip]
+        if all_known:
+            neighbours = _count_pixels((height, width), slice(top, bottom), window)
+        else:
+            neighbours = _neighbour_sum(known[strip].astype(np.float64), window)[inside]
+        inverse = 1 / np.maximum(neighbours, 1)
+        variance = _neighbour_sum(own, window)[inside] * inverse
+        scale = _neighbour_sum(mean, window)[inside] * inverse
         np.maximum(scale, floor, out=scale)
         if outlier_share:
             outliers.append(_outliers(statistics, own[inside], variance, scale, top))
         variance = _divide(_divide(variance, scale), scale)
-        variance[neighbours == 0] = np.inf
+        if not all_known:
+            variance[neighbours == 0] = np.inf
         result[top:bottom] = variance
     if outlier_share:
         _use_own_variance(result.reshape(-1), statistics, outlier_share, *np.concatenate(outliers, axis=1))
-    result[~known] = np.inf
+    if not all_known:
+        result[~known] = np.inf
     return result
 
 
@@ -153,15 +160,14 @@ def _add_shifted(total: np.ndarray, lines: np.ndarray, radius: int) -> None:
         total[:-step] += lines[step:]
 
 
-def _count_neighbours(known: np.ndarray, window: int) -> np.ndarray:
-    """Neighbours in the window that are known, float64."""
-    if not known.all():
-        return _neighbour_sum(known.astype(np.float64), window)
-    rows, columns = (
+def _count_pixels(shape: tuple[int, int], rows: slice, window: int) -> np.ndarray:
+    """Pixels of the window around each pixel of the rows, without itself; a single row if it is the same for all."""
+    down, across = (
         np.minimum(np.arange(size), window // 2) + np.minimum(np.arange(size)[::-1], window // 2) + 1.0
-        for size in known.shape
+        for size in shape
     )
-    return np.outer(rows, columns) - 1
+    down = down[rows]
+    return np.outer(down[:1] if (down == down[0]).all() else down, across) - 1
 
 
 def tsallis(statistics: Statistics, q: float) -> np.ndarray:
@@ -232,6 +238,8 @@ def variance_per_sample(statistics: Statistics, measure: np.ndarray) -> np.ndarr
 
 def _divide(error: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """error / scale, in place; 0 / 0 is 0 (a black pixel without noise), anything else over 0 is inf."""
+    if scale.size and scale.min() > 0:
+        return np.divide(error, scale, out=error)
     positive = scale > 0
     np.divide(error, scale, out=error, where=positive)
     error[~positive & (error > 0)] = np.inf
