@@ -74,6 +74,10 @@ def test_counts_add_up(cornell):
     assert scene["run_s"]["median"] == pytest.approx(scene["samples"] / scene["samples_per_s"]["median"], rel=0.5)
     assert scene["device_busy_share"]["min"] > 0
     assert scene["device_busy_share"]["max"] <= 1
+    costs = scene["wave_costs"]
+    parts = [costs[f"{name}_share"] for name in ("statistics", "errors", "allocation")]
+    assert all(part["min"] > 0 for part in parts)
+    assert sum(part["min"] for part in parts) <= costs["total_share"]["median"] < 1
 
 
 def test_bytes_per_path_are_those_of_the_buffers(cornell):

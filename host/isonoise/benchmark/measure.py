@@ -14,6 +14,7 @@ from isonoise.benchmark.bvh_stats import bvh_statistics
 from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene, Run
 from isonoise.benchmark.spread import spread
 from isonoise.benchmark.startup import startup_times
+from isonoise.benchmark.wave_costs import measure_wave_costs
 from isonoise.device.opencl import LOCAL_SIZE, Device, driver_fields
 from isonoise.integrator.kernel_table import path_bytes
 from isonoise.progress import ProgressBar
@@ -131,10 +132,13 @@ def measure_scene(
     shadow_rays = count_shadow_rays(prepared)
     plain, profiled, passes = [], [], []
     for index in range(settings.repeat):
-        show(0.3 + 0.7 * index / settings.repeat, f"repeat {index + 1} of {settings.repeat}")
+        show(0.3 + 0.65 * index / settings.repeat, f"repeat {index + 1} of {settings.repeat}")
         plain.append(prepared.run(profile=False))
         profiled.append(prepared.run(profile=True))
         passes.append(time_bounces(prepared))
+    show(0.95, "costs of a wave")
+    options = {"device": settings.device, "size": settings.size, "max_depth": settings.max_depth}
+    wave_costs = measure_wave_costs(source, settings.repeat, pool_size=settings.pool_size, **options)
     tests = count_tests(prepared, [bounce.rays for bounce in passes[0]])
     kernels = _kernel_rows(profiled)
     intersect = next((row for row in kernels if row["kernel"] == "intersect"), None)
@@ -153,6 +157,7 @@ def measure_scene(
             sum(totals.seconds for totals in run.kernels.values()) / run.seconds for run in profiled
         ),
         "startup": startup,
+        "wave_costs": wave_costs,
         "kernels": kernels,
         "rays": ray_rows(passes, shadow_rays, tests),
         "pool_size": prepared.pool_size,

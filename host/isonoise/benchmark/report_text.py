@@ -188,9 +188,19 @@ def _scene_lines(scene: Mapping) -> str:
             ("start", f"{_spread(cached['process_s'], format_duration)} to the first image"),
             ("", f"{format_duration(uncached['process_s'])} with empty program caches; with full / empty caches:"),
             ("", ", ".join(phases)),
+            ("waves", _wave_costs(scene["wave_costs"])),
             ("busy", f"{_spread(scene['device_busy_share'], _percent)} of a profiled run the device is busy"),
         ]
     )
+
+
+def _wave_costs(costs: Mapping) -> str:
+    """The share of a wave's time that is not tracing, and its parts."""
+    parts = ", ".join(
+        f"{name} {_percent(costs[f'{name}_share']['median'])}" for name in ("statistics", "errors", "allocation")
+    )
+    wave = f"{costs['strategy']}, {costs['samples_per_pixel']} samples per pixel"
+    return f"{_spread(costs['total_share'], _percent)} of an adaptive wave ({wave}) is not tracing: {parts}"
 
 
 def _kernel_table(scene: Mapping) -> str:
