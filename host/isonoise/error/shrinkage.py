@@ -75,7 +75,8 @@ def relative_errors(statistics: Statistics, rows: slice, floor: float) -> tuple[
     noise, _ = _shrunk_noise(cells, scale, exponent=0.5)
     normal = _posterior_variance(cells, kept_noise, noise, scale)
     deviation = cells.x - smoothed
-    deviation *= cells.known
+    if not cells.all_known:
+        deviation *= cells.known
     deviation /= scale
     square = np.square(deviation, out=deviation)
     square += normal
@@ -84,7 +85,7 @@ def relative_errors(statistics: Statistics, rows: slice, floor: float) -> tuple[
     square = square.reshape(64, -1)
     square *= _divide(noise.reshape(64, -1).sum(axis=0), square.sum(axis=0))
     square = square.reshape(-1)
-    return (square, normal_share) if cells.known.all() else (square[cells.known], normal_share[cells.known])
+    return (square, normal_share) if cells.all_known else (square[cells.known], normal_share[cells.known])
 
 
 def shrunk_variance_of_mean(statistics: Statistics, rows: slice, floor: float) -> tuple[np.ndarray, np.ndarray]:
@@ -142,21 +143,28 @@ class _Cells:
     def __init__(self, statistics: Statistics, rows: slice, floor: float):
         count = statistics.count[rows]
         self.shape = count.shape
-        self.unit = 2.0 ** math.frexp(floor)[1]
+        self.unit = 2.0 ** max(math.frexp(floor)[1], -1000)  # so that its inverse is finite
         self.floor = np.float32(floor / self.unit)
         self.order, inside = _pyramid_order(*count.shape)
         n = count.reshape(-1)[self.order].astype(np.float32)
         self.known = inside & (n > 1)
+        self.all_known = bool(self.known.all())
         self.n = n * self.known
-        self.x = self.gather(_limited(statistics.mean[rows] / self.unit, MAX_MEAN))
-        self.s2 = self.gather(_limited(statistics.variance_per_sample(rows) / self.unit / self.unit, MAX_MEAN**2))
+        inverse = 1 / self.unit
+        with np.errstate(over="ignore"):  # what overflows is cut
+            mean = (statistics.mean[rows] * inverse).astype(np.float32)
+            variance = statistics.variance_per_sample(rows) * inverse
+            variance = np.multiply(variance, inverse, out=variance).astype(np.float32)
+        self.x = self.gather(_limited(mean, MAX_MEAN))
+        self.s2 = self.gather(_limited(variance, MAX_MEAN**2))
         self.dof = self.n - self.known
         self.means = _pyramid(self.n, self.x)
         self.variances = _pyramid(self.dof, self.s2)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values of the pixels in the order of the pyramid, 0 where n < 2."""
-        return values.astype(np.float32).reshape(-1)[self.order] * self.known
+        gathered = values.astype(np.float32, copy=False).reshape(-1)[self.order]
+        return gathered if self.all_known else gathered * self.known
 
     def noise(self, level: int) -> np.ndarray:
         """Variance of the mean of every group of a level."""
@@ -292,7 +300,7 @@ def _variance_noise(n: np.ndarray, x: np.ndarray, pyramid: list) -> list[np.ndar
     child_dof = _child_dof(weight)
     n = n * deviation
     usable = (n * deviation).sum(axis=0) < MAX_SKEWNESS_SCATTER * child_dof * parent
-    third_moment = _divide((n * (s2 - parent)).sum(axis=0), child_dof * parent**1.5) * usable
+    third_moment = _divide((n * (s2 - parent)).sum(axis=0), child_dof * parent * np.sqrt(parent)) * usable
     skewness = _divide(third_moment.reshape(64, -1).sum(axis=0), usable.reshape(64, -1).sum(axis=0))
     noise = 2 + 1.5 * np.maximum(skewness, 0) ** 2
     coarser = noise.reshape(4, -1).mean(axis=0)
@@ -328,6 +336,8 @@ def _window_sum(groups: np.ndarray) -> np.ndarray:
 
 def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a / b, and 0 where b is 0."""
+    if b.min(initial=1) > 0:
+        return np.divide(a, b, dtype=np.float32)
     return np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape), np.float32), where=b > 0)
 
 
