@@ -254,6 +254,24 @@ def test_half_widths_know_the_neighbours_outliers(n):
     assert np.mean(np.abs(s.mean - 1) <= half_width_95(s)) > 0.9
 
 
+@pytest.mark.parametrize("n", [16, 64])
+@pytest.mark.parametrize("edge", [34, 35, 36, 38])
+def test_black_pixels_beside_an_edge_have_no_error(n, edge):
+    """Black rows, one row in which a sample in ten sees an object, and the object, whose samples are exponential.
+
+    If black pixels counted as unlucky ones, p99 would be up to 2.2 times too high (edge = 36, n = 64).
+    """
+    rng = np.random.default_rng(77)
+    truth = np.zeros((64, 96))
+    truth[edge:], truth[edge - 1] = 1.0, 0.1
+    x = truth * rng.exponential(size=(n, *truth.shape))
+    x[:, edge - 1] = np.where(rng.random((n, 96)) < 0.1, rng.exponential(size=(n, 96)), 0)
+    s = statistics_of_samples(x)
+    stated = stated_error(s, (0.95, 0.99), floor=0.01)
+    true = np.quantile(np.abs(s.mean - truth) / np.maximum(truth, 0.01), (0.95, 0.99))
+    assert stated == pytest.approx(true, rel=0.05 if n == 64 else 0.25)
+
+
 def test_half_widths_use_the_design_effect_of_the_neighbours():
     """Whether a pixel has seen an outlier decides about its own: here 0.1 or 1 at random, so all have 0.55."""
     design_effect = np.random.default_rng(76).choice([0.1, 1.0], size=(64, 64))

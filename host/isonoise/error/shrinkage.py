@@ -43,6 +43,10 @@ MIN_TRUE_SHARE = 1e-6
 """Smaller true shares of the scatter count as this."""
 MAX_SCATTER = 1e3
 """A group's scatter of means is cut at this multiple of its noise."""
+BLACK_GROUPS = (16, 64)
+"""Pixels of the groups in which black pixels are found."""
+MAX_UNLUCKY_SHARE = 1 / 3
+"""Pixels without light are black if at most this share of them can be explained by chance."""
 MAX_SKEWNESS_SCATTER = 4.0
 """Groups whose means scatter by more than this multiple of their noise are not used to estimate the skewness."""
 
@@ -75,8 +79,7 @@ def relative_errors(statistics: Statistics, rows: slice, floor: float) -> tuple[
     noise, _ = _shrunk_noise(cells, scale, exponent=0.5)
     normal = _posterior_variance(cells, kept_noise, noise, scale)
     deviation = cells.x - smoothed
-    if not cells.all_known:
-        deviation *= cells.known
+    deviation *= cells.used
     deviation /= scale
     square = np.square(deviation, out=deviation)
     square += normal
@@ -112,7 +115,7 @@ def shrunk_variance_of_mean(statistics: Statistics, rows: slice, floor: float) -
     pixels = cells.order[cells.known]
     variance, dof = np.full(cells.shape, np.inf), np.ones(cells.shape)
     variance.reshape(-1)[pixels] = (np.square(scale, dtype=np.float64) * noise * cells.unit**2)[cells.known]
-    dof.reshape(-1)[pixels] = (cells.dof / np.maximum(true_share, MIN_TRUE_SHARE))[cells.known]
+    dof.reshape(-1)[pixels] = np.maximum(cells.dof / np.maximum(true_share, MIN_TRUE_SHARE), 1)[cells.known]
     return variance, dof
 
 
@@ -158,6 +161,12 @@ class _Cells:
         self.x = self.gather(_limited(mean, MAX_MEAN))
         self.s2 = self.gather(_limited(variance, MAX_MEAN**2))
         self.dof = self.n - self.known
+        self.used = self.known
+        black = _find_black(self.n, self.x, self.dof, self.s2)
+        if black is not None:
+            self.used = self.known & ~black
+            self.n *= self.used
+            self.dof *= self.used
         self.means = _pyramid(self.n, self.x)
         self.variances = _pyramid(self.dof, self.s2)
 
@@ -169,6 +178,32 @@ class _Cells:
     def noise(self, level: int) -> np.ndarray:
         """Variance of the mean of every group of a level."""
         return _divide(self.variances[level][1], self.means[level][0])
+
+
+def _find_black(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray | None:
+    """The pixels whose samples are all 0 because the pixel is black, such as those beside the edge of a lit object.
+
+    Other pixels have no light in their samples because it is rare. If all pixels of a group saw light with the same
+    probability p, a pixel would have none with the probability exp(-n p), with p = 1 / (1 + s^2 / mean^2) as if every
+    light were equally bright. A group with far more pixels without light has black ones. None if there are none.
+    """
+    zero = (dof > 0) & (x == 0) & (s2 == 0)
+    if not zero.any():
+        return None
+    black = np.zeros(zero.shape, bool)
+    for group_pixels in BLACK_GROUPS:
+        weight, total, weighted, variance, seen, zeros = (
+            values.reshape(group_pixels, -1).sum(axis=0, dtype=np.float32)
+            for values in (n, n * x, dof, dof * s2, n > 0, zero)
+        )
+        mean = _divide(total, weight)
+        relative_variance = _divide(_divide(_divide(variance, weighted), mean), mean)
+        without_light = np.exp(-_divide(weight, seen * (1 + relative_variance)))
+        unlucky = without_light * (seen - zeros)
+        is_black = (mean > 0) & (unlucky < MAX_UNLUCKY_SHARE * (1 - without_light) * zeros)
+        black |= np.tile(is_black, group_pixels)
+    black &= zero
+    return black
 
 
 def _smoothed_mean(cells: _Cells) -> tuple[np.ndarray, list[np.ndarray]]:
