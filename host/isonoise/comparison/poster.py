@@ -3,6 +3,7 @@
 Pajot, Barthe, Paulin, "Robust adaptive sampling for Monte-Carlo-based rendering", SIGGRAPH Asia 2011 Posters, 49:1.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -56,6 +57,8 @@ class PosterFigure:
     missing: str
 
 
+INTERVAL = re.compile(r" \([^)]*\u2013[^)]*\)")
+"""An interval in a cell of a table; captions have no room for it."""
 MAIN_HEADS = ("RMS p99", "relMSE", "image mean")
 
 DESIGNS = (
@@ -166,7 +169,9 @@ def _rows(design: Design, scene: Mapping, by_spec: Mapping, runs: Mapping[str, S
     if "rms" in design.rows:
         images = [metrics.rms_over_seeds(errors) for errors in final.values()]
         columns = [column for head in design.heads for column in SCENE_COLUMNS if column.head == head]
-        captions = [[f"{c.head} {c.cell(by_spec[spec], scene)}" for c in columns] for spec in design.panels]
+        captions = [
+            [INTERVAL.sub("", f"{c.head} {c.cell(by_spec[spec], scene)}") for c in columns] for spec in design.panels
+        ]
         maps = _maps(titles, images)
         if design.has_ideal:
             ideal, lines = _ideal_map(by_spec[DEFAULT_STRATEGY]["rms"]["p50"], len(seeds), images[0].shape)
