@@ -43,8 +43,8 @@ MIN_TRUE_SHARE = 1e-6
 """Smaller true shares of the scatter count as this."""
 MAX_SCATTER = 1e3
 """A group's scatter of means is cut at this multiple of its noise."""
-BLACK_GROUPS = (16, 64)
-"""Pixels of the groups in which black pixels are found."""
+BLACK_LEVELS = (2, 3)
+"""Levels of the groups in which black pixels are found: 4x4 and 8x8 pixels."""
 MAX_UNLUCKY_SHARE = 1 / 3
 """Pixels without light are black if at most this share of them can be explained by chance."""
 MAX_SKEWNESS_SCATTER = 4.0
@@ -121,7 +121,7 @@ def shrunk_variance_of_mean(statistics: Statistics, rows: slice, floor: float) -
 
 def _group_design_effect(cells: "_Cells", design_effect: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """The design effect of every pixel's largest group: the mean of its pixels', weighted with s^2 / scale^2."""
-    weight = np.minimum(cells.s2 / scale / scale, MAX_MEAN)
+    weight = cells.relative_variance(scale)
     group_pixels = 4**LEVELS
     total = weight.reshape(group_pixels, -1).sum(axis=0)
     group = _divide((weight * design_effect).reshape(group_pixels, -1).sum(axis=0), total)
@@ -130,8 +130,7 @@ def _group_design_effect(cells: "_Cells", design_effect: np.ndarray, scale: np.n
 
 def _shrunk_noise(cells: "_Cells", scale: np.ndarray, exponent: float) -> tuple[np.ndarray, np.ndarray]:
     """Shrunk variances of the means over scale^2, 0 where n < 2, and the pixels' factors of shrinkage."""
-    s2 = cells.s2 / scale / scale
-    np.minimum(s2, MAX_MEAN, out=s2)
+    s2 = cells.relative_variance(scale)
     variance, factor = _shrunk_variance(cells.n, cells.x / scale, cells.dof, s2, exponent)
     return _divide(variance, cells.n), factor
 
@@ -162,11 +161,15 @@ class _Cells:
         self.s2 = self.gather(_limited(variance, MAX_MEAN**2))
         self.dof = self.n - self.known
         self.used = self.known
-        black = _find_black(self.n, self.x, self.dof, self.s2)
+        self._make_pyramids()
+        black = _find_black(self)
         if black is not None:
             self.used = self.known & ~black
             self.n *= self.used
             self.dof *= self.used
+            self._make_pyramids()
+
+    def _make_pyramids(self) -> None:
         self.means = _pyramid(self.n, self.x)
         self.variances = _pyramid(self.dof, self.s2)
 
@@ -175,33 +178,35 @@ class _Cells:
         gathered = values.astype(np.float32, copy=False).reshape(-1)[self.order]
         return gathered if self.all_known else gathered * self.known
 
+    def relative_variance(self, scale: np.ndarray) -> np.ndarray:
+        """s^2 / scale^2 of every pixel, cut at MAX_MEAN."""
+        result = self.s2 / scale / scale
+        return np.minimum(result, MAX_MEAN, out=result)
+
     def noise(self, level: int) -> np.ndarray:
         """Variance of the mean of every group of a level."""
         return _divide(self.variances[level][1], self.means[level][0])
 
 
-def _find_black(n: np.ndarray, x: np.ndarray, dof: np.ndarray, s2: np.ndarray) -> np.ndarray | None:
+def _find_black(cells: _Cells) -> np.ndarray | None:
     """The pixels whose samples are all 0 because the pixel is black, such as those beside the edge of a lit object.
 
     Other pixels have no light in their samples because it is rare. If all pixels of a group saw light with the same
     probability p, a pixel would have none with the probability exp(-n p), with p = 1 / (1 + s^2 / mean^2) as if every
     light were equally bright. A group with far more pixels without light has black ones. None if there are none.
     """
-    zero = (dof > 0) & (x == 0) & (s2 == 0)
+    zero = (cells.dof > 0) & (cells.x == 0) & (cells.s2 == 0)
     if not zero.any():
         return None
     black = np.zeros(zero.shape, bool)
-    for group_pixels in BLACK_GROUPS:
-        weight, total, weighted, variance, seen, zeros = (
-            values.reshape(group_pixels, -1).sum(axis=0, dtype=np.float32)
-            for values in (n, n * x, dof, dof * s2, n > 0, zero)
-        )
-        mean = _divide(total, weight)
-        relative_variance = _divide(_divide(_divide(variance, weighted), mean), mean)
+    for level in BLACK_LEVELS:
+        (weight, mean), variance = cells.means[level], cells.variances[level][1]
+        seen, zeros = (pixels.reshape(4**level, -1).sum(axis=0, dtype=np.float32) for pixels in (cells.known, zero))
+        relative_variance = _divide(_divide(variance, mean), mean)
         without_light = np.exp(-_divide(weight, seen * (1 + relative_variance)))
         unlucky = without_light * (seen - zeros)
         is_black = (mean > 0) & (unlucky < MAX_UNLUCKY_SHARE * (1 - without_light) * zeros)
-        black |= np.tile(is_black, group_pixels)
+        black |= np.tile(is_black, 4**level)
     black &= zero
     return black
 
