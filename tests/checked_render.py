@@ -54,6 +54,7 @@ CASES = {
     **{f"file {seed}": Case(seed) for seed in (1, 31, 50, 51, 90, 98)},
     **{f"file {seed}, many": Case(seed, many=True) for seed in (1, 20, 51, 75)},
     "file 50, many": Case(50, many=True, pool=600, spp=10),
+    "file 31": Case(31, "pooled"),
     "cornell": Case("cornell", "relative-median", spp=1),
     "cornell, many": Case("cornell", "pooled", many=True, spp=1),
     "penumbra": Case("penumbra", "tsallis:q=3"),
@@ -145,6 +146,7 @@ def render(case: Case) -> Renderer:
         renderer = Renderer(source, strategy=case.strategy, size=(WIDTH, HEIGHT), pool_size=case.pool)
     for _ in range(2):
         renderer.step(case.spp * WIDTH * HEIGHT)
+    renderer.error_distribution(0.01)
     return renderer
 
 

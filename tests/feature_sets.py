@@ -173,6 +173,7 @@ def needs_of(features: dict[str, bool]) -> Needs:
         power=2.0 if features["POWER_MEAN"] else None,
         half=features["HALF_BUFFER"],
         nets=features["NET_MEANS"],
+        neighbours=5 if features["NEIGHBOURS"] else None,
     )
 
 

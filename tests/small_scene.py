@@ -47,5 +47,6 @@ def assert_same_bits(a: Statistics, b: Statistics) -> None:
 def assert_sound(statistics: Statistics) -> None:
     for name, plane in vars(statistics).items():
         if plane is not None:
-            assert np.isfinite(plane).all(), name
+            # unknown where no neighbour has two samples
+            assert np.isfinite(plane).all() or name == "neighbour_variance", name
             assert (plane >= 0).all(), name

@@ -13,6 +13,7 @@ import pytest
 from feature_sets import all_but, only
 
 from isonoise.device.program import flatten, stage_source
+from isonoise.integrator import error_stage
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.feature_costs import cost, features_in, stages_with
@@ -31,7 +32,7 @@ from isonoise.statistics import Needs
 STAGES = sorted({row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values()})
 LANE_STAGES = sorted({row.file for row in (*(KERNELS[name] for name in LANE_KERNELS), *BRUTE_FORCE_KERNELS.values())})
 """Stages with several lanes a work-item: kernels/path/path_state.h."""
-EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
+EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5)
 
 
 BASE_FEATURES = ("TRIANGLES", "DIFFUSE")
@@ -51,7 +52,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     cpp = shutil.which("cpp")
     if cpp is None:
         pytest.skip("no C preprocessor 'cpp' on PATH")
-    constants = CONSTANTS | build_constants(EVERY_STATISTIC)
+    constants = CONSTANTS | build_constants(EVERY_STATISTIC) | error_stage.build_constants(1)
     constants |= {"LANES": lanes, "PATH_BLOCK_SIZE": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     # the text is the same for all sets

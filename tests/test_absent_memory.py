@@ -108,13 +108,14 @@ def test_statistics_take_the_stated_bytes(monkeypatch):
         (Needs(median=True, chunk=7, batch=4), {"CHUNK_MEDIANS", "BATCH_MEANS"}, 4 * 7 + 4 + 8),
         (Needs(power=2.0), {"POWER_MEAN"}, 8),
         (Needs(half=True), {"HALF_BUFFER"}, 24),
+        (Needs(neighbours=5), {"NEIGHBOURS"}, 8),
     ):
         more, of_more = allocated(monkeypatch, scene, needs)
         assert {each for each, on in of_more.features.items() if on and not wavefront.features[each]} == features_
         new = {each: size for each, size in more.items() if each not in bare}
         assert set(new) == {each for feature in features_ for each in FEATURES[feature].buffers}
         assert sum(new.values()) == bytes_a_pixel * 16 * 8
-        assert {each for each in bare if more[each] != bare[each]} == {"summary"}
+        assert {each for each in bare if more[each] != bare[each]} == (set() if needs.neighbours else {"summary"})
 
 
 def test_a_filter_takes_the_stated_bytes(monkeypatch, tmp_path):
@@ -171,7 +172,7 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
     }
     number["light_parents"] = lights + number["light_nodes"]
     assert {each: sizes[each] for each in number} == {each: stated(each) * count for each, count in number.items()}
-    pixels = {"medians": 4 * 5 + 4 + 8, "powers": 8, "halves": 24}
+    pixels = {"medians": 4 * 5 + 4 + 8, "powers": 8, "halves": 24, "neighbours": 8}
     assert {each: sizes[each] for each in pixels} == {each: size * 9 * 7 for each, size in pixels.items()}
     unchecked = {each for feature in FEATURES.values() for each in feature.buffers} - set(number) - set(pixels)
     assert unchecked == {"texel_floats", "corners", "corner_indices", "light_bounds", "net_means", "net_variances"}

@@ -8,6 +8,7 @@ from small_scene import assert_same_bits
 
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
+from isonoise.integrator import error_stage
 from isonoise.integrator.accumulator import build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.feature_superset import feature_superset
@@ -22,7 +23,7 @@ from isonoise.scene.light import light_list
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
-EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True)
+EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +99,7 @@ def test_all_features_run_a_simple_scene(device, monkeypatch, tmp_path):
 @pytest.mark.parametrize(("lanes", "off"), [(1, ()), (64, ("VOLPATH",))])
 def test_all_features_build(device, lanes, off):
     """Builds all kernels; the long tests launch them, which takes twice as long."""
-    constants = CONSTANTS | build_constants(EVERY_STATISTIC)
+    constants = CONSTANTS | build_constants(EVERY_STATISTIC) | error_stage.build_constants(1)
     constants |= {"LANES": lanes, "PATH_BLOCK_SIZE": 64}
     constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
     for few in (False, True):

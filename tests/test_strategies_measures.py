@@ -19,6 +19,7 @@ from isonoise.strategies.measures import (
     standard_error,
     tsallis,
     variance_per_sample,
+    with_neighbours,
 )
 
 
@@ -61,7 +62,7 @@ def test_the_design_effect_multiplies_the_variance_of_the_mean():
         standard_error,
         lambda s: relative_mean(s, 0.1),
         lambda s: relative_median(s, 0.1),
-        lambda s: neighbour_variance(s, 0.1, 3),
+        lambda s: neighbour_variance(with_neighbours(s, 3), 0.1),
         lambda s: confidence(s, 0.05),
     ):
         assert (measure(s) == measure(scaled)).all()
@@ -77,7 +78,7 @@ def test_neighbour_variance_is_a_plain_loop_over_the_window(shape, window, all_k
     s = make_statistics(count, rng.lognormal(size=shape), np.where(count >= 2, rng.lognormal(size=shape), 0))
     s = replace(s, design_effect=rng.uniform(0.1, 1, size=shape))
     own, reach = s.design_effect * s.variance, window // 2
-    for (y, x), value in np.ndenumerate(neighbour_variance(s, 0.5, window)):
+    for (y, x), value in np.ndenumerate(neighbour_variance(with_neighbours(s, window), 0.5)):
         around = np.zeros(shape, dtype=bool)
         around[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1] = True
         if shape != (1, 1):
@@ -94,7 +95,7 @@ def test_neighbour_variance_does_not_depend_on_the_pixel_itself():
     s = noisy_statistics((9, 8))
     changed = replace(s, mean=s.mean.copy(), variance=s.variance.copy(), count=s.count.copy())
     changed.mean[4, 3], changed.variance[4, 3], changed.count[4, 3] = 1e30, 1e60, 10**6
-    before, after = neighbour_variance(s, 0.1, 5), neighbour_variance(changed, 0.1, 5)
+    before, after = (neighbour_variance(with_neighbours(each, 5), 0.1) for each in (s, changed))
     assert after[4, 3] == before[4, 3]
     differs = np.zeros(s.shape, dtype=bool)
     differs[2:7, 1:6] = True
@@ -107,10 +108,10 @@ def test_outliers_count_with_their_own_variance_as_far_as_their_share_of_the_ene
     variance = np.full((20, 20), 0.01)
     for pixel, error in (((3, 3), 2.0), ((10, 10), 1.0), ((15, 15), 0.5)):
         variance[pixel] = 100 * error**2
-    s = make_statistics(100, np.ones((20, 20)), variance)
+    s = with_neighbours(make_statistics(100, np.ones((20, 20)), variance), 5)
 
     def with_own(share):
-        difference = neighbour_variance(s, 0.1, 5, share) != neighbour_variance(s, 0.1, 5)
+        difference = neighbour_variance(s, 0.1, share) != neighbour_variance(s, 0.1)
         return {(int(y), int(x)) for y, x in np.argwhere(difference)}
 
     # The limit is share / sqrt(100) * 400 = 40 share, against errors of 2, then 1, then 0.5.
@@ -118,7 +119,7 @@ def test_outliers_count_with_their_own_variance_as_far_as_their_share_of_the_ene
     assert with_own(0.051) == {(3, 3)}
     assert with_own(0.076) == {(3, 3), (10, 10)}
     assert with_own(0.09) == {(3, 3), (10, 10), (15, 15)}
-    assert neighbour_variance(s, 0.1, 5, 0.051)[3, 3] == pytest.approx(400)
+    assert neighbour_variance(s, 0.1, 0.051)[3, 3] == pytest.approx(400)
 
 
 @pytest.mark.parametrize("q", [0.5, 1.0, 1.5, 2.0, 3.0])

@@ -57,7 +57,9 @@ def first(strategy, k):
 def test_the_built_in_strategies():
     assert available_strategies()[:3] == ["uniform", "pooled", "relative-median"]
     assert DEFAULT_STRATEGY == "pooled"
-    assert make_strategy("pooled").needs == make_strategy("tsallis").needs == Needs()  # q = 2 is in the variance
+    assert make_strategy("pooled:window=7").needs == Needs(neighbours=7)
+    assert make_strategy("pooled:unbiased=true").needs == Needs(uniform=True)
+    assert make_strategy("tsallis").needs == Needs()  # q = 2 is in the variance
     assert make_strategy("relative-median").needs == Needs(median=True, chunk=5, batch=4)
     assert make_strategy("relative-median:chunk=9,batch=2").needs == Needs(median=True, chunk=9, batch=2)
     assert make_strategy("tsallis:q=1").needs == Needs(power=1.0)

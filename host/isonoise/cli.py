@@ -12,6 +12,7 @@ import sys
 from isonoise import __version__, argument_types
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.errors import UserError
+from isonoise.heap import keep_freed_memory
 from isonoise.samplers import SAMPLERS
 
 
@@ -19,6 +20,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command in `argv` (default: the process's arguments); return the exit code."""
     try:
         options = _parser().parse_args(argv)
+        keep_freed_memory()
         code = importlib.import_module(f"isonoise.commands.{options.command}").run(options)
         sys.stdout.flush()
         return code

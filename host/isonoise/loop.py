@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.error.energy_loss import EnergyLoss
-from isonoise.error.stated_error import relative_standard_error, stated_error
+from isonoise.error.stated_error import relative_standard_error
 from isonoise.error.stopping import ErrorStop
 from isonoise.error.true_error import true_error
 from isonoise.errors import UserError
@@ -99,8 +99,10 @@ class Outcome:
         Statistics of all samples.
     floor : float
         Relative errors divide by max(luminance, floor).
+    stated_error : float
+        At the quantile of `Stops`; inf without waves.
     error_bound : float or None
-        Upper confidence bound of the true error at the quantile of `Stops`. None without `Stops.error` or waves.
+        Upper confidence bound of the true error at this quantile. None without `Stops.error` or waves.
     """
 
     reason: str
@@ -108,6 +110,7 @@ class Outcome:
     elapsed_s: float
     statistics: Statistics
     floor: float
+    stated_error: float
     error_bound: float | None = None
 
     @property
@@ -232,7 +235,8 @@ class _RenderLoop:
         if statistics is None:
             statistics = self.renderer.statistics()
         bound = None if self.error_stop is None else self.error_stop.bound
-        return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics), bound)
+        error = math.inf if self.error is None else self.error
+        return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics), error, bound)
 
     def _elapsed(self) -> float:
         return time.perf_counter() - self.clock_start
@@ -318,15 +322,11 @@ class _RenderLoop:
             estimates.append(missing / samples_per_s)
         return min(estimates, default=None)
 
-    def _stated_errors(self, statistics: Statistics) -> list[float]:
-        """At LOG_QUANTILES and the quantile of `stops`."""
-        quantiles, floor = (*LOG_QUANTILES, self.stops.quantile), self._floor(statistics)
-        if self.error_stop is None:
-            return stated_error(statistics, quantiles, floor).tolist()
-        return self.error_stop.update(statistics, floor, quantiles).tolist()
-
     def _add_row(self, record: WaveRecord, statistics: Statistics) -> LogRow:
-        p50, p95, p99, self.error = self._stated_errors(statistics)
+        errors = self.renderer.error_distribution(self._floor(statistics))
+        p50, p95, p99, self.error = errors.quantiles((*LOG_QUANTILES, self.stops.quantile)).tolist()
+        if self.error_stop is not None:
+            self.error_stop.update(errors)
         self.energy_loss.add_wave(record.kind, statistics)
         energy_loss, energy_loss_se = self.energy_loss.estimate(statistics)
         elapsed = self._elapsed()

@@ -27,6 +27,9 @@ class Needs:
         hold the same information.
     half : bool
         Keep the mean of every second sample.
+    neighbours : int or None
+        Average mean and variance of the neighbours: of the pixels in a square of this odd number of pixels per side, 3
+        to 31, around each pixel.
     nets : bool
         Keep means over nets, from which the design effect is estimated. Set by the renderer for the sampler sobol.
     uniform : bool
@@ -44,6 +47,7 @@ class Needs:
     batch: int = 1
     power: float | None = None
     half: bool = False
+    neighbours: int | None = None
     nets: bool = False
     uniform: bool = False
 
@@ -54,6 +58,8 @@ class Needs:
             raise UserError(f"Needs: batch = {self.batch} must be a whole number from 1 to 65536")
         if self.power is not None and not 0 < self.power < math.inf:
             raise UserError(f"Needs: power = {self.power} must be a finite number above 0")
+        if self.neighbours is not None and self.neighbours not in range(3, 32, 2):
+            raise UserError(f"Needs: neighbours = {self.neighbours} must be an odd number from 3 to 31")
 
     def with_sampler(self, sampler: str) -> "Needs":
         """These statistics, and those that the error of samples from this sampler needs."""
@@ -93,6 +99,11 @@ class Statistics:
     design_effect : (height, width) float32 or None
         Variance of the mean over that of as many independent samples (Kish 1965, "Survey sampling"). None: 1
         everywhere.
+    neighbour_mean : (height, width) float32 or float64, or None
+        Average mean of x over the neighbours with two samples or more (`Needs.neighbours`), without the pixel itself; 0
+        without such neighbours. None unless needed.
+    neighbour_variance : (height, width) float32 or float64, or None
+        Average of d s^2 over them, d the design effect; inf without such neighbours. None unless needed.
     uniform : Statistics or None
         Count, mean and variance of the samples of uniform waves, without RGB and design effect; None unless needed.
     """
@@ -106,6 +117,8 @@ class Statistics:
     power: np.ndarray | None = None
     half: np.ndarray | None = None
     design_effect: np.ndarray | None = None
+    neighbour_mean: np.ndarray | None = None
+    neighbour_variance: np.ndarray | None = None
     uniform: "Statistics | None" = None
 
     def variance_of_mean(self) -> np.ndarray:
@@ -113,11 +126,11 @@ class Statistics:
         result = np.full(self.shape, np.inf)
         return np.divide(self.variance_per_sample(), self.count, out=result, where=self.count >= 2)
 
-    def variance_per_sample(self, rows: slice = slice(None)) -> np.ndarray:
+    def variance_per_sample(self, rows: slice = slice(None), dtype: type = np.float64) -> np.ndarray:
         """d s^2: the variance of independent samples, as many, with the same error of the mean. Do not write to it."""
         if self.design_effect is None:
-            return self.variance[rows]
-        return self.design_effect[rows] * self.variance[rows]
+            return self.variance[rows].astype(dtype, copy=False)
+        return np.multiply(self.design_effect[rows], self.variance[rows], dtype=dtype, casting="same_kind")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -148,8 +161,7 @@ class UniformSamples:
         variance = np.zeros_like(mean)
         np.divide(squares - total * mean, count - 1, out=variance, where=count >= 2)
         np.maximum(variance, 0, out=variance)  # below 0 by rounding only
-        optional = {"median": None, "power": None, "half": None, "design_effect": None, "uniform": None}
-        return replace(statistics, count=count.astype(np.uint32), mean=mean, variance=variance, rgb=None, **optional)
+        return Statistics(count.astype(np.uint32), statistics.rejected, None, mean, variance, None)
 
 
 def _sums(statistics: Statistics) -> np.ndarray:

@@ -160,6 +160,8 @@ __kernel void compute_design_effect(
         }
         const float effect = design_effect_of(n, sum / total);
         // fewer samples than NET_COUNT tell nothing: their nets make up all of s^2
-        design_effect[pixel] = n >= NET_COUNT && relative_variance > 0.0f && total > 0.0f ? effect : 1.0f;
+        const float d = n >= NET_COUNT && relative_variance > 0.0f && total > 0.0f ? effect : 1.0f;
+        design_effect[pixel] = d;
+        luminance[(int)total_pixels + pixel] *= d;
     }
 }

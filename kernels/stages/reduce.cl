@@ -13,14 +13,10 @@ INLINE bool is_rejected(Vec3 rgb, float x)
     return is_negative || !(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && x < LUMINANCE_LIMIT);
 }
 
-INLINE void store_sums(const Compensated* sums, uint sum_count, __global float* planes, uint stride)
-{
-    for (uint c = 0; c < sum_count; ++c) store_sum(sums[c], planes + 2 * c * stride, stride);
-}
-
 INLINE void store_moments(const Moments* m, __global float* sums, __global float* sample_block_sums, uint stride)
 {
-    store_sums(m->sum, 4, sums, stride);
+    store_rgb_sum(m->rgb, sums, stride);
+    store_sum(m->x, sums + 6 * stride, stride);
     store_sum(m->m2, sums + 8 * stride, stride);
     sample_block_sums[0] = m->block_rgb.x;
     sample_block_sums[stride] = m->block_rgb.y;
@@ -36,7 +32,7 @@ INLINE void add_to_moments(Moments* m, uint n, Vec3 rgb, float x)
     const uint index = n % SAMPLE_BLOCK_SIZE;
     if (index == 0) {
         m->block_rgb = splat3(0.0f);
-        m->shift = n ? divide_compensated(m->sum[3], n).high : x;
+        m->shift = n ? divide_compensated(m->x, n).high : x;
         m->block_sum = m->block_squares = 0.0f;
     }
     const float difference = x - m->shift;
@@ -107,7 +103,7 @@ INLINE uint end_net(const Moments* m, uint n, __global float* nets, uint stride)
 {
     const uint size_log2 = net_size_log2(n - 1u), size = 1u << size_log2;
     const uint k = (n >> size_log2) - 1u, pending_count = n % SAMPLE_BLOCK_SIZE;
-    Compensated sum = m->sum[3];
+    Compensated sum = m->x;
     if (pending_count) sum = add_block_sum(sum, m->shift, pending_count, m->block_sum);
     const Compensated before = load_sum(nets, stride);
     __global float* means = nets + 2 * stride;
@@ -144,8 +140,7 @@ __kernel void reduce(
     Compensated power_sum = load_sum(powers + pixel, total_pixels);
 #endif
 #if FEATURE_HALF_BUFFER
-    Compensated half_sum[3];
-    load_sums(half_sum, 3, halves + pixel, total_pixels);
+    CompensatedRgb half_sum = load_rgb_sum(halves + pixel, total_pixels);
 #endif
     uint n = count[pixel], new_rejected = 0;
 #if FEATURE_NET_MEANS
@@ -168,7 +163,7 @@ __kernel void reduce(
         add_power(x, power, &power_sum);
 #endif
 #if FEATURE_HALF_BUFFER
-        if (n & 1u) add_rgb(half_sum, rgb);
+        if (n & 1u) half_sum = add_rgb(half_sum, rgb);
 #endif
         ++n;
 #if FEATURE_NET_MEANS
@@ -187,7 +182,7 @@ __kernel void reduce(
     store_sum(power_sum, powers + pixel, total_pixels);
 #endif
 #if FEATURE_HALF_BUFFER
-    store_sums(half_sum, 3, halves + pixel, total_pixels);
+    store_rgb_sum(half_sum, halves + pixel, total_pixels);
 #endif
     count[pixel] = n;
     rejected[pixel] += new_rejected;

@@ -20,12 +20,16 @@ __kernel void summarise(
         Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
         if (pending_count) merge_block(&moments, n - pending_count, pending_count);
         __global float* out = summary;
-        store_sum(divide_compensated(moments.sum[3], divisor), out + i, stride);
+        const Compensated mean = divide_compensated(moments.x, divisor);
+        store_sum(mean, out + i, stride);
         out += 2 * stride;
-        out[i] = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
+        const float s2 = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
+        out[i] = s2;
         out += stride;
-#pragma unroll
-        for (int c = 0; c < 3; ++c) out[3 * i + c] = divide_compensated(moments.sum[c], divisor).high;
+        luminance[pixel] = mean.high;
+        luminance[total_pixels + pixel] = s2;
+        const Vec3 rgb = divide_rgb_sum(moments.rgb, divisor);
+        STORE3(rgb, i, out);
         out += 3 * stride;
 
 #if FEATURE_CHUNK_MEDIANS
@@ -56,18 +60,14 @@ __kernel void summarise(
         out += 2 * stride;
 #endif
 #if FEATURE_NET_MEANS
-        const float mean = divide_compensated(moments.sum[3], divisor).high,
-                    s2 = n > 1u ? moments.m2.high / (float)(n - 1u) : 0.0f;
-        const float relative_variance = mean > 0.0f ? s2 / mean / mean : 0.0f;
+        const float relative_variance = mean.high > 0.0f ? s2 / mean.high / mean.high : 0.0f;
         const bool has_noise = relative_variance >= 0x1p-60f && relative_variance < INFINITY;  // more than rounding
         net_variances[pixel] = has_noise ? relative_variance : 0.0f;
         net_variances[total_pixels + pixel] = has_noise ? net_variance(n, net_means + pixel, total_pixels) / s2 : 0.0f;
 #endif
 #if FEATURE_HALF_BUFFER
-        Compensated half_sum[3];
-        load_sums(half_sum, 3, halves + pixel, total_pixels);
-#pragma unroll
-        for (int c = 0; c < 3; ++c) out[3 * i + c] = n > 1u ? divide_compensated(half_sum[c], n / 2u).high : 0.0f;
+        const Vec3 half_rgb = divide_rgb_sum(load_rgb_sum(halves + pixel, total_pixels), MAX(n / 2u, 1u));
+        STORE3(half_rgb, i, out);
 #endif
     }
 }

@@ -7,6 +7,7 @@
 
 typedef struct {
     float high, low;
+    float padding[3];  // never read; keeps the struct out of vector registers, as in util/vec.h
 } Compensated;
 
 // a + b exactly, as the rounded sum and its rounding error. If the sum overflows, the error is 0, not NaN.

@@ -35,23 +35,45 @@ INLINE Compensated merge_m2(Compensated m2, uint n, uint k, float shift, float s
     return is_finite(m2.high) ? m2 : maximum;
 }
 
-INLINE void load_sums(Compensated* sums, uint sum_count, __global const float* planes, uint stride)
+typedef struct {
+    Compensated red, green, blue;
+} CompensatedRgb;
+
+INLINE CompensatedRgb load_rgb_sum(__global const float* planes, uint stride)
 {
-#pragma unroll
-    for (uint c = 0; c < sum_count; ++c) sums[c] = load_sum(planes + 2 * c * stride, stride);
+    CompensatedRgb sum;
+    sum.red = load_sum(planes, stride);
+    sum.green = load_sum(planes + 2 * stride, stride);
+    sum.blue = load_sum(planes + 4 * stride, stride);
+    return sum;
 }
 
-INLINE void add_rgb(Compensated* sums, Vec3 rgb)
+INLINE void store_rgb_sum(CompensatedRgb sum, __global float* planes, uint stride)
 {
-    sums[0] = add_compensated(sums[0], rgb.x);
-    sums[1] = add_compensated(sums[1], rgb.y);
-    sums[2] = add_compensated(sums[2], rgb.z);
+    store_sum(sum.red, planes, stride);
+    store_sum(sum.green, planes + 2 * stride, stride);
+    store_sum(sum.blue, planes + 4 * stride, stride);
+}
+
+INLINE CompensatedRgb add_rgb(CompensatedRgb sum, Vec3 rgb)
+{
+    sum.red = add_compensated(sum.red, rgb.x);
+    sum.green = add_compensated(sum.green, rgb.y);
+    sum.blue = add_compensated(sum.blue, rgb.z);
+    return sum;
+}
+
+// The mean of n samples.
+INLINE Vec3 divide_rgb_sum(CompensatedRgb sum, uint n)
+{
+    return vec3(divide_compensated(sum.red, n).high, divide_compensated(sum.green, n).high,
+                divide_compensated(sum.blue, n).high);
 }
 
 // Sums over the full sample blocks of a pixel, and over its unfinished one.
 typedef struct {
-    Compensated sum[4];              // red, green, blue, x
-    Compensated m2;                  // of x
+    CompensatedRgb rgb;
+    Compensated x, m2;               // m2 of x
     Vec3 block_rgb;                  // sum of RGB
     float shift;                     // see merge_m2
     float block_sum, block_squares;  // sums of x - shift and of its square
@@ -60,7 +82,8 @@ typedef struct {
 INLINE Moments load_moments(__global const float* sums, __global const float* sample_block_sums, uint stride)
 {
     Moments m;
-    load_sums(m.sum, 4, sums, stride);
+    m.rgb = load_rgb_sum(sums, stride);
+    m.x = load_sum(sums + 6 * stride, stride);
     m.m2 = load_sum(sums + 8 * stride, stride);
     m.block_rgb = vec3(sample_block_sums[0], sample_block_sums[stride], sample_block_sums[2 * stride]);
     m.shift = sample_block_sums[3 * stride];
@@ -80,10 +103,10 @@ INLINE Compensated add_block_sum(Compensated sum, float shift, uint k, float blo
 // Merges the block, of k samples after n others, into the sums.
 INLINE void merge_block(Moments* m, uint n, uint k)
 {
-    const float shift_error = n ? divide_compensated(m->sum[3], n).low : 0.0f;
+    const float shift_error = n ? divide_compensated(m->x, n).low : 0.0f;
     m->m2 = merge_m2(m->m2, n, k, m->shift, shift_error, m->block_sum, m->block_squares);
-    add_rgb(m->sum, m->block_rgb);
-    m->sum[3] = add_block_sum(m->sum[3], m->shift, k, m->block_sum);
+    m->rgb = add_rgb(m->rgb, m->block_rgb);
+    m->x = add_block_sum(m->x, m->shift, k, m->block_sum);
 }
 
 #if FEATURE_NET_MEANS

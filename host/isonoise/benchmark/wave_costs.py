@@ -7,11 +7,11 @@ import numpy as np
 
 from isonoise.benchmark.spread import spread
 from isonoise.error.energy_loss import EnergyLoss
-from isonoise.error.stated_error import stated_error
 from isonoise.loop import LOG_QUANTILES
 from isonoise.renderer import Renderer
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
+from isonoise.strategies.measures import image_floor
 
 WARMUP_SAMPLES, WAVE_SAMPLES = 16, 8
 """Samples per pixel of the uniform wave before the measurement, and of the adaptive waves that are measured."""
@@ -65,7 +65,7 @@ def _time_wave(renderer: Renderer, strategy: _TimedStrategy, energy_loss: Energy
     start = time.perf_counter()
     statistics = renderer.statistics()
     after_statistics = time.perf_counter()
-    stated_error(statistics, LOG_QUANTILES)
+    renderer.error_distribution(image_floor(statistics.mean)).quantiles(LOG_QUANTILES)
     energy_loss.add_wave(record.kind, statistics)
     energy_loss.estimate(statistics)
     end = time.perf_counter()

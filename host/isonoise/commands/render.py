@@ -11,7 +11,6 @@ from pathlib import Path
 
 from isonoise import __version__
 from isonoise.commands import EXIT_DONE, EXIT_ERROR_NOT_MET
-from isonoise.error.stated_error import stated_error
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.log import LogRow, LogWriter, row_values
@@ -192,7 +191,7 @@ def _result(options: argparse.Namespace, renderer: Renderer, stops: Stops, outco
         "quantile": stops.quantile,
         "confidence": stops.confidence,
         "error_bound": outcome.error_bound,
-        "stated_error": float(stated_error(statistics, [stops.quantile], outcome.floor)[0]),
+        "stated_error": outcome.stated_error,
         "waves": len(outcome.rows),
         "last_wave": row_values(outcome.rows[-1]) if outcome.rows else None,
         "output": options.output,

@@ -22,25 +22,31 @@ class EnergyLoss:
         self._last: Statistics | None = None
         # Count and sum of x of every pixel's samples of uniform waves; until the first adaptive wave those of `_last`.
         self._uniform: np.ndarray | None = None
+        self._control = np.nan  # sum over the pixels of the means of these samples
 
     def add_wave(self, kind: str, statistics: Statistics) -> None:
         """Add a wave, 'uniform' or 'adaptive'; `statistics` are those after it."""
         if kind == "adaptive" and self._uniform is None:
             self._uniform = np.zeros((2, *statistics.shape))
             if self._last is not None:
-                self._add(self._last, np.add)
+                self._add(self._last, None)
         elif kind == "uniform" and self._uniform is not None:
-            self._add(statistics, np.add)
-            self._add(self._last, np.subtract)
+            self._add(statistics, self._last)
         self._last = statistics
 
-    def _add(self, statistics: Statistics, operation: np.ufunc) -> None:
-        """Add the statistics' counts and sums to those of the uniform waves, or subtract them."""
-        for strip in _strips(statistics):
-            count, mean = statistics.count[strip], statistics.mean[strip]
-            uniform_count, uniform_sum = self._uniform[:, strip]
-            operation(uniform_count, count, out=uniform_count)
-            operation(uniform_sum, count * mean, out=uniform_sum)
+    def _add(self, after: Statistics, before: Statistics | None) -> None:
+        """Add the samples between two statistics to those of the uniform waves."""
+        control, has_all = 0.0, True
+        for strip in _strips(after):
+            count, total = self._uniform[:, strip]
+            count += after.count[strip]
+            total += after.count[strip] * after.mean[strip]
+            if before is not None:
+                count -= before.count[strip]
+                total -= before.count[strip] * before.mean[strip]
+            has_all = has_all and bool(count.min() > 0)
+            control += float(np.divide(total, count, where=count > 0, out=np.zeros(count.shape)).sum())
+        self._control = control if has_all else np.nan
 
     def estimate(self, statistics: Statistics) -> tuple[float, float]:
         """Relative loss of the image's mean luminance, and its standard error.
@@ -52,23 +58,15 @@ class EnergyLoss:
         """
         if self._uniform is None:
             return 0.0, 0.0
-        control, square = 0.0, 0.0
-        for strip in _strips(statistics):
-            uniform_count, uniform_sum = self._uniform[:, strip]
-            if not uniform_count.min() > 0:
-                return np.nan, np.nan
-            count = np.maximum(statistics.count[strip], uniform_count)
-            inverse = 1 / (uniform_count * count)  # one division for 1 / u and 1 / n: they take the most time
-            rest = count - uniform_count
-            rest *= inverse
-            rest *= statistics.variance_per_sample(strip)
-            square += float(rest.sum())
-            count *= inverse
-            count *= uniform_sum
-            control += float(count.sum())
-        if not control > 0:
+        if not self._control > 0:
             return np.nan, np.nan
-        return 1 - float(statistics.mean.sum()) / control, float(np.sqrt(square)) / control
+        square = 0.0
+        for strip in _strips(statistics):
+            variance = statistics.variance_per_sample(strip)
+            square += float((variance / self._uniform[0, strip]).sum())
+            square -= float((variance / statistics.count[strip]).sum())
+        loss = 1 - float(statistics.mean.sum()) / self._control
+        return loss, float(np.sqrt(max(square, 0))) / self._control
 
 
 def _strips(statistics: Statistics) -> Iterator[slice]:

@@ -3,12 +3,11 @@
 The render loop calls `stated_error` after every wave, `film.output` writes `relative_standard_error`.
 """
 
-import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 
 import numpy as np
 
+from isonoise.error.distribution import NORMAL_BINS, ErrorDistribution, histogram_position
 from isonoise.error.shrinkage import TILE_SIZE, relative_errors, shrunk_variance_of_mean
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor, relative_mean
@@ -16,12 +15,6 @@ from isonoise.student_t import quantile
 
 HISTOGRAM_STRIP_PIXELS = 2**17
 """Pixels processed at a time, so that the temporary arrays stay in the cache."""
-OCTAVES = 32
-"""The histogram of errors covers 2^-32 to 2^32."""
-BINS_PER_OCTAVE = 32
-"""Quantiles are interpolated between bins: good to 1e-4."""
-NORMAL_BINS = 8
-"""Bins of the square root of the error's normal share."""
 
 
 def stated_error(statistics: Statistics, quantiles: Sequence[float], floor: float | None = None) -> np.ndarray:
@@ -64,18 +57,29 @@ def stated_error(statistics: Statistics, quantiles: Sequence[float], floor: floa
     proportion to the luminance. If its logarithm jumps at random from pixel to pixel by 0.7, p50 is 15 to 20 % too
     high, p95 and p99 right; by 1.4, p50 is two to three times too high, and p99 four times at n = 4, 1.4 times at 16.
     """
-    if not all(0 < q < 1 for q in quantiles):
-        raise ValueError(f"quantiles must be in (0, 1), not {list(quantiles)}")
     floor = image_floor(statistics.mean) if floor is None else floor
-    known = int(np.count_nonzero(statistics.count >= 2))
-    pixels = statistics.count.size
-    if floor > 0:
-        noiseless, histogram = _error_histogram(statistics, floor)
-    else:  # black image: pixels are exact where all samples are 0; elsewhere there is no scale for the error
-        noiseless = int(np.count_nonzero((statistics.count >= 2) & (statistics.variance == 0)))
-        histogram = np.zeros((NORMAL_BINS + 1, 2 * OCTAVES * BINS_PER_OCTAVE + 1))
-        known = noiseless
-    return np.array([_quantile(q * pixels, noiseless, histogram, known) for q in quantiles])
+    return error_distribution(statistics, floor).quantiles(quantiles)
+
+
+def error_distribution(statistics: Statistics, floor: float) -> ErrorDistribution:
+    """The distribution of which `stated_error` takes quantiles. `Renderer.error_distribution` computes it faster."""
+    result = ErrorDistribution(statistics.count.size)
+    if (
+        not floor > 0
+    ):  # black image: pixels are exact where all samples are 0; elsewhere there is no scale for the error
+        result.noiseless = int(np.count_nonzero((statistics.count >= 2) & (statistics.variance == 0)))
+        return result
+    for strip in _strips(*statistics.shape):
+        square, normal_share = relative_errors(statistics, strip, floor)
+        noisy = square > 0
+        if not noisy.all():
+            result.noiseless += square.size - int(np.count_nonzero(noisy))
+            square, normal_share = square[noisy], normal_share[noisy]
+        normal_bin = np.sqrt(normal_share, out=normal_share)
+        normal_bin *= NORMAL_BINS
+        normal_bin += 0.5
+        result.add(histogram_position(square), normal_bin.astype(np.intp))
+    return result
 
 
 def relative_standard_error(statistics: Statistics, floor: float) -> np.ndarray:
@@ -103,75 +107,3 @@ def _strips(height: int, width: int) -> Iterator[slice]:
     """Rows of whole tiles that are processed at a time."""
     rows = max(1, HISTOGRAM_STRIP_PIXELS // (TILE_SIZE * max(TILE_SIZE, width))) * TILE_SIZE
     return (slice(top, min(top + rows, height)) for top in range(0, height, rows))
-
-
-def _error_histogram(statistics: Statistics, floor: float) -> tuple[int, np.ndarray]:
-    """The number of noiseless pixels; the others over the error's normal share and log2 of its root mean square.
-
-    Each pixel is split between two neighbouring bins of the root mean square.
-    """
-    size = 2 * OCTAVES * BINS_PER_OCTAVE + 1
-    histogram = np.zeros((NORMAL_BINS + 1) * size)
-    noiseless = 0
-    for strip in _strips(*statistics.shape):
-        square, normal_share = relative_errors(statistics, strip, floor)
-        noisy = square > 0
-        if not noisy.all():
-            noiseless += square.size - int(np.count_nonzero(noisy))
-            square, normal_share = square[noisy], normal_share[noisy]
-        position = np.log2(square, out=square)
-        position *= BINS_PER_OCTAVE / 2  # half: of the square's root
-        position += OCTAVES * BINS_PER_OCTAVE
-        np.clip(position, 0, size - 1.001, out=position)
-        normal_bin = np.sqrt(normal_share, out=normal_share)
-        normal_bin *= NORMAL_BINS
-        normal_bin += 0.5
-        left = position.astype(np.intp)
-        position -= left
-        left += size * normal_bin.astype(np.intp)
-        right_weight = np.bincount(left, weights=position, minlength=histogram.size)
-        histogram += np.bincount(left, minlength=histogram.size) - right_weight
-        histogram[1:] += right_weight[:-1]
-    return noiseless, histogram.reshape(NORMAL_BINS + 1, size)
-
-
-def _quantile(pixels: float, noiseless: int, histogram: np.ndarray, known: int) -> float:
-    """The e for which the expected number of pixels with a smaller error is `pixels`."""
-    if pixels <= noiseless:
-        return 0.0
-    if pixels >= known:
-        return math.inf
-    half = OCTAVES * BINS_PER_OCTAVE
-    occupied = np.flatnonzero(histogram.any(axis=0))
-    begin, end = occupied[0], occupied[-1] + 1
-    histogram, probability = histogram[:, begin:end], _error_cdf()
-
-    def expected_below(error_bin: int) -> float:
-        window = probability[:, 2 * half - error_bin + begin : 2 * half - error_bin + end]
-        return noiseless + float(np.einsum("ij,ij->", histogram, window))
-
-    low, high = 0, 2 * half
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if expected_below(middle) < pixels else (low, middle)
-    below, above = expected_below(low), expected_below(high)
-    fraction = min(max((pixels - below) / (above - below), 0.0), 1.0) if above > below else 0.0
-    return 2.0 ** ((low + fraction - half) / BINS_PER_OCTAVE)
-
-
-@lru_cache(maxsize=1)
-def _error_cdf() -> np.ndarray:
-    """P(|sqrt(1 - u) + sqrt(u) Z| <= 2^(k / BINS_PER_OCTAVE)) for every bin of the normal share u.
-
-    k runs from the largest to the smallest difference of two bins.
-    """
-    half = OCTAVES * BINS_PER_OCTAVE
-    limits = [2.0 ** (k / BINS_PER_OCTAVE) for k in range(2 * half, -2 * half - 1, -1)]
-    table = [[float(limit >= 1) for limit in limits]]
-    for normal_bin in range(1, NORMAL_BINS + 1):
-        sd = normal_bin / NORMAL_BINS
-        deviation, unit = math.sqrt(1 - sd * sd), math.sqrt(2) * sd
-        table.append(
-            [0.5 * (math.erf((limit - deviation) / unit) + math.erf((limit + deviation) / unit)) for limit in limits]
-        )
-    return np.array(table)

@@ -2,10 +2,7 @@
 
 import math
 
-import numpy as np
-
-from isonoise.error.stated_error import stated_error
-from isonoise.statistics import Statistics
+from isonoise.error.distribution import ErrorDistribution
 
 CALIBRATION_MARGIN = 1.05
 """Ratio of true to stated error that model errors of the estimate may cause (`tests/test_error_stop.py`)."""
@@ -45,16 +42,15 @@ class ErrorStop:
         self.bound: float | None = None
         self.passed = False
 
-    def update(self, statistics: Statistics, floor: float, quantiles: tuple[float, ...]) -> np.ndarray:
-        """Test the image; return the stated errors at `quantiles`, which cost less together."""
+    def update(self, distribution: ErrorDistribution) -> None:
+        """Test an image with this distribution of errors."""
         look = self.looks + 1
         significance = (1 - self.confidence) / (look * (look + 1))
-        raised = raised_quantile(self.quantile, statistics.count.size, significance)
-        *stated, self.stated, bound = stated_error(statistics, (*quantiles, self.quantile, raised), floor).tolist()
+        raised = raised_quantile(self.quantile, distribution.pixels, significance)
+        self.stated, bound = distribution.quantiles((self.quantile, raised)).tolist()
         self.bound = CALIBRATION_MARGIN * bound
         self.looks += self.stated < self.limit
         self.passed = self.bound < self.limit
-        return np.array(stated)
 
 
 def raised_quantile(quantile: float, pixels: int, significance: float) -> float:

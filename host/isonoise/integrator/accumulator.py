@@ -30,11 +30,17 @@ def pixels_per_item(lanes: int) -> int:
     return 16 if lanes > 1 else 1
 
 
+def neighbour_run(lanes: int) -> int:
+    """Pixels that a work-item of `average_neighbours` processes."""
+    return 64 if lanes > 1 else 1
+
+
 def build_constants(needs: Needs, lanes: int = 1) -> dict[str, int]:
     """Build constants of the stages `reduce` and `summarise`; `lanes` are those of the device."""
     return {
         "PIXELS_PER_ITEM": pixels_per_item(lanes),
         "SAMPLE_BLOCK_SIZE": SAMPLE_BLOCK_SIZE,
+        "NEIGHBOUR_RUN": neighbour_run(lanes),
         "NET_COUNT": 2**NET_COUNT_LOG2,
         "NET_COUNT_LOG2": NET_COUNT_LOG2,
         "TILE_SIZE": TILE_SIZE,
@@ -80,6 +86,8 @@ class Accumulator:
             sums=planes(_SUMS, "the statistics"),
             sample_block_sums=planes(_BLOCK_SUMS, "the statistics of unfinished sample blocks"),
             summary=self._summaries[0],
+            luminance=self._device.buffer(8 * self.pixels, "the luminance"),
+            image_width=np.uint32(shape[1]),
             stride=np.uint32(SUMMARY_STRIP_PIXELS),
         )
         if needs.median:
@@ -90,6 +98,9 @@ class Accumulator:
         if needs.half:
             stages.arguments["halves"] = planes(6, "the sums of every second sample")
 
+        if needs.neighbours:
+            stages.arguments["neighbours"] = self._device.buffer(8 * self.pixels, "the averages of the neighbours")
+            stages.arguments["neighbour_radius"] = np.uint32(needs.neighbours // 2)
         if needs.nets:
             stages.arguments["net_means"] = planes(2 + 2**NET_COUNT_LOG2, "the means over nets")
             self._make_design_effect_buffers()
@@ -99,7 +110,6 @@ class Accumulator:
         self._tiles = -(-height // TILE_SIZE) * -(-width // TILE_SIZE)
         what = "the design effect"
         self._stages.arguments.update(
-            image_width=np.uint32(width),
             tile_count=np.uint32(self._tiles),
             net_variances=self._device.buffer(8 * self.pixels, what),
             grid=self._device.buffer(16 * GRID_BINS * self._tiles, what),
@@ -107,12 +117,15 @@ class Accumulator:
             design_effect=self._device.buffer(4 * self.pixels, what),
         )
 
-    def _launch_design_effect(self) -> None:
-        """Variance of the mean over that of independent samples; after `summarise`."""
+    def _launch_dependent_stages(self) -> None:
+        """Design effect and averages of the neighbours, which need the summary of the whole image."""
         height, width = self._shape
-        self._stages.launch("sum_tiles", self._tiles)
-        self._stages.launch("fit_steps", self._tiles)
-        self._stages.launch("compute_design_effect", height * (-(-width // TILE_SIZE) + 1))
+        if self._needs.nets:
+            self._stages.launch("sum_tiles", self._tiles)
+            self._stages.launch("fit_steps", self._tiles)
+            self._stages.launch("compute_design_effect", height * (-(-width // TILE_SIZE) + 1))
+        if self._needs.neighbours:
+            self._stages.launch("average_neighbours", height * -(-width // neighbour_run(self._device.lanes)))
 
     def reset(self) -> None:
         """Forget all samples."""
@@ -142,19 +155,31 @@ class Accumulator:
             with self._device.mapped(buffer, np.float32, self._summary_floats) as summary:
                 if begin != begins[-1]:
                     self._launch_summarise(begin + SUMMARY_STRIP_PIXELS)
-                elif needs.nets:
-                    self._launch_design_effect()
+                else:
+                    self._launch_dependent_stages()
                 self._device.flush()
                 strip = slice(begin, min(begin + SUMMARY_STRIP_PIXELS, n))
                 self._read_strip(flat, strip, summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
         if needs.nets:
             design_effect = self._device.read(self._stages.arguments["design_effect"], np.float32, n)
             flat = replace(flat, design_effect=design_effect)
+        if needs.neighbours:
+            flat = self._with_neighbours(flat, 1 / scale)
         planes = {name: plane for name, plane in vars(flat).items() if plane is not None}
         for name, plane in planes.items():
             planes[name] = plane.reshape(*self._shape, *plane.shape[1:])
             planes[name].flags.writeable = False
         return Statistics(**{"median": None} | planes)
+
+    def _with_neighbours(self, flat: Statistics, unit: float) -> Statistics:
+        # squares of other units may be beyond float32
+        dtype = np.float32 if 2.0**-30 <= unit <= 2.0**30 else np.float64
+        with self._device.mapped(self._stages.arguments["neighbours"], np.float32, 2 * self.pixels) as planes:
+            mean, variance = planes.reshape(2, -1)
+            mean = np.multiply(mean, unit, dtype=dtype)
+            variance = np.multiply(variance, unit, dtype=dtype)
+        variance *= unit
+        return replace(flat, neighbour_mean=mean, neighbour_variance=variance)
 
     def _launch_summarise(self, begin: int) -> None:
         """Summarise the strip of pixels from `begin` on."""
@@ -177,8 +202,9 @@ class Accumulator:
             np.add(high, low, out=out, dtype=np.float64)
 
         def read_rgb(out: np.ndarray) -> None:
-            rgb = planes(3).reshape(-1, 3)[:pixels]
-            np.multiply(rgb, unit, out=out, dtype=np.float64, casting="same_kind")
+            # a power of two: float32 rounds as float64 would, and takes a quarter of the time
+            dtype = np.float32 if 2.0**-100 <= unit <= 2.0**100 else np.float64
+            np.multiply(planes(3).reshape(-1, 3)[:pixels], unit, out=out, dtype=dtype, casting="same_kind")
 
         read_mean(statistics.mean[strip])
         statistics.mean[strip] *= unit

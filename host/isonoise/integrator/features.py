@@ -226,6 +226,11 @@ FEATURES = {
         lambda use: use.needs.nets,
         {"net_means": "40 bytes a pixel", "net_variances": "8 bytes a pixel"},
     ),
+    "NEIGHBOURS": Feature(
+        "mean and variance of every pixel's neighbours",
+        lambda use: use.needs.neighbours is not None,
+        {"neighbours": "8 bytes a pixel"},
+    ),
     "COUNT_TESTS": Feature("node and triangle tests, counted for measurements", lambda use: False),
 }
 """All features, in the order in which they are printed. Buffers of every program belong to no feature."""
@@ -238,6 +243,6 @@ def features(scene: CompiledScene, needs: Needs = BASIC_NEEDS) -> dict[str, bool
 
 
 def statistics_features(needs: Needs) -> dict[str, bool]:
-    """Which features of the stages `reduce` and `summarise` the statistics of `needs` use."""
-    names = ("CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER", "NET_MEANS")
+    """Which features of the stages `reduce`, `summarise` and those after it the statistics of `needs` use."""
+    names = ("CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER", "NET_MEANS", "NEIGHBOURS")
     return {name: FEATURES[name].is_used(_Use(None, needs)) for name in names}

@@ -78,13 +78,17 @@ BOUNCE_BUFFERS = {
 }
 """Buffers of the paths within a bounce: bytes a path, by the features that all have to be on for them."""
 
-VALUE_TYPES = {"seed": "uint2", "scene_sphere": "float4", "power": "float"}
+VALUE_TYPES = {
+    "seed": "uint2",
+    "scene_sphere": "float4",
+    **dict.fromkeys(("power", "error_floor", "inverse_unit"), "float"),
+}
 """C types of the arguments that are passed by value, where that is not `uint`."""
 
 ELEMENT_TYPES = {
     **dict.fromkeys(("nodes", "triangle_blocks", "light_nodes"), "float8"),
     **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_guide"), "uint"),
-    **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected"), "uint"),
+    **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected", "error_bins"), "uint"),
     **dict.fromkeys(("alive", "path_block_alive", "total_alive"), "uint"),
     "tests": "uint2",
     "texel_bytes": "uchar",
@@ -121,6 +125,7 @@ ARGUMENT_FEATURES = {
     **dict.fromkeys(("powers", "power"), ("POWER_MEAN",)),
     "halves": ("HALF_BUFFER",),
     **dict.fromkeys(("net_means", "net_variances"), ("NET_MEANS",)),
+    **dict.fromkeys(("neighbours", "neighbour_radius"), ("NEIGHBOURS",)),
     **{prefix + name: field.features for name, field in PATH_STATE.items() for prefix in ("", "next_")},
 }
 """Features of which one has to be on for an argument to be there. All other arguments are always there."""
@@ -227,12 +232,25 @@ KERNELS = {
         "summarise.cl",
         "first_pixel pixels stride total_pixels",
         "count sums sample_block_sums medians powers halves net_means",
-        "summary net_variances",
+        "summary luminance net_variances",
     ),
     "sum_tiles": _kernel("design_effect.cl", _GRID, "count net_variances", "grid", needs="NET_MEANS"),
     "fit_steps": _kernel("design_effect.cl", _GRID, "grid", "steps", needs="NET_MEANS"),
     "compute_design_effect": _kernel(
-        "design_effect.cl", _GRID, "count net_variances steps", "design_effect", needs="NET_MEANS"
+        "design_effect.cl", _GRID, "count net_variances steps", "design_effect luminance", needs="NET_MEANS"
+    ),
+    "average_neighbours": _kernel(
+        "neighbours.cl",
+        "image_width total_pixels neighbour_radius",
+        "count luminance",
+        "neighbours",
+        needs="NEIGHBOURS",
+    ),
+    "relative_errors": _kernel(
+        "relative_errors.cl",
+        "image_width total_pixels error_groups error_floor inverse_unit",
+        "count luminance",
+        "error_scratch error_bins",
     ),
 }
 
@@ -255,7 +273,7 @@ BRUTE_FORCE_KERNELS = {
 """Kernels that replace those of the same name if rays are tested against all primitives, without the BVH."""
 
 PROGRAMS = (
-    ("list_samples.cl", "reduce.cl", "summarise.cl", "design_effect.cl"),
+    ("list_samples.cl", "reduce.cl", "summarise.cl", "design_effect.cl", "neighbours.cl", "relative_errors.cl"),
     ("generate.cl", "compact.cl", "intersect.cl", "intersect_brute_force.cl", "shadow.cl", "shadow_brute_force.cl"),
 )
 """Files that are built as one program. Every other file is a program of its own.

@@ -10,8 +10,9 @@ from functools import partial
 
 import numpy as np
 
-from isonoise.device.opencl import LOCAL_SIZE, Device
+from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
 from isonoise.device.pool_size import default_pool_size
+from isonoise.integrator import error_stage
 from isonoise.integrator.accumulator import Accumulator, build_constants
 from isonoise.integrator.brute_force import MAX_CORNERS, use_brute_force
 from isonoise.integrator.features import features
@@ -90,9 +91,12 @@ class Wavefront:
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
         constants = CONSTANTS | build_constants(needs, device.lanes)
+        tile_work_items = error_stage.work_items_per_tile(device.lanes)
+        constants |= error_stage.build_constants(tile_work_items)
         constants |= {"LANES": self.lanes, "PATH_BLOCK_SIZE": self.path_block_size}
         constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
         small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
+        local_sizes = dict.fromkeys(small_groups if device.lanes > 1 else (), SMALL_LOCAL_SIZE)
         self._stages = Stages(
             device,
             table,
@@ -100,12 +104,13 @@ class Wavefront:
             constants,
             STRUCTS,
             file_constants={"stages/shade.cl": {"LANES": self.shade_lanes}},
-            small_groups=small_groups if device.lanes > 1 else (),
+            local_sizes=local_sizes | {"relative_errors": tile_work_items},
         )
         lane_kernels = LANE_KERNELS | (set(BRUTE_FORCE_KERNELS) if self.brute_force else set())
         self._items_per_work_item = dict.fromkeys(lane_kernels, self.lanes) | {"shade": self.shade_lanes}
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
+        self.errors = error_stage.ErrorStage(self._stages, (scene.height, scene.width), tile_work_items)
         self._path_state = [name for name in PATH_STATE if is_present(name, self.features)]
         self._arguments.update(scene_arguments(device, scene, bvh, self.features, self.brute_force))
         self._arguments.update(self._path_arguments(seed))
@@ -145,7 +150,15 @@ class Wavefront:
         PoCL compiles a kernel separately for global sizes below 2^16. What it compiles for larger ones also runs small
         ones, so the large launches come first.
         """
-        bounds = ("pixels", "slice_samples", "count_new", "path_count", "rays_per_item", "path_block_count")
+        bounds = (
+            "pixels",
+            "slice_samples",
+            "count_new",
+            "path_count",
+            "rays_per_item",
+            "path_block_count",
+            "error_groups",
+        )
         nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
         for items in (min(self.pool_size, 2**17), 1):
             for name in self._stages:

@@ -5,12 +5,23 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from isonoise.errors import DeviceError
-from isonoise.selftest import adaptive, allocation, geometry, optics, sampler, statistics, surface_rays, transport
+from isonoise.selftest import (
+    adaptive,
+    allocation,
+    errors,
+    geometry,
+    optics,
+    sampler,
+    statistics,
+    surface_rays,
+    transport,
+)
 from isonoise.selftest.cases import Case, Check, Context
 
 GROUPS: dict[str, tuple[Check, ...]] = {
     "sampler": sampler.CHECKS,
     "statistics": statistics.CHECKS,
+    "errors": errors.CHECKS,
     "allocation": allocation.CHECKS,
     "geometry": geometry.CHECKS + surface_rays.CHECKS,
     "transport": transport.CHECKS + optics.CHECKS,

@@ -17,7 +17,7 @@ class Reducer:
     def __init__(self, device: Device, pixels: int, needs: Needs = BASIC_NEEDS, width: int | None = None):
         self.device = device
         features = statistics_features(needs)
-        names = ("reduce", "summarise", "sum_tiles", "fit_steps", "compute_design_effect")
+        names = ("reduce", "summarise", "sum_tiles", "fit_steps", "compute_design_effect", "average_neighbours")
         table = {name: KERNELS[name] for name in names if KERNELS[name].is_launched(features)}
         self.stages = Stages(self.device, table, features, build_constants(needs, device.lanes), {})
         self.accumulator = Accumulator(self.stages, (pixels // (width or pixels), width or pixels), needs)

@@ -218,10 +218,12 @@ class Pooled(Adaptive):
 
     @property
     def needs(self) -> Needs:
-        return Needs(uniform=self.unbiased)
+        return Needs(uniform=True) if self.unbiased else Needs(neighbours=self.window)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
         if self.unbiased:
-            uniform = statistics.uniform
-            return measures.neighbour_variance(uniform, measures.image_floor(uniform.mean), self.window)
-        return measures.neighbour_variance(statistics, floor, self.window, self.outlier_share)
+            uniform = measures.with_neighbours(statistics.uniform, self.window)
+            return measures.neighbour_variance(uniform, measures.image_floor(uniform.mean))
+        if statistics.neighbour_variance is None:  # they are not from a renderer
+            statistics = measures.with_neighbours(statistics, self.window)
+        return measures.neighbour_variance(statistics, floor, self.outlier_share)

@@ -5,6 +5,8 @@ stated otherwise a measure is inf where n < 2 (nothing is known) and 0 where all
 """
 
 import weakref
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,11 +50,15 @@ def _compute_image_floor(mean: np.ndarray) -> float:
         return 0.0
     average = total / size
     exponent = int(np.frexp(average)[1])  # taken out before the logarithm, so that it scales exactly
-    logarithms = 0.0
+    unit = 2.0 ** min(max(-exponent, -1000), 1000)
+    lowest = 1e-4 * average
+    # pixels without light count as the darkest ones, and are taken out of the sum
+    logarithms = -(mean.size - size) * float(np.log(np.float32(lowest * unit)))
     for strip in strips:
-        values = np.maximum(strip[strip > 0], 1e-4 * average, dtype=np.float64)
-        logarithms += float(np.log(np.ldexp(values, -exponent, out=values), out=values).sum())
-    return float(np.ldexp(0.01 * np.exp(logarithms / size), exponent))
+        values = np.maximum(strip, lowest, dtype=np.float64)
+        values *= unit
+        logarithms += float(np.log(values.astype(np.float32)).sum(dtype=np.float64))
+    return float(0.01 * np.exp(logarithms / size)) / unit
 
 
 def standard_error(statistics: Statistics) -> np.ndarray:
@@ -77,58 +83,72 @@ def relative_median(statistics: Statistics, floor: float, kappa: float = 8.0) ->
     return _divide(standard_error(statistics), np.maximum(scale, floor, out=scale))
 
 
-def neighbour_variance(statistics: Statistics, floor: float, window: int, outlier_share: float = 0.0) -> np.ndarray:
+def neighbour_variance(statistics: Statistics, floor: float, outlier_share: float = 0.0) -> np.ndarray:
     """V = s^2 / max(mean, floor)^2, the relative variance of one sample, of the pixel's neighbours.
 
-    s^2 (times the design effect) and mean are averages over the `window` x `window` pixels (odd) around the pixel, as
-    far as they are inside the image, without the pixel itself. Neighbours weigh equally: counts as weights would favour
-    those that have seen an outlier. A pixel's own samples therefore do not affect its V. inf where n < 2 or no
-    neighbour has n >= 2. The only pixel of an image has its own V.
+    s^2 (times the design effect) and mean are the statistics `neighbour_variance` and `neighbour_mean`. Neighbours
+    weigh equally: counts as weights would favour those that have seen an outlier. A pixel's own samples do not affect
+    its V. inf where n < 2 or no neighbour has n >= 2. The only pixel of an image has its own V. The result is in
+    float32 if the neighbours' statistics are.
 
     With `outlier_share` > 0 some pixels have their own s^2 in place of the neighbours': among those whose s^2 is more
     than `OUTLIER_RATIO` times as large, the ones with the largest se / max(mean, floor)^2, as long as their standard
     errors se sum to at most `outlier_share` / sqrt(samples per pixel) of the sum of the image.
     """
-    height, width = statistics.shape
-    if height * width == 1:
+    if statistics.count.size == 1:
         return variance_per_sample(statistics, relative_mean(statistics, floor))
-    known = statistics.count >= 2
-    all_known = bool(known.all())
-    result, outliers = np.empty((height, width)), []
-    radius, rows = window // 2, max(1, MEASURE_STRIP_PIXELS // width)
-    for top in range(0, height, rows):
-        bottom = min(top + rows, height)
-        begin, end = max(top - radius, 0), min(bottom + radius, height)
-        inside, strip = np.s_[top - begin : bottom - begin], np.s_[begin:end]
-        own = statistics.variance_per_sample(strip)
-        mean = statistics.mean[strip] if all_known else statistics.mean[strip] * known[strip]
-        if all_known:
-            neighbours = _count_pixels((height, width), slice(top, bottom), window)
-        else:
-            neighbours = _neighbour_sum(known[strip].astype(np.float64), window)[inside]
-        inverse = 1 / np.maximum(neighbours, 1)
-        variance = _neighbour_sum(own, window)[inside] * inverse
-        scale = _neighbour_sum(mean, window)[inside] * inverse
-        np.maximum(scale, floor, out=scale)
+    mean, variance = statistics.neighbour_mean, statistics.neighbour_variance
+    result, outliers = variance.copy(), []
+    for strip in _strips(*statistics.shape):
+        scale = np.maximum(mean[strip], variance.dtype.type(floor))
         if outlier_share:
-            outliers.append(_outliers(statistics, own[inside], variance, scale, top))
-        variance = _divide(_divide(variance, scale), scale)
-        if not all_known:
-            variance[neighbours == 0] = np.inf
-        result[top:bottom] = variance
+            outliers.append(_outliers(statistics, strip, variance[strip], scale))
+        _divide(_divide(result[strip], scale), scale)
     if outlier_share:
         _use_own_variance(result.reshape(-1), statistics, outlier_share, *np.concatenate(outliers, axis=1))
-    if not all_known:
-        result[~known] = np.inf
+    unknown = statistics.count < 2
+    if unknown.any():
+        result[unknown] = np.inf
     return result
 
 
-def _outliers(statistics: Statistics, own: np.ndarray, variance: np.ndarray, scale: np.ndarray, top: int) -> np.ndarray:
+def with_neighbours(statistics: Statistics, window: int) -> Statistics:
+    """The statistics with `neighbour_mean` and `neighbour_variance` for a window of this many pixels per side (odd).
+
+    The device computes the same faster if the strategy needs it. Nothing is subtracted, so that a large value leaves no
+    rounding error behind.
+    """
+    height, width = statistics.shape
+    known = statistics.count >= 2
+    all_known = bool(known.all())
+    averages, radius = np.empty((2, height, width)), window // 2
+    for strip in _strips(height, width):
+        begin, end = max(strip.start - radius, 0), min(strip.stop + radius, height)
+        inside, rows = np.s_[strip.start - begin : strip.stop - begin], np.s_[begin:end]
+        mean = statistics.mean[rows] if all_known else statistics.mean[rows] * known[rows]
+        if all_known:
+            number = _count_pixels((height, width), strip, window)
+        else:
+            number = _neighbour_sum(known[rows].astype(np.float64), window)[inside]
+        inverse = 1 / np.maximum(number, 1)
+        for values, average in zip((mean, statistics.variance_per_sample(rows)), averages[:, strip], strict=True):
+            np.multiply(_neighbour_sum(values, window)[inside], inverse, out=average)
+        np.copyto(averages[1, strip], np.inf, where=number == 0)
+    return replace(statistics, neighbour_mean=averages[0], neighbour_variance=averages[1])
+
+
+def _strips(height: int, width: int) -> Iterator[slice]:
+    """Rows of the image that are pooled at a time."""
+    rows = max(1, MEASURE_STRIP_PIXELS // width)
+    return (slice(top, min(top + rows, height)) for top in range(0, height, rows))
+
+
+def _outliers(statistics: Statistics, strip: slice, variance: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Of the pixels of a strip with far more variance than their neighbours: index, se, relative variance, rank."""
+    own = statistics.variance_per_sample(strip, variance.dtype)
     found = np.flatnonzero((own > OUTLIER_RATIO * variance) & (scale > 0))
-    index = found + top * statistics.shape[1]
-    scale = scale.reshape(-1)[found]
-    own = own.reshape(-1)[found]
+    index = found + strip.start * statistics.shape[1]
+    scale, own = (values.reshape(-1)[found].astype(np.float64) for values in (scale, own))
     error = np.sqrt(own / statistics.count.reshape(-1)[index])
     return np.stack([index, error, own / scale / scale, error / scale / scale])
 
@@ -142,10 +162,7 @@ def _use_own_variance(result, statistics: Statistics, share: float, index, error
 
 
 def _neighbour_sum(values: np.ndarray, window: int) -> np.ndarray:
-    """Sums over `window` x `window` pixels around each pixel, as far as they are inside the image, without itself.
-
-    Nothing is subtracted, so that a large value leaves no rounding error behind.
-    """
+    """Sums over `window` x `window` pixels around each pixel, as far as they are inside the image, without itself."""
     radius = window // 2
     total = np.zeros_like(values)
     _add_shifted(total.T, values.T, radius)

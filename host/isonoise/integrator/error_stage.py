@@ -1,0 +1,86 @@
+"""The distribution of the pixels' errors on the device: the buffers and the result of the stage `relative_errors`."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from isonoise.error.distribution import NORMAL_BINS, ErrorDistribution, histogram_position
+from isonoise.error.shrinkage import LEVELS, TILE_SIZE
+from isonoise.integrator.stages import Stages
+
+BINS_PER_OCTAVE_LOG2 = 6
+"""log2 of the bins of the mean square error per octave; a pixel's error is rounded by at most 0.4 %."""
+FIRST_OCTAVE, LAST_OCTAVE = -56, 56
+"""log2 of the smallest mean square error that has a bin of its own, and of the largest."""
+SQUARE_BINS = (LAST_OCTAVE - FIRST_OCTAVE) << BINS_PER_OCTAVE_LOG2
+ERROR_BINS = SQUARE_BINS * (NORMAL_BINS + 1)
+TILE_PIXELS = TILE_SIZE * TILE_SIZE
+SCRATCH_PYRAMIDS = 14
+"""Arrays of a tile (kernels/stages/relative_errors.cl), each with one element per pixel and group."""
+PYRAMID_SIZE = sum(TILE_PIXELS >> 2 * level for level in range(LEVELS + 1))
+GROUPS_PER_CORE = 4
+"""Work-groups that process tiles at a time: enough to share them evenly."""
+
+
+def work_items_per_tile(lanes: int) -> int:
+    """Work-items that share a tile; one where loops are vectorised. `lanes` are those of the device."""
+    return 1 if lanes > 1 else 256
+
+
+def build_constants(work_items: int) -> dict[str, int | str]:
+    """Build constants of the stage for so many work-items per tile, which is its local size too."""
+    return {
+        "TILE_WORK_ITEMS": work_items,
+        "ERROR_SCRATCH": SCRATCH_PYRAMIDS * PYRAMID_SIZE,
+        "ERROR_BINS": ERROR_BINS,
+        "ERROR_BIN_SHIFT": 23 - BINS_PER_OCTAVE_LOG2,
+        "FIRST_ERROR_SQUARE": f"0x1p{FIRST_OCTAVE}f",
+        "LAST_ERROR_SQUARE": f"0x1.fffffep{LAST_OCTAVE - 1}f",
+    }
+
+
+class ErrorStage:
+    """The stage `relative_errors` for an image of shape (height, width), with so many work-items per tile."""
+
+    def __init__(self, stages: Stages, shape: tuple[int, int], work_items: int):
+        self._stages, self._device, self._work_items = stages, stages.device, work_items
+        self._pixels = shape[0] * shape[1]
+        tiles = -(-shape[0] // TILE_SIZE) * -(-shape[1] // TILE_SIZE)
+        self._groups = min(GROUPS_PER_CORE * self._device.compute_units, tiles)
+        self._cells = tiles * TILE_PIXELS
+        scratch = 4 * SCRATCH_PYRAMIDS * PYRAMID_SIZE * self._groups
+        stages.arguments.update(
+            error_groups=np.uint32(self._groups),
+            error_floor=np.float32(1),
+            inverse_unit=np.float32(1),
+            error_scratch=self._device.buffer(scratch, "the tiles of the errors"),
+            error_bins=self._device.buffer(4 * self._cells, "the errors"),
+        )
+
+    def distribution(self, floor: float) -> ErrorDistribution:
+        """The distribution of |x - r| / max(r, floor) after the stage `summarise`. `floor` > 0 is in device units."""
+        unit = 2.0 ** min(max(math.frexp(floor)[1], -100), 100)
+        self._stages.launch(
+            "relative_errors",
+            self._groups * self._work_items,
+            error_floor=np.float32(floor / unit),
+            inverse_unit=np.float32(1 / unit),
+        )
+        with self._device.mapped(self._stages.arguments["error_bins"], np.uint32, self._cells) as bins:
+            number = np.bincount(bins, minlength=ERROR_BINS + 2)
+        result = ErrorDistribution(self._pixels)
+        result.noiseless = int(number[ERROR_BINS])
+        occupied = np.flatnonzero(number[:ERROR_BINS])
+        normal_bin, square_bin = np.divmod(occupied, SQUARE_BINS)
+        result.add(_bin_positions()[square_bin], normal_bin, number[occupied])
+        return result
+
+
+@lru_cache(maxsize=1)
+def _bin_positions() -> np.ndarray:
+    """Centres of the bins of the mean square error, in the bins of the distribution."""
+    per_octave = 2**BINS_PER_OCTAVE_LOG2
+    edges = np.arange(per_octave + 1) / per_octave + 1
+    octave = np.sqrt(edges[:-1] * edges[1:])
+    return np.concatenate([histogram_position(np.ldexp(octave, k)) for k in range(FIRST_OCTAVE, LAST_OCTAVE)])
