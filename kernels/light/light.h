@@ -72,6 +72,7 @@ INLINE void select_lights_by_power(const SceneView* scene, float* random, float*
     FOR_LANES(k, count) store_lane(as_float(0u), selections, 0u, k);
     for (uint step = first_cdf_step(scene); step > 0u; step /= 2u) {
         FOR_LANES(k, count) {
+            if (k >= count) continue;
             const uint light = as_uint(load_lane(selections, 0u, k));
             const uint advanced =
                 advance_cdf_light(scene, light, step, load_lane(random, 0u, k), load_lane(random, 1u, k));
@@ -79,6 +80,7 @@ INLINE void select_lights_by_power(const SceneView* scene, float* random, float*
         }
     }
     FOR_LANES(k, count) {
+        if (k >= count) continue;
         const LightSelection selected = selection_by_power(scene, as_uint(load_lane(selections, 0u, k)),
                                                            load_lane(random, 0u, k), load_lane(random, 1u, k));
         store_lane(selected.probability, selections, 1u, k);

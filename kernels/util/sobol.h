@@ -17,7 +17,7 @@
 #if FEATURE_SOBOL
 INLINE uint reverse_bits(uint x)
 {
-#if defined(__has_builtin) && __has_builtin(__builtin_bitreverse32)
+#if HAS_BUILTIN(__builtin_bitreverse32)
     return __builtin_bitreverse32(x);
 #else
     x = ((x >> 1u) & 0x55555555u) | ((x & 0x55555555u) << 1u);
