@@ -5,11 +5,10 @@ Arvo, "Unbiased sampling techniques for image synthesis", 1991). The samples of 
 bias, and their mean over the image is the control.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from isonoise.statistics import Statistics
+from isonoise.strips import row_strips
 
 STRIP_PIXELS = 2**14
 """Pixels that are processed at a time, so that the temporary arrays stay in the cache."""
@@ -37,7 +36,7 @@ class EnergyLoss:
     def _add(self, after: Statistics, before: Statistics | None) -> None:
         """Add the samples between two statistics to those of the uniform waves."""
         control, has_all = 0.0, True
-        for strip in _strips(after):
+        for strip in row_strips(after.shape, STRIP_PIXELS):
             count, total = self._uniform[:, strip]
             count += after.count[strip]
             total += after.count[strip] * after.mean[strip]
@@ -61,16 +60,9 @@ class EnergyLoss:
         if not self._control > 0:
             return np.nan, np.nan
         square = 0.0
-        for strip in _strips(statistics):
+        for strip in row_strips(statistics.shape, STRIP_PIXELS):
             variance = statistics.variance_per_sample(strip)
             square += float((variance / self._uniform[0, strip]).sum())
             square -= float((variance / statistics.count[strip]).sum())
         loss = 1 - float(statistics.mean.sum()) / self._control
         return loss, float(np.sqrt(max(square, 0))) / self._control
-
-
-def _strips(statistics: Statistics) -> Iterator[slice]:
-    """Rows of the image that are processed at a time."""
-    height, width = statistics.shape
-    rows = max(1, STRIP_PIXELS // width)
-    return (slice(top, min(top + rows, height)) for top in range(0, height, rows))

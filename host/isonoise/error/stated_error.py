@@ -3,7 +3,7 @@
 The render loop calls `stated_error` after every wave, `film.output` writes `relative_standard_error`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from isonoise.error.distribution import NORMAL_BINS, ErrorDistribution, histogra
 from isonoise.error.shrinkage import TILE_SIZE, relative_errors, shrunk_variance_of_mean
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor, relative_mean
+from isonoise.strips import row_strips
 from isonoise.student_t import quantile
 
 HISTOGRAM_STRIP_PIXELS = 2**17
@@ -69,7 +70,7 @@ def error_distribution(statistics: Statistics, floor: float) -> ErrorDistributio
     ):  # black image: pixels are exact where all samples are 0; elsewhere there is no scale for the error
         result.noiseless = int(np.count_nonzero((statistics.count >= 2) & (statistics.variance == 0)))
         return result
-    for strip in _strips(*statistics.shape):
+    for strip in row_strips(statistics.shape, HISTOGRAM_STRIP_PIXELS, TILE_SIZE):
         square, normal_share = relative_errors(statistics, strip, floor)
         noisy = square > 0
         if not noisy.all():
@@ -96,14 +97,8 @@ def half_width_95(statistics: Statistics) -> np.ndarray:
     """
     result = np.empty(statistics.shape)
     floor = image_floor(statistics.mean) or 1.0  # a black image has no scale, and needs none
-    for strip in _strips(*statistics.shape):
+    for strip in row_strips(statistics.shape, HISTOGRAM_STRIP_PIXELS, TILE_SIZE):
         variance, dof = shrunk_variance_of_mean(statistics, strip, floor)
         np.sqrt(variance, out=result[strip])
         result[strip] *= quantile(0.975, dof.astype(np.int64))
     return result
-
-
-def _strips(height: int, width: int) -> Iterator[slice]:
-    """Rows of whole tiles that are processed at a time."""
-    rows = max(1, HISTOGRAM_STRIP_PIXELS // (TILE_SIZE * max(TILE_SIZE, width))) * TILE_SIZE
-    return (slice(top, min(top + rows, height)) for top in range(0, height, rows))

@@ -5,7 +5,8 @@ from bisect import bisect_right
 import numpy as np
 
 from isonoise.strategies.uniform_allocation import MAX_COUNT, check_budget, first_in_hashed_order, uniform_allocation
-from isonoise.strategies.water_filling import WaterFilling, strips
+from isonoise.strategies.water_filling import STRIP_PIXELS, WaterFilling
+from isonoise.strips import pixel_strips
 
 MAX_FLOAT32_COUNT = 2**18
 """Largest count for shares in float32, which is twice as fast: they are good to 1/64 of a sample."""
@@ -165,7 +166,7 @@ def _clip_variance(variance: np.ndarray, clip: float) -> np.ndarray:
         raise ValueError(f"clip must be a quantile in (0, 1], not {clip}")
     result = np.empty(variance.size, variance.dtype)
     max_variance, has_unknown = 0.0, False
-    for strip in strips(variance.size):
+    for strip in pixel_strips(variance.size, STRIP_PIXELS):
         known = np.fmax(variance[strip], 0.0, out=result[strip])  # NaN counts as 0
         max_known = float(known.max())
         if max_known == np.inf:  # unknown: marked as -1 until the maximum is known
@@ -185,7 +186,7 @@ def _clip_variance(variance: np.ndarray, clip: float) -> np.ndarray:
         positive.partition(rank)
         max_variance = positive[rank]
     exponent = -int(np.frexp(max_variance)[1])
-    for strip in strips(variance.size):
+    for strip in pixel_strips(variance.size, STRIP_PIXELS):
         values = result[strip]
         if has_unknown:
             values[values < 0] = max_variance
@@ -198,7 +199,7 @@ def _clip_variance(variance: np.ndarray, clip: float) -> np.ndarray:
 def _round_to_budget(share: np.ndarray, budget: int, wave_index: int) -> np.ndarray:
     """Whole numbers (uint32) of sum `budget` from shares of that sum, by largest remainders. Overwrites `share`."""
     allocation = np.empty(share.size, np.uint32)
-    for strip in strips(share.size):
+    for strip in pixel_strips(share.size, STRIP_PIXELS):
         whole = np.floor(share[strip])
         allocation[strip] = whole
         share[strip] -= whole

@@ -5,12 +5,12 @@ stated otherwise a measure is inf where n < 2 (nothing is known) and 0 where all
 """
 
 import weakref
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from isonoise.statistics import Statistics
+from isonoise.strips import pixel_strips, row_strips
 from isonoise.student_t import quantile
 
 MEASURE_STRIP_PIXELS = 2**16
@@ -41,7 +41,7 @@ _last_floor = (lambda: None), 0.0
 
 
 def _compute_image_floor(mean: np.ndarray) -> float:
-    strips = [mean[begin : begin + MEASURE_STRIP_PIXELS] for begin in range(0, mean.size, MEASURE_STRIP_PIXELS)]
+    strips = [mean[strip] for strip in pixel_strips(mean.size, MEASURE_STRIP_PIXELS)]
     size, total = 0, 0.0
     for strip in strips:
         size += int(np.count_nonzero(strip > 0))
@@ -99,7 +99,7 @@ def neighbour_variance(statistics: Statistics, floor: float, outlier_share: floa
         return variance_per_sample(statistics, relative_mean(statistics, floor))
     mean, variance = statistics.neighbour_mean, statistics.neighbour_variance
     result, outliers = variance.copy(), []
-    for strip in _strips(*statistics.shape):
+    for strip in row_strips(statistics.shape, MEASURE_STRIP_PIXELS):
         scale = np.maximum(mean[strip], variance.dtype.type(floor))
         if outlier_share:
             outliers.append(_outliers(statistics, strip, variance[strip], scale))
@@ -122,7 +122,7 @@ def with_neighbours(statistics: Statistics, window: int) -> Statistics:
     known = statistics.count >= 2
     all_known = bool(known.all())
     averages, radius = np.empty((2, height, width)), window // 2
-    for strip in _strips(height, width):
+    for strip in row_strips(statistics.shape, MEASURE_STRIP_PIXELS):
         begin, end = max(strip.start - radius, 0), min(strip.stop + radius, height)
         inside, rows = np.s_[strip.start - begin : strip.stop - begin], np.s_[begin:end]
         mean = statistics.mean[rows] if all_known else statistics.mean[rows] * known[rows]
@@ -135,12 +135,6 @@ def with_neighbours(statistics: Statistics, window: int) -> Statistics:
             np.multiply(_neighbour_sum(values, window)[inside], inverse, out=average)
         np.copyto(averages[1, strip], np.inf, where=number == 0)
     return replace(statistics, neighbour_mean=averages[0], neighbour_variance=averages[1])
-
-
-def _strips(height: int, width: int) -> Iterator[slice]:
-    """Rows of the image that are pooled at a time."""
-    rows = max(1, MEASURE_STRIP_PIXELS // width)
-    return (slice(top, min(top + rows, height)) for top in range(0, height, rows))
 
 
 def _outliers(statistics: Statistics, strip: slice, variance: np.ndarray, scale: np.ndarray) -> np.ndarray:

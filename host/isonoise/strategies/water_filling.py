@@ -1,8 +1,8 @@
 """The water level: the t at which shares that grow with t, each between two bounds, sum to a budget."""
 
-from collections.abc import Iterator
-
 import numpy as np
+
+from isonoise.strips import pixel_strips
 
 STRIP_PIXELS = 2**14
 """Pixels that are processed at a time, so that the temporary arrays stay in the cache."""
@@ -15,11 +15,6 @@ BISECTION_INTERVAL = 4
 TOLERANCE = 1e-4
 """The search ends with one more step when the shares miss the budget by at most this part of it. The step leaves some
 1e-8 of the budget, and nothing if the sum is linear there."""
-
-
-def strips(size: int) -> Iterator[slice]:
-    """Parts of a flat image that are processed at a time."""
-    return (slice(begin, min(begin + STRIP_PIXELS, size)) for begin in range(0, size, STRIP_PIXELS))
 
 
 class WaterFilling:
@@ -63,7 +58,7 @@ class WaterFilling:
     def shares(self, level: float) -> np.ndarray:
         """The shares at a level, a new array."""
         result = np.empty_like(self._slope)
-        for strip in strips(result.size):
+        for strip in pixel_strips(result.size, STRIP_PIXELS):
             self._fill(strip, level, result[strip])
             result[strip] -= self._lower[strip]
         return result
@@ -76,7 +71,7 @@ class WaterFilling:
 
     def _share_sum(self, level: float) -> float:
         buffer, total = np.empty(STRIP_PIXELS, self._slope.dtype), -self._lower_sum
-        for strip in strips(self._slope.size):
+        for strip in pixel_strips(self._slope.size, STRIP_PIXELS):
             filled = buffer[: strip.stop - strip.start]
             self._fill(strip, level, filled)
             total += float(filled.sum())
