@@ -23,6 +23,8 @@ from isonoise.scene.light import light_list
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
+KEPT_FEATURES = ("LIGHT_TREE", "LIGHT_LIST", "MANY_LIGHTS", "UVS", "SOBOL")
+"""Features that select another method. UVS may rotate the lobes of rough materials, MANY_LIGHTS rescales a number."""
 EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5)
 
 
@@ -53,15 +55,14 @@ def assert_runs_as_specialised(
     """Asserts that the program with the features of `row` builds without warnings, and that all its kernels run.
 
     The image of a scene that uses these features has the same bits as that of the program with the features that the
-    scene uses, and UVS if `row` has them, since they may rotate the lobes of rough materials. `scene_features`: the
-    features that the scene may use, if not all of `row`.
+    scene uses, and those of KEPT_FEATURES that `row` has. `scene_features`: the features that the scene may use, if not
+    all of `row`.
     """
     build = Device.build
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
     scene, needs = compile_scene(load(scene_with(scene_features or row, folder))), needs_of(row)
-    used = features(scene, needs) | {name: row[name] for name in ("LIGHT_TREE", "LIGHT_LIST", "UVS", "SOBOL")}
-    for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # tree and list need them
-        used[name] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]
+    used = features(scene, needs) | {name: row[name] for name in KEPT_FEATURES}
+    used["NEXT_EVENT"] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]  # which need it
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}
     more, specialised = (render_wave(device, scene, 16, needs, feature_override) for feature_override in (row, used))
     assert_same_bits(more, specialised)

@@ -55,13 +55,13 @@ def dummy_buffers(
     needed = used & {name for feature, on in features.items() if on for name in FEATURES[feature].buffers}
     missing = sorted(name for name in needed if arguments.get(name) is None)
     added: dict[str, object] = {name: device.buffer(DUMMY_BYTES, "dummy buffers") for name in missing}
+    if "environment" in missing:  # many paths a work-item look up the map together, whatever light they selected
+        record = np.zeros(1, ENVIRONMENT)
+        record["size"] = 1, 2
+        added["environment"] = device.buffer(record, "the environment map")
     if (features["CONSTANT_LIGHT"] or features["ENVIRONMENT_MAP"]) and scene.environment_light < 0:
         light = np.zeros(1, structs.LIGHT)
         light["kind"] = light_bits("constant" if features["CONSTANT_LIGHT"] else "environment_map")
         added["lights"] = device.buffer(np.concatenate([scene.lights, light]), "the lights")
         added["environment_light"] = np.uint32(len(scene.lights))
-        if features["ENVIRONMENT_MAP"]:
-            record = np.zeros(1, ENVIRONMENT)
-            record["size"] = 1, 2
-            added["environment"] = device.buffer(record, "the environment map")
     return added
