@@ -65,21 +65,21 @@ def from_batches(batches: np.ndarray) -> Estimate:
 
 
 def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
-    """Independent images of a scene, (batches, height, width, 3) float64: one per wave of a single render.
+    """Independent images of a scene, (batches, height, width, 3) float64, with a seed each. No sample may be rejected.
 
-    So BVH and programs are built once, and only for small pools: PoCL compiles again for 2^16 paths and more. A
-    batch is a difference of float32 means, with a rounding error of up to batches * 2^-24 of its value. No sample may
-    be rejected.
+    Waves of one render would not do: samples of `sobol` complement each other. Programs are built for small pools only:
+    PoCL compiles again for 2^16 paths and more.
     """
-    renderer = isonoise.Renderer(scene, strategy=f"uniform:wave_spp={spp}", seed=seed, pool_size=1 << 15)
-    sums = [0.0]
-    for batch in range(1, batches + 1):
+    images = []
+    for batch in range(batches):
+        options = {"strategy": f"uniform:wave_spp={spp}", "seed": seed * batches + batch, "pool_size": 1 << 15}
+        renderer = isonoise.Renderer(scene, **options)
         renderer.step()
         statistics = renderer.statistics()
-        assert (statistics.count == batch * spp).all()
+        assert (statistics.count == spp).all()
         assert not statistics.rejected.any(), f"{statistics.rejected.sum()} samples are no numbers"
-        sums.append(batch * statistics.rgb.astype(np.float64))
-    return np.diff(np.stack(np.broadcast_arrays(*sums)), axis=0)
+        images.append(statistics.rgb.astype(np.float64))
+    return np.stack(images)
 
 
 def from_statistics(statistics: list[Statistics]) -> Estimate:

@@ -64,8 +64,9 @@ def test_eval_and_pdf_are_mitsubas(mitsuba, name):
 @pytest.mark.parametrize("seed", [*range(40), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(40, 400))])
 def test_random_materials_are_mitsubas(mitsuba, seed):
     """From all sides to all sides, a third to where the material itself sends light. To 1e-3 and 2e-6: where a facet
-    refracts nearly into its own plane, both renderers live on the root of a difference. Where nothing is scattered the
-    pdf says nothing."""
+    refracts nearly into its own plane, both renderers live on the root of a difference. The half vector of two grazing
+    directions is a difference too, which the rotation into the shading frame rounds. Where nothing is scattered the pdf
+    says nothing."""
     random = np.random.default_rng([21, seed])
     material = random_material(random)
     wi, wo, n = uniform_sphere(random, 120), uniform_sphere(random, 120), np.arange(120)
@@ -77,7 +78,8 @@ def test_random_materials_are_mitsubas(mitsuba, seed):
     expected, expected_pdf = mitsuba_eval_pdf(mitsuba, material, wi, wo)
     lit = expected.max(axis=1) > 0
     assert lit.sum() > 20
-    assert_close(value, expected, 1e-3, 2e-6)
+    grazing = 2e-5 / np.maximum(np.abs(wi[:, 2:] + wo[:, 2:]), 1e-3)
+    assert_close(value, expected, 1e-3 + grazing, 2e-6)
     assert_close(pdf[lit], expected_pdf[lit], 1e-3, 2e-6)
 
 

@@ -23,9 +23,9 @@ from isonoise.scene.light import light_list
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
-KEPT_FEATURES = ("LIGHT_TREE", "LIGHT_LIST", "MANY_LIGHTS", "UVS", "SOBOL")
-"""Features that select another method. UVS may rotate the lobes of rough materials, MANY_LIGHTS rescales a number."""
-EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5)
+KEPT_FEATURES = ("LIGHT_TREE", "LIGHT_LIST", "UVS", "SOBOL")
+"""Features that select another method. UVS may rotate the lobes of rough materials."""
+EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5, nets=True)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,8 @@ def assert_runs_as_specialised(
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
     scene, needs = compile_scene(load(scene_with(scene_features or row, folder))), needs_of(row)
     used = features(scene, needs) | {name: row[name] for name in KEPT_FEATURES}
-    used["NEXT_EVENT"] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]  # which need it
+    for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # tree and list need them
+        used[name] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]
     assert {name for name, on in used.items() if on} <= {name for name, on in row.items() if on}
     more, specialised = (render_wave(device, scene, 16, needs, feature_override) for feature_override in (row, used))
     assert_same_bits(more, specialised)

@@ -87,7 +87,7 @@ def test_pictures_are_mitsubas(name, tmp_path):
     hidden = name == "lights hidden"
     integrator = {"type": "volpath", "max_depth": depth, "rr_depth": 5, "hide_emitters": hidden}
     scene = {"type": "scene", "integrator": integrator, "sensor": CAMERA, "ground": GROUND, **objects}
-    assert_same_picture(scene, tmp_path, spp=64 if name in QUICK else 512)
+    assert_same_picture(scene, tmp_path, spp=64 if name in QUICK else 2048)
 
 
 @pytest.mark.long

@@ -4,7 +4,7 @@ import ctypes
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt(3)
 _MAX_ARRAY_BYTES = 32 * 2**20  # the largest value that glibc takes
-_MAX_FREE_BYTES = 2**31 - 1
+_MAX_FREE_BYTES = 2**28  # what a few waves of a large image need
 
 
 def keep_freed_memory() -> None:

@@ -60,7 +60,9 @@ INLINE LightSelection selection_by_power(const SceneView* scene, uint light, flo
     LightSelection selected;
     selected.light = light;
     selected.probability = Light_at(scene->lights, light).power_pmf;
-    selected.u = MIN(light_cdf_remainder(scene, light, u, u_low) / selected.probability, 0x1.fffffep-1f);
+    // a single light keeps the bits of the program without selection
+    const float rescaled = light_cdf_remainder(scene, light, u, u_low) / selected.probability;
+    selected.u = scene->light_count > 1u ? MIN(rescaled, 0x1.fffffep-1f) : u;
     return selected;
 }
 

@@ -33,7 +33,7 @@ from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
 SCHEMA, SCHEMA_VERSION = "isonoise-specialisation", 2
-ALL_STATISTICS = Needs(median=True, batch=4, power=2.0, half=True)
+ALL_STATISTICS = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5, nets=True)
 SPECIALISED, ALL_PATH, ALL_VOLPATH = "specialised", "all-path", "all-volpath"
 COMMON_STATISTICS = ("count", "rejected", "rgb", "mean", "variance")
 """Statistics that every program computes."""

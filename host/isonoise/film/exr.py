@@ -80,7 +80,10 @@ def read_header(path: str | os.PathLike) -> tuple[list[str], tuple[int, int], di
     file = _open(path, header_only=True)
     header = file.header()
     low, high = header["dataWindow"]
-    channels = [channel.name for channel in header["channels"]]
+    try:
+        channels = [channel.name for channel in header["channels"]]
+    except UnicodeDecodeError as error:
+        raise UserError(f"{os.fspath(path)}: the name of a channel is not UTF-8; the file is damaged") from error
     return channels, (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1), _render_attributes(file)
 
 

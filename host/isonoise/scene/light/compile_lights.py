@@ -78,7 +78,8 @@ def compile_lights(
         raise_too_dim()
     is_environment = records["kind"] & bits_where(lambda kind: kind.is_environment) != 0
     cdf, records["power_pmf"] = lighting.light_power_cdf(lighting.light_power_pmf(records, bounds))
-    records["radiance"][is_textured] = scale  # the kernel multiplies it by the texture
+    if is_textured.any():
+        records["radiance"][is_textured] = scale  # the kernel multiplies it by the texture
     environment_light = int(np.flatnonzero(is_environment)[0]) if is_environment.any() else -1
     return CompiledLights(records, cdf, environment_light, scale)
 
