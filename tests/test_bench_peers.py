@@ -15,6 +15,7 @@ from isonoise.benchmark.measure import Settings
 from isonoise.benchmark.prepared_scene import MeasuredDevice
 from isonoise.benchmark.report_text import peers_text
 from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.statistics import BASIC_NEEDS
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -103,6 +104,7 @@ def test_specialisation_report(monkeypatch, capsys):
     """The larger programs have two more features, in place of all features."""
     more = {"DIELECTRIC": True, "INSTANCES": True}
     monkeypatch.setattr(specialisation, "feature_superset", lambda used, volpath: used | more)
+    monkeypatch.setattr(specialisation, "ALL_STATISTICS", BASIC_NEEDS)
     monkeypatch.setattr(specialisation, "compile_seconds", lambda source, build, settings: 1.5)
     options = ("--specialisation", "--size", "12x10", "--spp", "3", "--repeat", "2", "--json", "special.json")
     assert run_isonoise("bench", "cornell", *options) == 0
