@@ -177,7 +177,10 @@ class Device:
         self.allocated = 0
         self.on_launch: Callable[[str, int, float], None] | None = None
         self._pending_launches: list[tuple] = []  # kernel, items and event since the last wait
-        self._released_memory: list[np.ndarray] = []  # of buffers released since the last wait
+        # Memory of the buffers, by the number of a weak reference that dies with the buffer; and the dead references
+        # since the last wait. They are collected without Python code, in which Ctrl-C would be lost.
+        self._memory: dict[int, tuple[weakref.ref, np.ndarray]] = {}
+        self._dead_references: list[weakref.ref] = []
         self._open_queue(profile)
         self.reset_profile()
 
@@ -281,7 +284,8 @@ class Device:
             if is_array:
                 memory[:size_bytes] = np.ascontiguousarray(content).reshape(-1).view(np.uint8)
             # pyopencl frees the array with the buffer, although launches may still use it: keep it until the next wait
-            weakref.finalize(memory, self._released_memory.append, memory.base).atexit = False
+            reference = weakref.ref(memory, self._dead_references.append)
+            self._memory[id(reference)] = reference, memory.base
             return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=memory)
         if is_array and size_bytes:
             return self._cl.Buffer(
@@ -343,7 +347,8 @@ class Device:
 
     def _after_wait(self) -> None:
         """The queue is in order, so all launches are done."""
-        self._released_memory.clear()
+        while self._dead_references:
+            del self._memory[id(self._dead_references.pop())]
         for kernel, items, event in self._pending_launches:
             name, seconds = kernel.function_name, 1e-9 * (event.profile.end - event.profile.start)
             self.launches[name] += 1
