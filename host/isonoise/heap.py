@@ -1,7 +1,5 @@
 """Keeps freed memory in the process. Called by the command line, not by the library."""
 
-import ctypes
-
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt(3)
 _MAX_ARRAY_BYTES = 32 * 2**20  # the largest value that glibc takes
 _MAX_FREE_BYTES = 2**28  # what a few waves of a large image need
@@ -13,6 +11,8 @@ def keep_freed_memory() -> None:
     By default glibc gives large arrays back to the system, which clears new pages for the arrays of the next wave:
     that took 27 of 87 ns per pixel and adaptive wave.
     """
+    import ctypes  # takes some milliseconds, which `--help` does not need
+
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # no glibc

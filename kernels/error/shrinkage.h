@@ -3,8 +3,6 @@
 #pragma once
 #include "error/tile.h"
 
-#define MAX_SKEWNESS_SCATTER 4.0f
-
 // `_variance_noise`: 2 + 3/2 skewness^2 of windows of 16x16 pixels, of 2x2 of these, and of the tile.
 NOINLINE void variance_noise(Tile t, float floor)
 {
@@ -61,14 +59,8 @@ NOINLINE void shrinkage_factors(Tile t, int level, Plane factor)
     const Plane scatters = t.work[0], all_children = t.work[0] + groups;
     FOR_EACH(g, groups) {
         const float mean = t.relative[parent + g];
-        float sum = 0.0f, children = 0.0f;
-#pragma unroll
-        for (int k = 0; k < 4; ++k) {
-            const int c = child + g + k * groups;
-            const float deviation = t.relative[c] - mean;
-            sum += t.dof[c] * deviation * deviation;
-            children += t.dof[c] > 0.0f ? 1.0f : 0.0f;
-        }
+        float children;
+        const float sum = child_scatter(t.dof, t.relative, mean, child + g, groups, &children);
         const bool is_valid = children > 1.0f && mean > 0.0f;
         scatters[g] = is_valid ? sum / ((children - 1.0f) * mean * mean) : 0.0f;
         all_children[g] = is_valid ? children : 0.0f;

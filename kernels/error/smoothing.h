@@ -3,9 +3,6 @@
 #pragma once
 #include "error/tile.h"
 
-#define MAX_SCATTER 1e3f
-#define MAX_UNLUCKY_SHARE (1.0f / 3.0f)
-
 // Sets the weights of the black pixels of a level's groups to 0.
 NOINLINE void remove_black(Tile t, int level)
 {
@@ -41,15 +38,8 @@ NOINLINE void smooth_level(Tile t, int level)
     const int groups = LEVEL_SIZE(level + 1), windows = groups / 4;
     const Plane group_scatter = t.work[0];
     FOR_EACH(g, groups) {
-        const float mean = t.x[parent + g];
-        float sum = 0.0f, children = 0.0f;
-#pragma unroll
-        for (int k = 0; k < 4; ++k) {
-            const int c = child + g + k * groups;
-            const float deviation = t.x[c] - mean;
-            sum += t.n[c] * deviation * deviation;
-            children += t.n[c] > 0.0f ? 1.0f : 0.0f;
-        }
+        float children;
+        const float sum = child_scatter(t.n, t.x, t.x[parent + g], child + g, groups, &children);
         group_scatter[g] = MIN(ratio(sum, child_dof(children)), MAX_SCATTER * t.s2[parent + g]);
     }
     SYNCHRONIZE;

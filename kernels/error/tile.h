@@ -10,8 +10,6 @@
 #define LEVEL_BEGIN(level) ((4 * CELLS - 4 * LEVEL_SIZE(level)) / 3)
 #define PYRAMID_SIZE LEVEL_BEGIN(LEVELS + 1)
 
-#define MAX_MEAN 1e12f
-
 // Loops over elements of a tile, shared by the work-items of a group. SYNCHRONIZE stands between loops of which one
 // reads what the other writes. On a CPU a group has one work-item, and the loops are vectorised.
 #if TILE_WORK_ITEMS > 1
@@ -70,6 +68,22 @@ INLINE float limited(float value, float limit)
 INLINE float child_dof(float children)
 {
     return MAX(children - 1.0f, 0.0f);
+}
+
+// Weighted squared deviations of the four children of a group from its mean. The children are cells `first`, `first` +
+// `stride`, ... of planes `weight` and `value`; `children` receives how many have weight.
+INLINE float child_scatter(Plane weight, Plane value, float mean, int first, int stride, float* children)
+{
+    float sum = 0.0f;
+    *children = 0.0f;
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+        const int c = first + k * stride;
+        const float deviation = value[c] - mean;
+        sum += weight[c] * deviation * deviation;
+        *children += weight[c] > 0.0f ? 1.0f : 0.0f;
+    }
+    return sum;
 }
 
 // Total weights and weighted means of the groups above `level`.

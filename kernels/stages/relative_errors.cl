@@ -6,14 +6,14 @@
 #include "error/shrinkage.h"
 
 // The index in the histogram: of errors without noise ERROR_BINS, of unknown ones ERROR_BINS + 1. Bins are intervals
-// of equal length of the piecewise linear log2 of the mean square, for each of 9 values of the root of the normal
-// share.
+// of equal length of the piecewise linear log2 of the mean square, for each bin of the root of the normal share.
 INLINE uint error_bin(float square, float normal)
 {
     if (!(square > 0.0f)) return ERROR_BINS;
-    const uint normal_bin = (uint)(SQRT(ratio(normal, square)) * 8.0f + 0.5f);
+    const uint normal_bin = (uint)(SQRT(ratio(normal, square)) * (float)NORMAL_BINS + 0.5f);
     const float limit = MIN(MAX(square, FIRST_ERROR_SQUARE), LAST_ERROR_SQUARE);
-    return normal_bin * (ERROR_BINS / 9u) + ((as_uint(limit) - as_uint(FIRST_ERROR_SQUARE)) >> ERROR_BIN_SHIFT);
+    return normal_bin * (ERROR_BINS / (NORMAL_BINS + 1u)) +
+           ((as_uint(limit) - as_uint(FIRST_ERROR_SQUARE)) >> ERROR_BIN_SHIFT);
 }
 
 // The mean squares of the errors over scale^2, and the part of them that is normal.

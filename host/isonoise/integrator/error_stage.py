@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from isonoise.error import shrinkage
 from isonoise.error.distribution import NORMAL_BINS, ErrorDistribution, histogram_position
 from isonoise.error.shrinkage import LEVELS, TILE_SIZE
 from isonoise.integrator.stages import Stages
@@ -17,7 +18,7 @@ SQUARE_BINS = (LAST_OCTAVE - FIRST_OCTAVE) << BINS_PER_OCTAVE_LOG2
 ERROR_BINS = SQUARE_BINS * (NORMAL_BINS + 1)
 TILE_PIXELS = TILE_SIZE * TILE_SIZE
 SCRATCH_PYRAMIDS = 14
-"""Arrays of a tile (kernels/stages/relative_errors.cl), each with one element per pixel and group."""
+"""Arrays of a tile (kernels/error/tile.h), each with one element per pixel and group."""
 PYRAMID_SIZE = sum(TILE_PIXELS >> 2 * level for level in range(LEVELS + 1))
 GROUPS_PER_CORE = 4
 """Work-groups that process tiles at a time: enough to share them evenly."""
@@ -30,8 +31,11 @@ def work_items_per_tile(lanes: int) -> int:
 
 def build_constants(work_items: int) -> dict[str, int | str]:
     """Build constants of the stage for so many work-items per tile, which is its local size too."""
+    limits = ("MAX_MEAN", "MAX_SCATTER", "MAX_SKEWNESS_SCATTER", "MAX_UNLUCKY_SHARE")
     return {
+        **{name: f"{getattr(shrinkage, name)!r}f" for name in limits},
         "TILE_WORK_ITEMS": work_items,
+        "NORMAL_BINS": NORMAL_BINS,
         "ERROR_SCRATCH": SCRATCH_PYRAMIDS * PYRAMID_SIZE,
         "ERROR_BINS": ERROR_BINS,
         "ERROR_BIN_SHIFT": 23 - BINS_PER_OCTAVE_LOG2,

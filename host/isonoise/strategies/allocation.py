@@ -42,7 +42,7 @@ def distribute_in_proportion(weights: np.ndarray, budget: int, wave_index: int) 
     share = weights.reshape(-1) / np.float64(max_weight)
     share *= int(budget) / share.sum()
     check_budget(budget, MAX_COUNT if share.max() >= MAX_COUNT else weights.size * MAX_COUNT)
-    return _round_to_budget(share, int(budget), wave_index).astype(np.uint32).reshape(weights.shape)
+    return _round_to_budget(share, int(budget), wave_index).reshape(weights.shape)
 
 
 def deficit(
@@ -147,7 +147,7 @@ def _allocate_capped(count, slope, offset, budget: int, wave_index: int, cap: fl
         if missing:
             free = np.maximum(_capacity(count, limit).astype(np.int64) - allocation, 0)
             allocation += _spread_evenly(free, missing, wave_index)
-    return allocation.astype(np.uint32).reshape(shape)
+    return allocation.astype(np.uint32, copy=False).reshape(shape)
 
 
 def _capacity(count: np.ndarray, cap: float, dtype: type = np.float64) -> np.ndarray:

@@ -49,11 +49,8 @@ class WaterFilling:
     def _capacity(self) -> float:
         """The sum of the shares at an infinite level."""
         constant = np.flatnonzero(self._slope == 0)
-        growing_sums = (
-            float(bound.sum(dtype=np.float64)) - float(bound[constant].sum(dtype=np.float64))
-            for bound in (self._upper, self._lower)
-        )
-        return next(growing_sums) - next(growing_sums)
+        never = self._upper[constant] - self._lower[constant]
+        return float(self._upper.sum(dtype=np.float64)) - self._lower_sum - float(never.sum(dtype=np.float64))
 
     def shares(self, level: float) -> np.ndarray:
         """The shares at a level, a new array."""
