@@ -8,7 +8,7 @@ from small_scene import assert_same_bits, lamp_over_floor
 from isonoise.benchmark import tune
 from isonoise.benchmark.measure import Settings
 from isonoise.cli import main
-from isonoise.device import opencl, pool_size, program_cache
+from isonoise.device import drivers, pool_size, program_cache
 from isonoise.renderer import Renderer
 from isonoise.scene import compile_scene, load
 
@@ -24,7 +24,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def device():
-    return opencl.select_device()
+    return drivers.select_device()
 
 
 def pool_of(**options) -> tuple[int, Renderer]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_scene import lamp_over_floor
 
-from isonoise.device import opencl, program_cache
+from isonoise.device import drivers, opencl, program_cache
 from isonoise.device.opencl import Device
 from isonoise.errors import DeviceError
 from isonoise.renderer import Renderer
@@ -51,7 +51,7 @@ def compiled(monkeypatch):
     original = Device._build_program
 
     def build(self, program, options):
-        if program.get_info(opencl._opencl().program_info.SOURCE):
+        if program.get_info(drivers.load_pyopencl().program_info.SOURCE):
             compilations.append(options)
         return original(self, program, options)
 
@@ -206,7 +206,7 @@ def test_a_driver_without_binaries_is_no_error(folder, compiled, monkeypatch):
 
     class WithoutBinaries:
         def get_info(self, what):
-            raise opencl._opencl().RuntimeError("clGetProgramInfo failed: INVALID_VALUE")
+            raise drivers.load_pyopencl().RuntimeError("clGetProgramInfo failed: INVALID_VALUE")
 
     monkeypatch.setattr(opencl, "_programs_to_store", {"a": WithoutBinaries(), "b": program})
     opencl._store_programs()

@@ -10,7 +10,8 @@ import numpy as np
 
 from isonoise.benchmark.prepared_scene import PreparedScene
 from isonoise.benchmark.spread import spread
-from isonoise.device.opencl import Device, list_devices
+from isonoise.device.drivers import list_devices
+from isonoise.device.opencl import Device
 from isonoise.integrator.wavefront import Wavefront
 
 SHADOW_KERNELS = ("shadow", "shadow_transmittance")

@@ -15,7 +15,8 @@ from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene, Run
 from isonoise.benchmark.spread import spread
 from isonoise.benchmark.startup import startup_times
 from isonoise.benchmark.wave_costs import measure_wave_costs
-from isonoise.device.opencl import LOCAL_SIZE, Device, driver_fields
+from isonoise.device.drivers import driver_fields
+from isonoise.device.opencl import LOCAL_SIZE, Device
 from isonoise.integrator.kernel_table import path_bytes
 from isonoise.progress import ProgressBar
 from isonoise.scene.compile import compile_scene

@@ -3,7 +3,7 @@
 import argparse
 
 from isonoise.commands import EXIT_DONE
-from isonoise.device.opencl import driver_advice, list_devices
+from isonoise.device.drivers import driver_advice, list_devices
 from isonoise.device.pool_size import default_pool_size, tuned_pool_size
 from isonoise.errors import DeviceError
 

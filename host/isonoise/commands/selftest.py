@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable
 
 from isonoise.commands import EXIT_DONE
-from isonoise.device.opencl import Device, driver_fields
+from isonoise.device.drivers import driver_fields
+from isonoise.device.opencl import Device
 from isonoise.film.files import check_writable, write_atomically
 from isonoise.selftest.cases import Case, Context
 from isonoise.selftest.runner import GROUPS, GroupResult, run_groups

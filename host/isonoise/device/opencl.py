@@ -1,20 +1,17 @@
-"""Owns the OpenCL context and queue: selects a device, builds programs, creates buffers, launches kernels."""
+"""Owns the OpenCL context and queue of a device: builds programs, creates buffers, launches kernels."""
 
 import atexit
 import contextlib
 import functools
-import os
-import platform
-import tempfile
 import warnings
 import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 
 from isonoise.device import program_cache
+from isonoise.device.drivers import driver_identity, is_cpu, load_pyopencl, select_device
 from isonoise.errors import DeviceError
 
 LOCAL_SIZE = 64
@@ -28,101 +25,9 @@ _ALIGNMENT = 4096
 
 
 @functools.cache
-def _opencl():
-    _set_pocl_cache_folder()
-    # pyopencl's own cache would duplicate the drivers' caches and fail in a read-only home
-    os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
-    try:
-        import pyopencl
-    except ImportError as error:
-        raise DeviceError(f"pyopencl cannot be loaded ({error}); install it with: pip install pyopencl") from error
-    return pyopencl
-
-
-def _set_pocl_cache_folder() -> None:
-    """Point PoCL to another cache folder if it cannot create its own: without one it offers no device."""
-    if "POCL_CACHE_DIR" in os.environ:
-        return
-    try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        (home / "pocl").mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=home / "pocl"):
-            return
-    except (OSError, RuntimeError):  # RuntimeError: no home folder
-        user = os.getuid() if hasattr(os, "getuid") else 0
-        folder = Path(tempfile.gettempdir()) / f"isonoise-pocl-{user}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if folder.stat().st_uid != user:  # another user's: code must not be loaded from there
-            folder = Path(tempfile.mkdtemp(prefix="isonoise-pocl-"))
-        os.environ["POCL_CACHE_DIR"] = str(folder)
-
-
-def driver_advice() -> str:
-    """Which OpenCL driver to install on this system."""
-    if platform.system() == "Linux" and platform.machine() in ("x86_64", "AMD64"):
-        return "install PoCL for the CPU with: pip install pocl-binary-distribution; or the driver of your GPU's vendor"
-    if platform.system() == "Linux":
-        return "install PoCL from your distribution (package pocl-opencl-icd), or the driver of your GPU's vendor"
-    if platform.system() == "Darwin":
-        return "macOS includes OpenCL; reinstall pyopencl's wheel: pip install --force-reinstall pyopencl"
-    return "install the driver of your GPU's vendor, or Intel's OpenCL runtime for the CPU"
-
-
-def list_devices() -> list:
-    """All OpenCL devices, GPUs first, in a stable order; the first is the default. Empty if there is none."""
-    cl = _opencl()
-    try:
-        platforms = cl.get_platforms()
-    except cl.Error:
-        return []
-    devices = [device for each in platforms for device in each.get_devices()]
-    return sorted(devices, key=lambda device: not device.type & cl.device_type.GPU)
-
-
-def select_device(choice: str | int | None = None):
-    """The OpenCL device with the number `choice`, or the first whose name or platform contains it; None: the default.
-
-    Raises DeviceError, with the list of devices, if there is none.
-    """
-    devices = list_devices()
-    if not devices:
-        raise DeviceError(f"no OpenCL device found; {driver_advice()}")
-    if choice is None:
-        return devices[0]
-    text = str(choice).strip()
-    if text.isdigit() and int(text) < len(devices):
-        return devices[int(text)]
-    for device in devices:
-        if text and text.lower() in f"{device.platform.name} {device.name}".lower() and not text.isdigit():
-            return device
-    names = "\n".join(f"  {number}: {device.name} ({device.platform.name})" for number, device in enumerate(devices))
-    raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
-
-
-def is_cpu(device) -> bool:
-    return bool(device.type & _opencl().device_type.CPU)
-
-
-def driver_identity(device) -> tuple[str, ...]:
-    """Names and versions that identify a device and its driver."""
-    platform = device.platform
-    return platform.name, platform.version, device.name, device.version, device.driver_version
-
-
-def driver_fields(device) -> dict[str, str]:
-    """Names and versions of a device and its driver, as in all JSON reports."""
-    return {
-        "name": device.name.strip(),
-        "platform": device.platform.name.strip(),
-        "opencl_version": device.version.strip(),
-        "driver_version": device.driver_version.strip(),
-    }
-
-
-@functools.cache
 def _context(device):
     """One context per device and process: programs belong to a context, and successive renders share them."""
-    return _opencl().Context([device])
+    return load_pyopencl().Context([device])
 
 
 _programs: dict[tuple, object] = {}
@@ -143,8 +48,8 @@ def _store_programs() -> None:
     with contextlib.suppress(KeyboardInterrupt):
         while _programs_to_store:
             key, program = _programs_to_store.popitem()
-            with contextlib.suppress(_opencl().Error):  # the driver offers no binaries
-                program_cache.store(key, program.get_info(_opencl().program_info.BINARIES)[0])
+            with contextlib.suppress(load_pyopencl().Error):  # the driver offers no binaries
+                program_cache.store(key, program.get_info(load_pyopencl().program_info.BINARIES)[0])
 
 
 def _aligned_zeros(size_bytes: int) -> np.ndarray:
@@ -171,7 +76,7 @@ class Device:
     """
 
     def __init__(self, choice: str | int | None = None, profile: bool = False):
-        self._cl = _opencl()
+        self._cl = load_pyopencl()
         self.device = select_device(choice)
         self.context = _context(self.device)
         self.allocated = 0

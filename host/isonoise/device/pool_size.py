@@ -6,7 +6,7 @@ A tuned size is stored in the program cache, per device and driver.
 import json
 
 from isonoise.device import program_cache
-from isonoise.device.opencl import driver_identity, is_cpu
+from isonoise.device.drivers import driver_identity, is_cpu
 
 MAX_UNTUNED_POOL_SIZE = 2**20
 MIN_POOL_SIZE, MAX_POOL_SIZE = 2**10, 2**26

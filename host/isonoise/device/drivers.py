@@ -1,0 +1,115 @@
+"""OpenCL drivers and their devices: lists and selects devices, tells which driver to install.
+
+Used by `device.opencl`, the benchmarks and `isonoise devices`.
+"""
+
+import functools
+import os
+import platform
+import re
+import tempfile
+from pathlib import Path
+
+from isonoise.errors import DeviceError
+
+_POCL_TARGET = re.compile(r"HSTR: \w+-(?:\w+-\w+-linux-\w+|\w+-apple-[\w.]+|\w+-\w+-windows-\w+)-(?P<cpu>.+)")
+"""In CL_DEVICE_VERSION: kind of device, target triple, CPU."""
+
+
+@functools.cache
+def load_pyopencl():
+    """The module pyopencl, set up so that PoCL finds a cache folder."""
+    _set_pocl_cache_folder()
+    # pyopencl's own cache would duplicate the drivers' caches and fail in a read-only home
+    os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(f"pyopencl cannot be loaded ({error}); install it with: pip install pyopencl") from error
+    return pyopencl
+
+
+def _set_pocl_cache_folder() -> None:
+    """Point PoCL to another cache folder if it cannot create its own: without one it offers no device."""
+    if "POCL_CACHE_DIR" in os.environ:
+        return
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        (home / "pocl").mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=home / "pocl"):
+            return
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
+        user = os.getuid() if hasattr(os, "getuid") else 0
+        folder = Path(tempfile.gettempdir()) / f"isonoise-pocl-{user}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if folder.stat().st_uid != user:  # another user's: code must not be loaded from there
+            folder = Path(tempfile.mkdtemp(prefix="isonoise-pocl-"))
+        os.environ["POCL_CACHE_DIR"] = str(folder)
+
+
+def driver_advice() -> str:
+    """Which OpenCL driver to install on this system."""
+    if platform.system() == "Linux" and platform.machine() in ("x86_64", "AMD64"):
+        return "install PoCL for the CPU with: pip install pocl-binary-distribution; or the driver of your GPU's vendor"
+    if platform.system() == "Linux":
+        return "install PoCL from your distribution (package pocl-opencl-icd), or the driver of your GPU's vendor"
+    if platform.system() == "Darwin":
+        return "macOS includes OpenCL; reinstall pyopencl's wheel: pip install --force-reinstall pyopencl"
+    return "install the driver of your GPU's vendor, or Intel's OpenCL runtime for the CPU"
+
+
+def list_devices() -> list:
+    """All OpenCL devices, GPUs first, in a stable order; the first is the default. Empty if there is none."""
+    cl = load_pyopencl()
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:
+        return []
+    devices = [device for each in platforms for device in each.get_devices()]
+    return sorted(devices, key=lambda device: not device.type & cl.device_type.GPU)
+
+
+def select_device(choice: str | int | None = None):
+    """The OpenCL device with the number `choice`, or the first whose name or platform contains it; None: the default.
+
+    Raises DeviceError, with the list of devices, if there is none.
+    """
+    devices = list_devices()
+    if not devices:
+        raise DeviceError(f"no OpenCL device found; {driver_advice()}")
+    if choice is None:
+        return devices[0]
+    text = str(choice).strip()
+    if text.isdigit() and int(text) < len(devices):
+        return devices[int(text)]
+    for device in devices:
+        if text and text.lower() in f"{device.platform.name} {device.name}".lower() and not text.isdigit():
+            return device
+    names = "\n".join(f"  {number}: {device.name} ({device.platform.name})" for number, device in enumerate(devices))
+    raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
+
+
+def is_cpu(device) -> bool:
+    return bool(device.type & load_pyopencl().device_type.CPU)
+
+
+def driver_identity(device) -> tuple[str, ...]:
+    """Names and versions that identify a device and its driver."""
+    platform = device.platform
+    return platform.name, platform.version, device.name, device.version, device.driver_version
+
+
+def driver_fields(device) -> dict[str, str]:
+    """Names and versions of a device and its driver, as in all JSON reports."""
+    return {
+        "name": device.name.strip(),
+        "platform": device.platform.name.strip(),
+        "opencl_version": device.version.strip(),
+        "driver_version": device.driver_version.strip(),
+    }
+
+
+def compiler_target(device) -> str | None:
+    """The CPU that PoCL's compiler emits code for, in LLVM's words such as `znver4`; None if unknown."""
+    match = _POCL_TARGET.search(device.version)
+    return match["cpu"].strip() if match else None
