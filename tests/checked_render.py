@@ -18,6 +18,7 @@ from small_scene import lamp_over_floor
 
 import isonoise.renderer
 from isonoise.device import program
+from isonoise.device.form import FORMS, DeviceForm
 from isonoise.device.opencl import Device
 from isonoise.device.program_cache import FOLDER_VARIABLE
 from isonoise.renderer import Renderer
@@ -110,12 +111,8 @@ class CheckedDevice(Device):
     many = False
 
     @property
-    def lanes(self) -> int:
-        return 64 if self.many else 1
-
-    @property
-    def is_cpu(self) -> bool:
-        return self.many
+    def form(self) -> DeviceForm:
+        return FORMS["lanes" if self.many else "gpu"]
 
     @property
     def shares_memory(self) -> bool:

@@ -83,6 +83,7 @@ def one_lane(monkeypatch):
 
     That the number of lanes changes no bit is tested in test_renderer.py.
     """
+    from isonoise.device.form import FORMS
     from isonoise.device.opencl import Device
 
-    monkeypatch.setattr(Device, "lanes", 1)
+    monkeypatch.setattr(Device, "form", FORMS["cpu"])

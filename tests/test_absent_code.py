@@ -12,21 +12,18 @@ from functools import cache
 import pytest
 from feature_sets import all_but, only
 
+from isonoise.device.form import FORMS
 from isonoise.device.program import flatten, stage_source
-from isonoise.integrator import error_stage
-from isonoise.integrator.accumulator import build_constants
-from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.feature_costs import cost, features_in, stages_with
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import (
     BRUTE_FORCE_KERNELS,
-    CONSTANTS,
     KERNELS,
     LANE_KERNELS,
     STRUCTS,
 )
-from isonoise.scene.light import light_list
 from isonoise.statistics import Needs
 
 STAGES = sorted({row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values()})
@@ -52,9 +49,7 @@ def preprocessed(file: str, sets: list[dict[str, bool]], lanes: int) -> list[str
     cpp = shutil.which("cpp")
     if cpp is None:
         pytest.skip("no C preprocessor 'cpp' on PATH")
-    constants = CONSTANTS | build_constants(EVERY_STATISTIC) | error_stage.build_constants(1)
-    constants |= {"LANES": lanes, "PATH_BLOCK_SIZE": 64}
-    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
+    constants = build_constants(EVERY_STATISTIC, FORMS["lanes" if lanes > 1 else "cpu"])
     # the text is the same for all sets
     text, options = stage_source(file, STRUCTS, constants, all_but(), generated_headers())
     names = [option[len("-DFEATURE_") :].split("=")[0] for option in options if option.startswith("-DFEATURE_")]

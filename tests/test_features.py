@@ -6,20 +6,18 @@ import pytest
 from feature_sets import all_but, covering_rows, is_closed, needs_of, only, pairs_of, possible_pairs, scene_with
 from small_scene import assert_same_bits
 
+from isonoise.device.form import FORMS
 from isonoise.device.opencl import Device
 from isonoise.device.program import stage_source
-from isonoise.integrator import error_stage
-from isonoise.integrator.accumulator import build_constants
-from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.feature_superset import feature_superset
 from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import CONSTANTS, STRUCTS, kernel_table
+from isonoise.integrator.kernel_table import STRUCTS, kernel_table
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene import builtin_scenes, compile_scene, load
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light import light_list
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
@@ -98,12 +96,10 @@ def test_all_features_run_a_simple_scene(device, monkeypatch, tmp_path):
     assert_runs_as_specialised(device, monkeypatch, row, tmp_path, few)
 
 
-@pytest.mark.parametrize(("lanes", "off"), [(1, ()), (64, ("VOLPATH",))])
-def test_all_features_build(device, lanes, off):
+@pytest.mark.parametrize(("form", "off"), [("gpu", ()), ("lanes", ("VOLPATH",))])
+def test_all_features_build(device, form, off):
     """Builds all kernels; the long tests launch them, which takes twice as long."""
-    constants = CONSTANTS | build_constants(EVERY_STATISTIC) | error_stage.build_constants(1)
-    constants |= {"LANES": lanes, "PATH_BLOCK_SIZE": 64}
-    constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
+    constants = build_constants(EVERY_STATISTIC, FORMS[form])
     for few in (False, True):
         for file in dict.fromkeys(row.file for row in kernel_table(all_but(*off), few).values()):
             text, options = stage_source(file, STRUCTS, constants, all_but(*off), generated_headers())

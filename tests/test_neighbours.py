@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from isonoise import Renderer
+from isonoise.device.form import FORMS
 from isonoise.device.opencl import Device
-from isonoise.integrator import accumulator
 from isonoise.selftest.synthetic_samples import Reducer
 from isonoise.statistics import Needs
 from isonoise.strategies.measures import with_neighbours
@@ -45,7 +45,7 @@ def test_pixels_of_fewer_than_two_samples_do_not_count(window):
 @pytest.mark.parametrize("run", [1, 16])
 def test_runs_of_any_length(run, monkeypatch):
     """Work-items of GPUs process one pixel."""
-    monkeypatch.setattr(accumulator, "neighbour_run", lambda lanes: run)
+    monkeypatch.setattr(Device, "form", FORMS["lanes"]._replace(neighbour_run=run))
     assert_like_numpy(reduced(5, (11, 35), (4, 9)), 5)
 
 

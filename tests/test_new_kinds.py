@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isonoise.device.form import FORM_VARIABLE
 from isonoise.errors import SceneError
 from isonoise.scene.light.light_kinds import AREA
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
@@ -151,9 +152,9 @@ def add_kind(folder: Path, edits: list[tuple[str, str, str]]) -> None:
 
 def run(folder: Path, lines: str) -> None:
     """Runs Python with the copied package, once as it is and once with one path a work-item."""
-    for lanes in ("", "from isonoise.device.opencl import Device\nDevice.lanes = property(lambda self: 1)\n"):
-        script = f"import isonoise, numpy\nassert isonoise.__file__.startswith({str(folder)!r})\n{lanes}{lines}"
-        environment = os.environ | {"PYTHONPATH": str(folder)}
+    for form in ("", "cpu"):
+        script = f"import isonoise, numpy\nassert isonoise.__file__.startswith({str(folder)!r})\n{lines}"
+        environment = os.environ | {"PYTHONPATH": str(folder), FORM_VARIABLE: form}
         done = subprocess.run(
             [sys.executable, "-c", script], cwd=folder, env=environment, capture_output=True, text=True
         )

@@ -13,15 +13,14 @@ import pytest
 from feature_sets import all_but, only
 
 from isonoise.device import program
+from isonoise.device.form import FORMS
 from isonoise.device.opencl import Device
 from isonoise.device.program import declare_struct, flatten, stage_source
 from isonoise.errors import DeviceError
-from isonoise.integrator import error_stage
-from isonoise.integrator.accumulator import build_constants
-from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, CONSTANTS, KERNELS, LANE_KERNELS, STRUCTS
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, LANE_KERNELS, STRUCTS
 from isonoise.renderer import Renderer
 from isonoise.statistics import Needs
 
@@ -29,14 +28,8 @@ FOLDER = Path(str(resources.files("isonoise.kernels")))
 FILES = sorted(str(file.relative_to(FOLDER)) for file in FOLDER.rglob("*") if file.suffix in (".cl", ".h"))
 STAGES = [name for name in FILES if name.endswith(".cl")]
 HEADERS = generated_headers()
-CONSTANTS = CONSTANTS | build_constants(Needs(batch=2)) | error_stage.build_constants(1)
-CONSTANTS |= {
-    "LANES": 1,
-    "PATH_BLOCK_SIZE": 64,
-    "MAX_CORNERS": MAX_CORNERS,
-    "MAX_LISTED_LIGHTS": 8,
-}
-MANY = CONSTANTS | {"LANES": 64}
+CONSTANTS = build_constants(Needs(batch=2), FORMS["cpu"])
+MANY = build_constants(Needs(batch=2), FORMS["lanes"])
 """For work-items that take many paths: kernels/path/path_state.h. There are none in scenes of the feature VOLPATH."""
 TAKE_MANY = sorted({row.file for row in (*(KERNELS[name] for name in LANE_KERNELS), *BRUTE_FORCE_KERNELS.values())})
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_scene import BUILT_IN, PIXELS, assert_same_bits, assert_sound, lamp_over_floor, without
 
+from isonoise.device.form import FORMS
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.loop import render
@@ -70,13 +71,14 @@ def many_materials() -> dict:
 
 
 @pytest.mark.parametrize("scene", [lamp_over_floor, many_kinds, pytest.param(many_materials, marks=pytest.mark.long)])
-def test_the_number_of_lanes_changes_no_bit(monkeypatch, scene):
+def test_the_form_of_the_device_changes_no_bit(monkeypatch, scene):
     renders = []
-    for lanes in (1, 64):
-        monkeypatch.setattr(Device, "lanes", lanes)
+    for form in FORMS.values():
+        monkeypatch.setattr(Device, "form", form)
         renders.append(render(scene(), spp=30, seed=3, strategy="uniform").statistics)
     assert_sound(renders[0])
-    assert_same_bits(*renders)
+    for other in renders[1:]:
+        assert_same_bits(renders[0], other)
 
 
 @pytest.mark.parametrize("wave_spp", [1, 10])

@@ -48,7 +48,7 @@ def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
     """Returns origins with lengths, and directions, both (pixels, SAMPLES, 4), as the kernel writes them."""
     scene = compile_scene(load(description))
     device = Device()
-    constants = structs.CONSTANTS | {"LANES": device.lanes}
+    constants = structs.CONSTANTS | {"LANES": device.form.lanes}
     stages = Stages(device, {"generate": KERNELS["generate"]}, features(scene), constants, STRUCTS)
     pixels = scene.width * scene.height
     n = pixels * SAMPLES
@@ -57,7 +57,7 @@ def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
     stages.launch(
         "generate",
         n,
-        device.lanes,
+        device.form.lanes,
         **dict.fromkeys(("first_slot", "first_sample", "inverse_cdf_cells"), np.uint32(0)),
         **dict.fromkeys(("count_new", "plane_stride"), np.uint32(n)),
         **dict.fromkeys(("count", "rejected"), zeros),

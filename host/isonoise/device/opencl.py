@@ -12,6 +12,7 @@ import numpy as np
 
 from isonoise.device import program_cache
 from isonoise.device.drivers import driver_identity, is_cpu, load_pyopencl, select_device
+from isonoise.device.form import DeviceForm, choose_form
 from isonoise.errors import DeviceError
 
 LOCAL_SIZE = 64
@@ -106,14 +107,10 @@ class Device:
     def name(self) -> str:
         return f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
 
-    @property
-    def lanes(self) -> int:
-        """Paths per work-item in kernels that support several (kernels/path/path_state.h).
-
-        PoCL vectorises across work-items only in trivial kernels, but often vectorises a loop inside a kernel. Other
-        compilers, and GPUs, vectorise across work-items.
-        """
-        return 64 if self.is_cpu and self.is_pocl else 1
+    @functools.cached_property
+    def form(self) -> DeviceForm:
+        """How kernels divide their work among work-items."""
+        return choose_form(self.is_cpu, self.is_pocl)
 
     @property
     def is_pocl(self) -> bool:

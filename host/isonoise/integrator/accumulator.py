@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from isonoise.device.form import DeviceForm
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
 
@@ -25,22 +26,12 @@ _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and 
 _BLOCK_SUMS = 6
 
 
-def pixels_per_item(lanes: int) -> int:
-    """Pixels that a work-item of `summarise` processes: several where loops over lanes are vectorised."""
-    return 16 if lanes > 1 else 1
-
-
-def neighbour_run(lanes: int) -> int:
-    """Pixels that a work-item of `average_neighbours` processes."""
-    return 64 if lanes > 1 else 1
-
-
-def build_constants(needs: Needs, lanes: int = 1) -> dict[str, int]:
-    """Build constants of the stages `reduce` and `summarise`; `lanes` are those of the device."""
+def build_constants(needs: Needs, form: DeviceForm) -> dict[str, int]:
+    """Build constants of the stages of the statistics on a device of this form."""
     return {
-        "PIXELS_PER_ITEM": pixels_per_item(lanes),
+        "PIXELS_PER_ITEM": form.pixels_per_item,
         "SAMPLE_BLOCK_SIZE": SAMPLE_BLOCK_SIZE,
-        "NEIGHBOUR_RUN": neighbour_run(lanes),
+        "NEIGHBOUR_RUN": form.neighbour_run,
         "NET_COUNT": 2**NET_COUNT_LOG2,
         "NET_COUNT_LOG2": NET_COUNT_LOG2,
         "TILE_SIZE": TILE_SIZE,
@@ -125,7 +116,7 @@ class Accumulator:
             self._stages.launch("fit_steps", self._tiles)
             self._stages.launch("compute_design_effect", height * (-(-width // TILE_SIZE) + 1))
         if self._needs.neighbours:
-            self._stages.launch("average_neighbours", height * -(-width // neighbour_run(self._device.lanes)))
+            self._stages.launch("average_neighbours", height * -(-width // self._device.form.neighbour_run))
 
     def reset(self) -> None:
         """Forget all samples."""
@@ -186,7 +177,7 @@ class Accumulator:
         pixels = min(SUMMARY_STRIP_PIXELS, self.pixels - begin)
         bounds = {"first_pixel": np.uint32(begin), "pixels": np.uint32(pixels)}
         summary = self._summaries[begin // SUMMARY_STRIP_PIXELS % 2]
-        self._stages.launch("summarise", pixels, pixels_per_item(self._device.lanes), summary=summary, **bounds)
+        self._stages.launch("summarise", pixels, self._device.form.pixels_per_item, summary=summary, **bounds)
 
     def _read_strip(self, statistics: Statistics, strip: slice, summary: np.ndarray, scale: float) -> None:
         """Fill the pixels `strip` of `statistics`, in the scene's units, from the planes of `summary`."""

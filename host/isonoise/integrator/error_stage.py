@@ -24,11 +24,6 @@ GROUPS_PER_CORE = 4
 """Work-groups that process tiles at a time: enough to share them evenly."""
 
 
-def work_items_per_tile(lanes: int) -> int:
-    """Work-items that share a tile; one where loops are vectorised. `lanes` are those of the device."""
-    return 1 if lanes > 1 else 256
-
-
 def build_constants(work_items: int) -> dict[str, int | str]:
     """Build constants of the stage for so many work-items per tile, which is its local size too."""
     limits = ("MAX_MEAN", "MAX_SCATTER", "MAX_SKEWNESS_SCATTER", "MAX_UNLUCKY_SHARE")

@@ -285,6 +285,9 @@ stand together if the same changes of a scene rebuild them: the statistics; the 
 LANE_KERNELS = {"generate", "shade"}
 """Kernels of which a work-item processes LANES paths: kernels/path/path_state.h."""
 
+COMPACTION_KERNELS = {"count_alive", "scan_blocks", "move_paths"}
+"""Kernels of which a work-group shares a path block, on GPUs: kernels/stages/compact.cl."""
+
 SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "move_paths"}
 """Kernels of which a work-item of a CPU processes several rays, or a run of paths, one after the other."""
 

@@ -13,13 +13,14 @@ import numpy as np
 from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
 from isonoise.device.pool_size import default_pool_size
 from isonoise.integrator import error_stage
-from isonoise.integrator.accumulator import Accumulator, build_constants
-from isonoise.integrator.brute_force import MAX_CORNERS, use_brute_force
+from isonoise.integrator.accumulator import Accumulator
+from isonoise.integrator.brute_force import use_brute_force
+from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import (
     BOUNCE_BUFFERS,
     BRUTE_FORCE_KERNELS,
-    CONSTANTS,
+    COMPACTION_KERNELS,
     LANE_KERNELS,
     PATH_STATE,
     SEQUENTIAL_KERNELS,
@@ -32,20 +33,11 @@ from isonoise.integrator.scene_buffers import scene_arguments
 from isonoise.integrator.stages import Stages
 from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.light import light_list
 from isonoise.statistics import BASIC_NEEDS, Needs
 
 PLANE_PADDING = 80
 """Elements by which a plane of path state is longer than the pool. Without it the members of a path would be a power of
 two apart and compete for the same few cache sets."""
-
-RAYS_PER_ITEM = 32
-"""Most rays that a work-item of a CPU traces. PoCL gives every work-item of a group a stack of its own; with one ray an
-item these stacks would not fit the cache."""
-
-SHADE_LANES = 256
-"""Paths that a work-item of a CPU shades: enough for long compacted lists, and few enough that their lane state fits
-the level-2 cache. With 64, `shade` takes 1.2 times as long on a scene of four kinds of BSDF."""
 
 _BUFFER_LABELS = {
     "hit": "the hits",
@@ -83,34 +75,32 @@ class Wavefront:
         self.features = dict(feature_override or features(scene, needs))
         self.pool_size = pool_size or default_pool_size(device.device)
         self.slice_samples = 16 * self.pool_size
-        self.path_block_size = 512 if device.is_cpu else 64
-        self.lanes = 1 if self.features["VOLPATH"] else device.lanes  # shade_lanes does not support it
-        self.shade_lanes = SHADE_LANES if self.lanes > 1 else 1
+        form = device.form
+        if self.features["VOLPATH"]:  # `shade_lanes` does not support it
+            form = form._replace(lanes=1, shade_lanes=1)
+        self._form = form
         needs_bvh = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
-        self.brute_force = self.lanes > 1 and not needs_bvh and use_brute_force(scene)
+        self.brute_force = form.lanes > 1 and not needs_bvh and use_brute_force(scene)
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
-        constants = CONSTANTS | build_constants(needs, device.lanes)
-        tile_work_items = error_stage.work_items_per_tile(device.lanes)
-        constants |= error_stage.build_constants(tile_work_items)
-        constants |= {"LANES": self.lanes, "PATH_BLOCK_SIZE": self.path_block_size}
-        constants |= {"MAX_CORNERS": MAX_CORNERS, "MAX_LISTED_LIGHTS": light_list.MAX_LISTED_LIGHTS}
-        small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if self.lanes > 1 else set())
-        local_sizes = dict.fromkeys(small_groups if device.lanes > 1 else (), SMALL_LOCAL_SIZE)
+        small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if form.lanes > 1 else set())
+        local_sizes = dict.fromkeys(small_groups if device.form.lanes > 1 else (), SMALL_LOCAL_SIZE)
+        if form.block_work_items > 1:
+            local_sizes |= dict.fromkeys(COMPACTION_KERNELS, form.block_work_items)
         self._stages = Stages(
             device,
             table,
             self.features,
-            constants,
+            build_constants(needs, form),
             STRUCTS,
-            file_constants={"stages/shade.cl": {"LANES": self.shade_lanes}},
-            local_sizes=local_sizes | {"relative_errors": tile_work_items},
+            file_constants={"stages/shade.cl": {"LANES": form.shade_lanes}},
+            local_sizes=local_sizes | {"relative_errors": form.tile_work_items},
         )
         lane_kernels = LANE_KERNELS | (set(BRUTE_FORCE_KERNELS) if self.brute_force else set())
-        self._items_per_work_item = dict.fromkeys(lane_kernels, self.lanes) | {"shade": self.shade_lanes}
+        self._items_per_work_item = dict.fromkeys(lane_kernels, form.lanes) | {"shade": form.shade_lanes}
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
-        self.errors = error_stage.ErrorStage(self._stages, (scene.height, scene.width), tile_work_items)
+        self.errors = error_stage.ErrorStage(self._stages, (scene.height, scene.width), form.tile_work_items)
         self._path_state = [name for name in PATH_STATE if is_present(name, self.features)]
         self._arguments.update(scene_arguments(device, scene, bvh, self.features, self.brute_force))
         self._arguments.update(self._path_arguments(seed))
@@ -137,7 +127,7 @@ class Wavefront:
                 name: device.buffer(size * plane_stride, _BUFFER_LABELS.get(name, "the paths"))
                 for name, size in path_bytes(self.features).items()
             },
-            "path_block_alive": device.buffer(4 * -(-paths // self.path_block_size), "the compaction"),
+            "path_block_alive": device.buffer(4 * -(-paths // self._form.path_block_size), "the compaction"),
             "total_alive": device.buffer(4, "the compaction"),
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
@@ -240,22 +230,25 @@ class Wavefront:
 
     def _compact(self, paths: int) -> int:
         """Move the paths that continue to the front of the pool; returns how many these are."""
-        path_count, path_blocks = np.uint32(paths), -(-paths // self.path_block_size)
-        self._launch("count_alive", path_blocks, path_count=path_count)
-        self._launch("scan_blocks", 1, path_block_count=np.uint32(path_blocks))
-        self._launch("move_paths", path_blocks, path_count=path_count)
+        form, path_count = self._form, np.uint32(paths)
+        path_blocks = -(-paths // form.path_block_size)
+        work_items = path_blocks * form.block_work_items
+        self._launch("count_alive", work_items, path_count=path_count)
+        self._launch("scan_blocks", form.block_work_items, path_block_count=np.uint32(path_blocks))
+        self._launch("move_paths", work_items, path_count=path_count)
         arguments = self._arguments
         for name in self._path_state:
             arguments[name], arguments[f"next_{name}"] = arguments[f"next_{name}"], arguments[name]
         return int(self.device.read(arguments["total_alive"], np.uint32, 1)[0])
 
     def trace_rays(self, stage: str, paths: int) -> None:
-        """Launch a stage that traces rays. A work-item of a CPU traces several, one after the other."""
+        """Launch a stage that traces rays. A work-item may trace several, one after the other."""
         path_count = np.uint32(paths)
         if self.brute_force:
             self._launch(stage, paths, path_count=path_count)
             return
         rays = 1
-        if self.device.is_cpu and stage != "shadow_transmittance":  # leaves at least 4 groups for each core
-            rays = min(max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1), RAYS_PER_ITEM)
+        if stage != "shadow_transmittance":  # leaves at least 4 groups for each core
+            rays = max(paths // (LOCAL_SIZE * 4 * self.device.compute_units), 1)
+            rays = min(rays, self._form.max_rays_per_item)
         self._stages.launch(stage, paths, rays, path_count=path_count, rays_per_item=np.uint32(rays))

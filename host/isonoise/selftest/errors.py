@@ -7,7 +7,7 @@ import numpy as np
 from isonoise.device.opencl import Device
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
-from isonoise.integrator.error_stage import ErrorStage, build_constants, work_items_per_tile
+from isonoise.integrator.error_stage import ErrorStage, build_constants
 from isonoise.integrator.kernel_table import KERNELS
 from isonoise.integrator.stages import Stages
 from isonoise.selftest.cases import Case, Check, Context, array_case, count_case
@@ -22,7 +22,7 @@ def device_distribution(
     device: Device, statistics: Statistics, floor: float, work_items: int | None = None
 ) -> ErrorDistribution:
     """The distribution of the errors that `statistics`, in device units, have. None: the device's work-items."""
-    work_items = work_items or work_items_per_tile(device.lanes)
+    work_items = work_items or device.form.tile_work_items
     table = {"relative_errors": KERNELS["relative_errors"]}
     stages = Stages(device, table, {}, build_constants(work_items), {}, local_sizes={"relative_errors": work_items})
     height, width = statistics.shape

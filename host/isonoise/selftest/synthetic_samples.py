@@ -19,7 +19,7 @@ class Reducer:
         features = statistics_features(needs)
         names = ("reduce", "summarise", "sum_tiles", "fit_steps", "compute_design_effect", "average_neighbours")
         table = {name: KERNELS[name] for name in names if KERNELS[name].is_launched(features)}
-        self.stages = Stages(self.device, table, features, build_constants(needs, device.lanes), {})
+        self.stages = Stages(self.device, table, features, build_constants(needs, device.form), {})
         self.accumulator = Accumulator(self.stages, (pixels // (width or pixels), width or pixels), needs)
         self.stages.arguments["pixel_offset"] = self.device.buffer(4 * pixels, "the offsets")
 

@@ -20,7 +20,7 @@ BVH, BRUTE_FORCE = "BVH", "brute force"
 
 def methods(device: Device) -> tuple[str, ...]:
     """Returns the intersection methods of the device: brute force needs work-items that take several paths."""
-    return (BVH, BRUTE_FORCE) if device.lanes > 1 else (BVH,)
+    return (BVH, BRUTE_FORCE) if device.form.lanes > 1 else (BVH,)
 
 
 class Tracer:
@@ -50,7 +50,7 @@ class Tracer:
         corners = np.asarray(corners, np.float32).reshape(-1, 3, 3)
         analytics = np.zeros(0, structs.ANALYTIC) if analytics is None else analytics
         kernels = BRUTE_FORCE_KERNELS if method == BRUTE_FORCE else KERNELS
-        constants = structs.CONSTANTS | {"LANES": device.lanes, "MAX_CORNERS": MAX_CORNERS}
+        constants = structs.CONSTANTS | {"LANES": device.form.lanes, "MAX_CORNERS": MAX_CORNERS}
         features = _FEATURES | {"COUNT_TESTS": count_tests}
         self._stages = Stages(device, {"intersect": kernels["intersect"]}, features, constants, STRUCTS)
         self._stages.arguments["analytics"] = self._table(analytics)
@@ -96,7 +96,7 @@ class Tracer:
         }
         if self._count_tests:
             buffers["tests"] = self.device.buffer(8 * stride, "the counts of tests")
-        lanes = self.device.lanes if self._method == BRUTE_FORCE else 1
+        lanes = self.device.form.lanes if self._method == BRUTE_FORCE else 1
         self._stages.launch("intersect", n, lanes, path_count=np.uint32(n), plane_stride=np.uint32(stride), **buffers)
         hit = self.device.read(buffers["hit"], np.float32, 4 * stride).reshape(4, stride)
         if self._count_tests:

@@ -1,0 +1,91 @@
+"""How kernels divide their work among work-items, which differs between CPUs and GPUs.
+
+The form changes the speed, never a bit of a result. `Device.form` chooses it; the kernels are built with its numbers.
+"""
+
+import os
+from typing import NamedTuple
+
+from isonoise.errors import DeviceError
+
+FORM_VARIABLE = "ISONOISE_DEVICE_FORM"
+"""Environment variable with the name of the form for all devices, for tests and measurements."""
+
+
+class DeviceForm(NamedTuple):
+    """Numbers of a form."""
+
+    name: str
+    lanes: int
+    """Paths per work-item of `generate` and the brute-force stages (kernels/path/path_state.h)."""
+    shade_lanes: int
+    """The same of `shade`."""
+    max_rays_per_item: int
+    """Most rays that a work-item traces, one after the other."""
+    path_block_size: int
+    """Paths that the compaction moves at a time."""
+    block_work_items: int
+    """Work-items that share a path block: 1, or all of a work-group."""
+    tile_work_items: int
+    """Work-items that share a tile of `relative_errors`."""
+    pixels_per_item: int
+    """Pixels that a work-item of `summarise` processes."""
+    neighbour_run: int
+    """Pixels that a work-item of `average_neighbours` processes."""
+
+
+FORMS = {
+    form.name: form
+    for form in (
+        # PoCL vectorises across work-items only in trivial kernels, but often vectorises a loop inside a kernel.
+        # A work-item of `shade` takes so many paths that compacted lists are long, and so few that their lane state
+        # fits the level-2 cache; with 64, `shade` takes 1.2 times as long on a scene of four kinds of BSDF.
+        # PoCL gives every work-item of a group a stack of its own; with one ray a work-item these stacks would not fit
+        # the cache.
+        DeviceForm(
+            "lanes",
+            lanes=64,
+            shade_lanes=256,
+            max_rays_per_item=32,
+            path_block_size=512,
+            block_work_items=1,
+            tile_work_items=1,
+            pixels_per_item=16,
+            neighbour_run=64,
+        ),
+        # Other compilers vectorise across work-items.
+        DeviceForm(
+            "cpu",
+            lanes=1,
+            shade_lanes=1,
+            max_rays_per_item=32,
+            path_block_size=512,
+            block_work_items=1,
+            tile_work_items=256,
+            pixels_per_item=1,
+            neighbour_run=1,
+        ),
+        # Neighbouring work-items access neighbouring memory.
+        DeviceForm(
+            "gpu",
+            lanes=1,
+            shade_lanes=1,
+            max_rays_per_item=1,
+            path_block_size=256,
+            block_work_items=256,
+            tile_work_items=256,
+            pixels_per_item=1,
+            neighbour_run=1,
+        ),
+    )
+}
+
+
+def choose_form(is_cpu: bool, is_pocl: bool) -> DeviceForm:
+    """The form of a device: that of `FORM_VARIABLE`, if set. Raises DeviceError for a name that does not exist."""
+    chosen = os.environ.get(FORM_VARIABLE)
+    if not chosen:
+        chosen = ("lanes" if is_pocl else "cpu") if is_cpu else "gpu"
+    if chosen not in FORMS:
+        raise DeviceError(f"{FORM_VARIABLE} is '{chosen}'; choose one of {', '.join(FORMS)}, or remove it")
+    return FORMS[chosen]

@@ -1,0 +1,22 @@
+"""Macros that all kernels of a scene are built with; a program gets those that its text mentions."""
+
+from isonoise.device.form import DeviceForm
+from isonoise.integrator import accumulator, error_stage
+from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.kernel_table import CONSTANTS
+from isonoise.scene.light.light_list import MAX_LISTED_LIGHTS
+from isonoise.statistics import Needs
+
+
+def build_constants(needs: Needs, form: DeviceForm) -> dict[str, int | str]:
+    """Name -> number or C expression, for the statistics that `needs` names and a device of this form."""
+    return {
+        **CONSTANTS,
+        **accumulator.build_constants(needs, form),
+        **error_stage.build_constants(form.tile_work_items),
+        "LANES": form.lanes,
+        "PATH_BLOCK_SIZE": form.path_block_size,
+        "BLOCK_WORK_ITEMS": form.block_work_items,
+        "MAX_CORNERS": MAX_CORNERS,
+        "MAX_LISTED_LIGHTS": MAX_LISTED_LIGHTS,
+    }
