@@ -5,16 +5,20 @@ from pathlib import Path
 
 import pytest
 
-from isonoise.device import program_cache
+from isonoise.device import precompile, program_cache
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="session", autouse=True)
 def program_cache_of_session(tmp_path_factory):
-    """A program cache for the session: the user's own is neither read nor written."""
+    """A program cache for the session: the user's own is neither read nor written.
+
+    Programs are compiled in one process: in so new a cache all seem new, although PoCL may have compiled them before.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("programs")))
+        patch.setattr(precompile, "worker_limit", lambda: 1)
         yield
     os.environ[program_cache.FOLDER_VARIABLE] = "off"  # nothing is stored at exit
 

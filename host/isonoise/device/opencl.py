@@ -64,6 +64,11 @@ def _aligned_zeros(size_bytes: int) -> np.ndarray:
     return memory[begin : begin + size_bytes]
 
 
+def global_size(items: int, per_work_item: int, local_size: int) -> int:
+    """Work-items of a launch over at least `items`: whole work-groups."""
+    return -(-items // (per_work_item * local_size)) * local_size
+
+
 class Device:
     """Context, in-order queue, buffers and programs of one OpenCL device.
 
@@ -201,8 +206,8 @@ class Device:
         self, kernel, items: int, arguments: tuple, per_work_item: int = 1, local_size: int = LOCAL_SIZE
     ) -> None:
         """Run a kernel over at least `items` items; kernels return early beyond their own bound."""
-        groups = -(-items // (per_work_item * local_size))
-        event = kernel(self.queue, (groups * local_size,), (local_size,), *arguments)
+        size = global_size(items, per_work_item, local_size)
+        event = kernel(self.queue, (size,), (local_size,), *arguments)
         if self.profile:
             self._pending_launches.append((kernel, items, event))
 

@@ -7,6 +7,8 @@ From these tables come the kernels' parameter lists and the code that unpacks th
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+import numpy as np
+
 from isonoise.scene import structs
 from isonoise.scene.light import envmap
 from isonoise.scene.light.light_kinds import light_macros
@@ -77,6 +79,16 @@ BOUNCE_BUFFERS = {
     "shadow_radiance": {"NEXT_EVENT": 12, "NEXT_EVENT MEDIA": 4},
 }
 """Buffers of the paths within a bounce: bytes a path, by the features that all have to be on for them."""
+
+NO_WORK = dict.fromkeys(
+    (
+        *("pixels", "total_pixels", "tile_count", "error_groups", "first_pixel"),
+        *("path_count", "count_new", "path_block_count", "rays_per_item", "first_slot"),
+        *("slice_samples", "first_sample"),
+    ),
+    np.uint32(0),
+)
+"""Values with which every kernel returns without work."""
 
 VALUE_TYPES = {
     "seed": "uint2",

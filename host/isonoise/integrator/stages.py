@@ -1,22 +1,38 @@
 """Kernels that are built and launched by name, with arguments by name."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 
-from isonoise.device.opencl import LOCAL_SIZE, Device
+from isonoise.device.opencl import LOCAL_SIZE, Device, global_size
+from isonoise.device.precompile import FirstLaunch, Job, precompile
 from isonoise.device.program import stage_source
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import Kernel, programs
+from isonoise.integrator.kernel_table import NO_WORK, VALUE_TYPES, Kernel, programs
+
+_C_VALUES = {
+    "uint": np.ones(1, np.uint32),
+    "uint2": np.ones(2, np.uint32),
+    "float": np.ones(1, np.float32),
+    "float4": np.ones(4, np.float32),
+}
+_NOTHING: Mapping[str, int] = MappingProxyType({})
 
 
 class Stages:
     """The kernels of a table, built for a set of features.
 
     `arguments` holds the arguments that stay the same from launch to launch; the owner of a buffer enters it there.
-    `local_sizes` are the work-items per work-group of kernels that do not run with `LOCAL_SIZE`. `constants` are macros
-    of all programs, `file_constants` those of one file alone.
+
+    Parameters
+    ----------
+    constants : macros of all programs
+    file_constants : macros of one file alone
+    local_sizes : work-items per work-group of kernels that do not run with `LOCAL_SIZE`
+    items_per_work_item : of kernels whose work-items process more than one
+    precompiled_items : compile the kernels now, on all cores, for launches over that many items. None: the driver
+        compiles them when it likes.
     """
 
     def __init__(
@@ -26,23 +42,67 @@ class Stages:
         features: Mapping[str, bool],
         constants: Mapping[str, int | str],
         structs: Mapping[str, np.dtype],
-        local_sizes: Mapping[str, int] = MappingProxyType({}),
+        local_sizes: Mapping[str, int] = _NOTHING,
+        items_per_work_item: Mapping[str, int] = _NOTHING,
         file_constants: Mapping[str, Mapping[str, int]] = MappingProxyType({}),
+        precompiled_items: int | None = None,
     ):
         self.device = device
         self.arguments: dict[str, object] = {}
         self._kernels: dict[str, object] = {}
+        self._local_sizes, self._items_per_work_item = dict(local_sizes), dict(items_per_work_item)
+        self._names = {name: kernel.arguments_for(features) for name, kernel in table.items()}
+        texts = {}
         for files in programs(row.file for row in table.values()):
             own = {**constants, **file_constants.get(files[0], {})}
-            self._kernels.update(device.build(*stage_source(files, structs, own, features, generated_headers())))
-        self._local_sizes = dict(local_sizes)
-        self._names = {name: kernel.arguments_for(features) for name, kernel in table.items()}
+            texts[tuple(files)] = stage_source(files, structs, own, features, generated_headers())
+        if precompiled_items is not None:
+            precompile(device, [self._job(table, *item, precompiled_items) for item in texts.items()])
+        for text in texts.values():
+            self._kernels.update(device.build(*text))
 
     def __iter__(self):
         return iter(self._kernels)
 
-    def launch(self, kernel: str, items: int, per_work_item: int = 1, **given) -> None:
-        """Enqueue a kernel over at least `items`; `given` are the arguments of this launch alone."""
+    def launch(self, kernel: str, items: int, per_work_item: int | None = None, **given) -> None:
+        """Enqueue a kernel over at least `items`.
+
+        `given` are the arguments of this launch alone; `per_work_item` replaces the kernel's items per work-item.
+        """
         arguments = tuple(given[name] if name in given else self.arguments[name] for name in self._names[kernel])
-        local_size = self._local_sizes.get(kernel, LOCAL_SIZE)
-        self.device.launch(self._kernels[kernel], items, arguments, per_work_item, local_size)
+        per_work_item = per_work_item or self._items_per_work_item.get(kernel, 1)
+        self.device.launch(self._kernels[kernel], items, arguments, per_work_item, self._local_size(kernel))
+
+    def warm_up(self, items: int) -> None:
+        """Launch every kernel on nothing, because some drivers compile only now, for a local and a global size.
+
+        PoCL compiles a kernel separately for global sizes below 2^16. What it compiles for larger ones also runs small
+        ones, so the launches over `items` come first.
+        """
+        for count in (items, 1):
+            for name in self:
+                self.launch(name, count, **NO_WORK)
+        self.device.finish()
+        self.device.reset_profile()
+
+    def _local_size(self, kernel: str) -> int:
+        return self._local_sizes.get(kernel, LOCAL_SIZE)
+
+    def _job(self, table: Mapping[str, Kernel], files: Sequence[str], text: tuple, items: int) -> Job:
+        """The compilation of a program for launches over `items`; `text` is its source and options."""
+        launches = []
+        for name, row in table.items():
+            if row.file in files:
+                local_size = self._local_size(name)
+                size = global_size(items, self._items_per_work_item.get(name, 1), local_size)
+                arguments = (
+                    None if argument not in row.values else _any_value(argument) for argument in self._names[name]
+                )
+                launches.append(FirstLaunch(name, size, local_size, tuple(arguments)))
+        return Job(*text, tuple(launches))
+
+
+def _any_value(argument: str) -> str:
+    """A value with which a kernel finds no work, in hexadecimal digits."""
+    value = NO_WORK[argument] if argument in NO_WORK else _C_VALUES[VALUE_TYPES.get(argument, "uint")]
+    return value.tobytes().hex()

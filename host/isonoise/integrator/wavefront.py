@@ -39,6 +39,9 @@ PLANE_PADDING = 80
 """Elements by which a plane of path state is longer than the pool. Without it the members of a path would be a power of
 two apart and compete for the same few cache sets."""
 
+MAX_COMPILED_ITEMS = 2**17
+"""Items of the launches for which kernels are compiled: PoCL has one form for global sizes from 2^16 on."""
+
 _BUFFER_LABELS = {
     "hit": "the hits",
     "alive": "the flags of the paths",
@@ -87,6 +90,7 @@ class Wavefront:
         local_sizes = dict.fromkeys(small_groups if device.form.lanes > 1 else (), SMALL_LOCAL_SIZE)
         if form.block_work_items > 1:
             local_sizes |= dict.fromkeys(COMPACTION_KERNELS, form.block_work_items)
+        lane_kernels = LANE_KERNELS | (set(BRUTE_FORCE_KERNELS) if self.brute_force else set())
         self._stages = Stages(
             device,
             table,
@@ -95,9 +99,9 @@ class Wavefront:
             STRUCTS,
             file_constants={"stages/shade.cl": {"LANES": form.shade_lanes}},
             local_sizes=local_sizes | {"relative_errors": form.tile_work_items},
+            items_per_work_item=dict.fromkeys(lane_kernels, form.lanes) | {"shade": form.shade_lanes},
+            precompiled_items=min(self.pool_size, MAX_COMPILED_ITEMS),
         )
-        lane_kernels = LANE_KERNELS | (set(BRUTE_FORCE_KERNELS) if self.brute_force else set())
-        self._items_per_work_item = dict.fromkeys(lane_kernels, form.lanes) | {"shade": form.shade_lanes}
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self.errors = error_stage.ErrorStage(self._stages, (scene.height, scene.width), form.tile_work_items)
@@ -135,26 +139,8 @@ class Wavefront:
         }
 
     def warm_up(self) -> None:
-        """Launch every kernel on nothing, because some drivers compile only now, for a local and a global size.
-
-        PoCL compiles a kernel separately for global sizes below 2^16. What it compiles for larger ones also runs small
-        ones, so the large launches come first.
-        """
-        bounds = (
-            "pixels",
-            "slice_samples",
-            "count_new",
-            "path_count",
-            "rays_per_item",
-            "path_block_count",
-            "error_groups",
-        )
-        nothing = dict.fromkeys((*bounds, "first_pixel", "first_slot", "first_sample"), np.uint32(0))
-        for items in (min(self.pool_size, 2**17), 1):
-            for name in self._stages:
-                self._launch(name, items, **nothing)
-        self.device.finish()
-        self.device.reset_profile()
+        """Launch every kernel on nothing, because some drivers compile only now."""
+        self._stages.warm_up(min(self.pool_size, MAX_COMPILED_ITEMS))
 
     def trace(self, allocation: np.ndarray, should_continue: Callable[[int], bool] = lambda traced: True) -> int:
         """Trace the samples of an allocation map and reduce them.
@@ -191,12 +177,12 @@ class Wavefront:
         pixels = len(offsets)
         self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
         slice_pixels = {"first_pixel": np.uint32(first_pixel), "pixels": np.uint32(pixels)}
-        self._launch("list_samples", pixels, slice_samples=np.uint32(samples), **slice_pixels)
+        self._stages.launch("list_samples", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
             samples = self._trace_paths(samples, should_continue)
-        self._launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
+        self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         self.device.finish()
         return samples
 
@@ -207,20 +193,16 @@ class Wavefront:
             new = 0 if is_stopped else min(self.pool_size - in_flight, samples - started)
             if new:
                 first = {"first_slot": np.uint32(in_flight), "first_sample": np.uint32(started)}
-                self._launch("generate", new, count_new=np.uint32(new), **first)
+                self._stages.launch("generate", new, count_new=np.uint32(new), **first)
             started += new
             in_flight = self._bounce(in_flight + new)
             is_stopped = is_stopped or (started < samples and not should_continue())
         return started
 
-    def _launch(self, kernel: str, items: int, **given) -> None:
-        """Enqueue a kernel over at least `items`; `given` are the arguments of this launch alone."""
-        self._stages.launch(kernel, items, self._items_per_work_item.get(kernel, 1), **given)
-
     def _bounce(self, paths: int) -> int:
         """Trace all paths in flight for one bounce; returns how many continue. Waits for the device."""
         self.trace_rays("intersect", paths)
-        self._launch("shade", paths, path_count=np.uint32(paths))
+        self._stages.launch("shade", paths, path_count=np.uint32(paths))
         if self._shadow:
             self.trace_rays(self._shadow, paths)
         alive = self._compact(paths)
@@ -233,9 +215,9 @@ class Wavefront:
         form, path_count = self._form, np.uint32(paths)
         path_blocks = -(-paths // form.path_block_size)
         work_items = path_blocks * form.block_work_items
-        self._launch("count_alive", work_items, path_count=path_count)
-        self._launch("scan_blocks", form.block_work_items, path_block_count=np.uint32(path_blocks))
-        self._launch("move_paths", work_items, path_count=path_count)
+        self._stages.launch("count_alive", work_items, path_count=path_count)
+        self._stages.launch("scan_blocks", form.block_work_items, path_block_count=np.uint32(path_blocks))
+        self._stages.launch("move_paths", work_items, path_count=path_count)
         arguments = self._arguments
         for name in self._path_state:
             arguments[name], arguments[f"next_{name}"] = arguments[f"next_{name}"], arguments[name]
@@ -245,7 +227,7 @@ class Wavefront:
         """Launch a stage that traces rays. A work-item may trace several, one after the other."""
         path_count = np.uint32(paths)
         if self.brute_force:
-            self._launch(stage, paths, path_count=path_count)
+            self._stages.launch(stage, paths, path_count=path_count)
             return
         rays = 1
         if stage != "shadow_transmittance":  # leaves at least 4 groups for each core

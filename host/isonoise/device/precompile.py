@@ -1,0 +1,121 @@
+"""Compiles programs in several processes at a time, for drivers that compile on one core and keep what they compile.
+
+PoCL compiles one kernel at a time in a process, at its first launch, and stores it in a folder that all processes
+share. `precompile` starts worker processes that fill this folder; the calling process takes part. Run as a module, this
+file is such a worker: `python -m isonoise.device.precompile FOLDER`.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from isonoise.device import program_cache
+from isonoise.device.drivers import driver_identity, list_devices
+from isonoise.device.opencl import Device
+
+_JOBS_FILE = "jobs.json"
+_BUFFER_BYTES = 2**16
+"""Of the buffer that stands in for all buffers of a kernel; kernels without work access a few words at most."""
+
+
+class FirstLaunch(NamedTuple):
+    """A launch that makes the driver compile a kernel. The kernel must find nothing to do."""
+
+    kernel: str
+    global_size: int
+    local_size: int
+    arguments: tuple[str | None, ...]
+    """The bytes of a value in hexadecimal digits, or None for a buffer."""
+
+
+class Job(NamedTuple):
+    """A program and the launches that compile its kernels."""
+
+    source: str
+    options: tuple[str, ...]
+    launches: tuple[FirstLaunch, ...]
+
+
+def precompile(device: Device, jobs: Sequence[Job]) -> None:
+    """Compile the programs that this device has not compiled before, on all cores.
+
+    Does nothing where it would not help: with other drivers than PoCL, on one core, or if the program cache is off,
+    which remembers what has been compiled. Errors of workers are ignored: the caller builds its programs anyway.
+    """
+    if not device.is_pocl or program_cache.cache_folder() is None:
+        return
+    fresh = {}
+    for job in sorted(jobs, key=lambda job: -len(job.source)):  # the longest first, so that no core is idle at the end
+        key = _key(device, job)
+        if program_cache.load(key) is None:
+            fresh[key] = job
+    workers = min(len(fresh), worker_limit()) - 1
+    if workers < 1:
+        return
+    with tempfile.TemporaryDirectory(prefix="isonoise-compile-") as folder:
+        content = {"device": list_devices().index(device.device), "jobs": list(fresh.values())}
+        (Path(folder) / _JOBS_FILE).write_text(json.dumps(content), encoding="utf-8")
+        command = [sys.executable, "-m", "isonoise.device.precompile", folder]
+        silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        processes = []
+        try:
+            processes += [subprocess.Popen(command, **silent) for _ in range(workers)]
+            _compile_unclaimed(device, list(fresh.values()), Path(folder))
+            for process in processes:
+                process.wait()
+        except OSError:  # no process can be started
+            return
+        finally:
+            for process in processes:
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+    for key in fresh:
+        program_cache.store(key, b"compiled")
+
+
+def worker_limit() -> int:
+    """Most processes that compile at a time: the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _key(device: Device, job: Job) -> str:
+    """Name in the program cache of the note that the job is done."""
+    launches = (json.dumps(job.launches), os.environ.get("POCL_CACHE_DIR", ""))
+    return program_cache.program_key(job.source, (*job.options, *launches), driver_identity(device.device))
+
+
+def _compile_unclaimed(device: Device, jobs: Sequence[Job], folder: Path) -> None:
+    """Compile, in turn, the programs that no other process has begun with."""
+    for number, job in enumerate(jobs):
+        try:
+            (folder / f"{number}.claimed").touch(exist_ok=False)
+        except FileExistsError:
+            continue
+        kernels = device.build(job.source, job.options)
+        buffer = device.buffer(_BUFFER_BYTES, "the compilation")
+        for launch in job.launches:
+            arguments = [buffer if value is None else bytes.fromhex(value) for value in launch.arguments]
+            kernels[launch.kernel](device.queue, (launch.global_size,), (launch.local_size,), *arguments)
+        device.finish()
+        device.allocated -= buffer.size
+        buffer.release()
+
+
+def _work(folder: Path) -> None:
+    """Take part in the jobs of the folder."""
+    content = json.loads((folder / _JOBS_FILE).read_text(encoding="utf-8"))
+    jobs = [
+        Job(source, tuple(options), tuple(FirstLaunch(*launch) for launch in launches))
+        for source, options, launches in content["jobs"]
+    ]
+    _compile_unclaimed(Device(content["device"]), jobs, folder)
+
+
+if __name__ == "__main__":
+    _work(Path(sys.argv[1]))
