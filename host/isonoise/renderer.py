@@ -53,7 +53,8 @@ class Renderer:
     scene : str, path or dict
         A scene or mesh file, the name of a built-in scene, or a dict in Mitsuba 3's vocabulary (`isonoise.load`).
     device : str, int or None
-        Number or part of the name of an OpenCL device. None: the first GPU, else the first CPU.
+        Number or part of the name of an OpenCL device. None: the first of
+        `isonoise devices`.
     strategy : str or Strategy
         `NAME[:key=value,...]`, `module:Class[:key=value,...]`, or an object.
     seed : int

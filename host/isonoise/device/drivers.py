@@ -1,4 +1,4 @@
-"""OpenCL drivers and their devices: lists and selects devices, tells which driver to install.
+"""OpenCL drivers and their devices: lists devices in the order of preference, selects one, reads version strings.
 
 Used by `device.opencl`, the benchmarks and `isonoise devices`.
 """
@@ -8,12 +8,32 @@ import os
 import platform
 import re
 import tempfile
+from enum import IntEnum
 from pathlib import Path
 
 from isonoise.errors import DeviceError
 
 _POCL_TARGET = re.compile(r"HSTR: \w+-(?:\w+-\w+-linux-\w+|\w+-apple-[\w.]+|\w+-\w+-windows-\w+)-(?P<cpu>.+)")
 """In CL_DEVICE_VERSION: kind of device, target triple, CPU."""
+_POCL_VERSION = re.compile(r"(?P<major>\d+)\.(?P<minor>\d+)(?P<prerelease>[-.]?(?:rc|pre|beta|dev))?")
+_FAST_POCL = (3, 1, 1)
+"""First version of PoCL that is preferred on all CPUs; see `pocl_version`."""
+
+
+class Rank(IntEnum):
+    """Kinds of devices, the most preferred first.
+
+    Time on the CPU per sample (host/docs/devices.md#choice-of-a-device): on a Zen 4, PoCL 3.1 and 7.1 were faster than
+    Intel's driver, and that was faster than PoCL 3.0. On an Intel Xeon, PoCL 3.0 was as fast as 3.1, and both were
+    faster than Intel's driver.
+    """
+
+    GPU = 0
+    NEW_POCL = 1
+    OLD_POCL_ON_INTEL = 2
+    OTHER = 3
+    OLD_POCL = 4
+    MESA = 5
 
 
 @functools.cache
@@ -59,14 +79,49 @@ def driver_advice() -> str:
 
 
 def list_devices() -> list:
-    """All OpenCL devices, GPUs first, in a stable order; the first is the default. Empty if there is none."""
+    """All OpenCL devices in the order of `preference`; the first is the default. Empty if there is none."""
     cl = load_pyopencl()
     try:
         platforms = cl.get_platforms()
     except cl.Error:
         return []
-    devices = [device for each in platforms for device in each.get_devices()]
-    return sorted(devices, key=lambda device: not device.type & cl.device_type.GPU)
+    return sorted([device for each in platforms for device in each.get_devices()], key=preference)
+
+
+def preference(device) -> tuple[int, ...]:
+    """A sort key, smallest for the most preferred device: its rank, and for PoCL on a CPU the newest version first."""
+    rank, version = rank_of(device), pocl_version(device)
+    return (rank, 0, 0, 0) if version is None or rank == Rank.GPU else (rank, *(-part for part in version))
+
+
+def rank_of(device) -> Rank:
+    """The kind of a device and its driver."""
+    if is_mesa(device):
+        return Rank.MESA
+    if device.type & load_pyopencl().device_type.GPU:
+        return Rank.GPU
+    version = pocl_version(device)
+    if version is None:
+        return Rank.OTHER
+    if version >= _FAST_POCL:
+        return Rank.NEW_POCL
+    return Rank.OLD_POCL_ON_INTEL if "intel" in device.vendor.lower() else Rank.OLD_POCL
+
+
+def is_pocl(device) -> bool:
+    return "portable computing language" in device.platform.name.lower()
+
+
+def is_mesa(device) -> bool:
+    """Whether the driver is Mesa's: rusticl or Clover, on a GPU or, by llvmpipe, on the CPU."""
+    driver = device.platform
+    return driver.name.strip().lower() in ("rusticl", "clover") or "mesa" in driver.vendor.lower()
+
+
+def pocl_version(device) -> tuple[int, int, int] | None:
+    """Major and minor version, and 0 for a prerelease such as 3.0-rc2, else 1. None for other drivers than PoCL."""
+    match = _POCL_VERSION.match(device.driver_version.strip()) if is_pocl(device) else None
+    return match and (int(match["major"]), int(match["minor"]), int(match["prerelease"] is None))
 
 
 def select_device(choice: str | int | None = None):
@@ -95,8 +150,8 @@ def is_cpu(device) -> bool:
 
 def driver_identity(device) -> tuple[str, ...]:
     """Names and versions that identify a device and its driver."""
-    platform = device.platform
-    return platform.name, platform.version, device.name, device.version, device.driver_version
+    driver = device.platform
+    return driver.name, driver.version, device.name, device.version, device.driver_version
 
 
 def driver_fields(device) -> dict[str, str]:

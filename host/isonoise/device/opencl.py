@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from isonoise.device import program_cache
-from isonoise.device.drivers import driver_identity, is_cpu, load_pyopencl, select_device
+from isonoise.device.drivers import driver_identity, is_cpu, is_pocl, load_pyopencl, select_device
 from isonoise.device.form import DeviceForm, choose_form
 from isonoise.errors import DeviceError
 
@@ -119,7 +119,7 @@ class Device:
 
     @property
     def is_pocl(self) -> bool:
-        return "portable computing language" in self.device.platform.name.lower()
+        return is_pocl(self.device)
 
     @property
     def is_cpu(self) -> bool:
