@@ -36,8 +36,9 @@ def json_fields(value, path: str = "") -> set[str]:
 
 
 def documented_fields() -> tuple[set[str], ...]:
-    """Fields of the tables: of `isonoise bench`, and of it with --peers and with --specialisation."""
+    """Fields of `isonoise bench`, and of it with --versus, --peers and --specialisation; the first table is of all."""
     text = (CHECKOUT / "host" / "docs" / "benchmarks.md").read_text()
     tables = text.split("| field | what it is |")[1:]
     rows = [re.findall(r"^\| (`.*?) \|", table.split("\n\n")[0], re.MULTILINE) for table in tables]
-    return tuple(set(re.findall(r"`([^`]+)`", " ".join(names))) for names in rows)
+    common, *others = (set(re.findall(r"`([^`]+)`", " ".join(names))) for names in rows)
+    return tuple(common | fields for fields in others)

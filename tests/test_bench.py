@@ -33,7 +33,9 @@ def cornell():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isonoise.benchmark.measure.startup_times", lambda *arguments: STARTUP)
         result = report_header(SCHEMA, SCHEMA_VERSION, SETTINGS, MeasuredDevice())
-        result["scenes"].append(measure_scene("cornell", "cornell", scene, SETTINGS))
+        result["copy_gb_per_s"] = {"median": 10.0, "min": 9.0, "max": 11.0}
+        row = measure_scene("cornell", "cornell", scene, SETTINGS, result["copy_gb_per_s"])
+        result["scenes"].append(row)
     return result
 
 
@@ -64,6 +66,13 @@ def test_counts_add_up(cornell):
         time = row["time_s"]
         assert 0 < time["min"] <= time["median"] <= time["max"]
         assert row["ns_per_item"] == pytest.approx(1e9 * time["median"] / row["items"])
+        assert len(row["runs_s"]) == 2
+        assert time["max"] == max(row["runs_s"])
+        assert row["local_memory_bytes"] in (0, None)  # no kernel has __local memory on a CPU
+        if row["gb_per_s"] is not None:
+            moved = row["bytes_per_item"] + (row["traversal_bytes_per_item"] or 0)
+            assert row["gb_per_s"] == pytest.approx(moved / row["ns_per_item"])
+            assert row["copy_share"] == pytest.approx(row["gb_per_s"] / 10)
     tests = {row["kind"]: (row["node_tests_per_ray"], row["triangle_tests_per_ray"]) for row in scene["rays"]["kinds"]}
     assert tests["shadow"] == (None, None)
     for kind in ("camera", "indirect"):
@@ -102,6 +111,11 @@ def test_the_text_has_the_figures(cornell):
         "depth 8",
         "SAH",
         "triangles/ray",
+        "of a copy",
+        cornell["device"]["driver_version"],
+        cornell["device"]["compiler_target"] or "",
+        cornell["host"],
+        (cornell["commit"] or "")[:12],
     ):
         assert word in text
     assert summary_text(cornell) == ""
@@ -115,6 +129,7 @@ def measured(cornell, monkeypatch):
     for figure in (figures["samples_per_s"], *(row["time_s"] for row in figures["kernels"])):
         figure["min"] = figure["max"] = figure["median"]
     monkeypatch.setattr(bench, "measure_scene", lambda *arguments: copy.deepcopy(figures))
+    monkeypatch.setattr(bench, "copy_gb_per_s", lambda *arguments: cornell["copy_gb_per_s"])
     assert run_isonoise("bench", "cornell", *COMMAND, "--json", "before.json") == 0
     return figures
 

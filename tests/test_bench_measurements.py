@@ -29,9 +29,9 @@ def test_every_run_traces_the_same_samples():
     first = measured.wavefront.accumulator.statistics()
     again = measured.run(profile=True)
     assert_same_bits(first, measured.wavefront.accumulator.statistics())
-    assert measured.run(profile=False).kernels is None
+    assert measured.run(profile=False).launches is None
     other = measured.run(profile=True)
-    counts = [{name: (work.launches, work.items) for name, work in run.kernels.items()} for run in (again, other)]
+    counts = [{name: (work.launches, work.items) for name, work in run.kernels().items()} for run in (again, other)]
     assert counts[0] == counts[1]
 
 
@@ -41,7 +41,7 @@ def test_bounces_add_up_to_the_run():
     rays = [[bounce.rays for bounce in time_bounces(each)] for each in (small, large)]
     assert rays[0] == rays[1]
     assert count_shadow_rays(small) == count_shadow_rays(large)
-    assert sum(rays[0]) == small.run(profile=True).kernels["intersect"].items
+    assert sum(rays[0]) == small.run(profile=True).kernels()["intersect"].items
 
 
 def test_intersection_tests_are_bounded_and_independent_of_the_pool():
@@ -160,8 +160,14 @@ def test_startup_with_empty_caches_takes_longer():
     [
         (("cornel",), "did you mean 'cornell'"),
         (("cornell", "--json", "missing/a.json"), "there is no folder"),
-        (("cornell", "--threshold", "0.5"), "--against"),
-        (("cornell", "--peers", "--against", "a.json"), "without --peers"),
+        (("cornell", "--threshold", "0.5"), "--against or --versus"),
+        (("cornell", "--peers", "--against", "a.json"), "--against belongs to the measurement that --peers replaces"),
+        (("cornell", "--versus", "device:0", "--dump", "d"), "--dump belongs to the measurement that --versus"),
+        (("cornell", "--trace", "missing/a.json"), "there is no folder"),
+        (("cornell", "--pytest-benchmark", "missing/a.json"), "there is no folder"),
+        (("cornell", "--dump", "missing/a"), "there is no folder"),
+        (("cornell", "--dump", "."), "give the name of a new folder"),
+        (("cornell", "--versus", "."), "is not a checkout of isonoise"),
         (("cornell", "--repeat", "0"), "must be 1 or more"),
         (("cornell", "--device", "no such device"), "no OpenCL device matches"),
     ],

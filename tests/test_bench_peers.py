@@ -54,7 +54,7 @@ def test_peers_report(monkeypatch, capsys):
     options = ("--peers", "--size", "12x10", "--spp", "3", "--repeat", "2", "--json", "peers.json")
     assert run_isonoise("bench", "cornell", *options) == 0
     result = json.loads(Path("peers.json").read_text())
-    assert json_fields(result) == documented_fields()[1]
+    assert json_fields(result) == documented_fields()[2]
     (scene,), (mesh,) = result["scenes"], result["meshes"]
     assert scene["samples"] == 360
     assert scene["mitsuba_samples_per_s"] == {"median": 720, "min": 720, "max": 720}
@@ -109,7 +109,7 @@ def test_specialisation_report(monkeypatch, capsys):
     options = ("--specialisation", "--size", "12x10", "--spp", "3", "--repeat", "2", "--json", "special.json")
     assert run_isonoise("bench", "cornell", *options) == 0
     result = json.loads(Path("special.json").read_text())
-    assert json_fields(result) == documented_fields()[2]
+    assert json_fields(result) == documented_fields()[3]
     special, *others = result["scenes"][0]["programs"]
     assert [special["program"], *(build["program"] for build in others)] == ["specialised", "all-path", "all-volpath"]
     assert special["specialised_speedup"] == {"median": 1, "min": 1, "max": 1}

@@ -209,8 +209,21 @@ def _add_bench(commands) -> None:
         action="store_true",
         help="instead, measure the speed relative to kernels with more features than the scene uses; see below",
     )
+    modes.add_argument(
+        "--versus",
+        metavar="OTHER",
+        help="instead, measure the speed relative to another checkout, given by its folder, or to another device, "
+        "given as device:D; see below",
+    )
     output = bench.add_argument_group("results")
     output.add_argument("--json", metavar="FILE", help="write all figures; fields: host/docs/benchmarks.md")
+    output.add_argument("--pytest-benchmark", metavar="FILE", help="write the times for `pytest-benchmark compare`")
+    output.add_argument(
+        "--trace", metavar="FILE", help="write a timeline of all launches of a run, for ui.perfetto.dev"
+    )
+    output.add_argument(
+        "--dump", metavar="DIR", help="write every program's source, options, build log and binary to a new folder"
+    )
     output.add_argument(
         "--against", metavar="FILE", help="compare with an earlier --json file; exit code 1 if something is slower"
     )
@@ -218,7 +231,7 @@ def _add_bench(commands) -> None:
         "--threshold",
         metavar="R",
         type=argument_types.positive,
-        help="speed relative to the earlier one below which something is slower (default: 0.9)",
+        help="speed relative to the earlier or other one below which something is slower (default: 0.9)",
     )
 
 

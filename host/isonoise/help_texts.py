@@ -59,7 +59,7 @@ exit codes: 0 done; 2 bad input, or DIR holds another comparison; 130 after Ctrl
 
 
 def bench_epilog() -> str:
-    """Generated scenes, and what --against, --peers and --specialisation measure."""
+    """Generated scenes, and what --against, --peers, --specialisation and --versus measure."""
     from isonoise.benchmark.generated_scenes import GENERATED_SCENES
     from isonoise.commands.bench import DEFAULT_SCENES
 
@@ -83,4 +83,10 @@ diffuse bounce. It needs the extra `peers`; DRJIT_LIBLLVM_PATH may have to name 
 of the integrator path, `all-volpath` also those of volpath. It compares the images, too. Compilation times are
 measured in separate processes, about a minute per scene on a CPU.
 
-exit codes: 0 done; 1 --against found something slower; 2 bad input; 130 after Ctrl-C"""
+--versus keeps a process for each side, which traces the same number of samples in turn with the other, so that a
+busy machine slows down both. The ratio is the median over the pairs of runs. The other checkout needs no
+installation and may be an older version. It is slower if the median is below --threshold and every pair below 1.
+
+--dump takes longer with PoCL, which compiles every kernel once more if asked for its binary.
+
+exit codes: 0 done; 1 --against or --versus found something slower; 2 bad input; 130 after Ctrl-C"""

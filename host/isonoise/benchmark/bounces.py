@@ -11,7 +11,7 @@ import numpy as np
 from isonoise.benchmark.prepared_scene import PreparedScene
 from isonoise.benchmark.spread import spread
 from isonoise.device.drivers import list_devices
-from isonoise.device.opencl import Device
+from isonoise.device.opencl import Device, Launch
 from isonoise.integrator.wavefront import Wavefront
 
 SHADOW_KERNELS = ("shadow", "shadow_transmittance")
@@ -91,18 +91,18 @@ def time_bounces(prepared: PreparedScene) -> list[BounceTimes]:
     bounces: list[BounceTimes] = []
     depth = 0
 
-    def on_launch(kernel: str, items: int, seconds: float) -> None:
+    def on_launch(launch: Launch) -> None:
         nonlocal depth
-        if kernel == "generate":
+        if launch.kernel == "generate":
             depth = 0
-        elif kernel == "intersect":
+        elif launch.kernel == "intersect":
             depth += 1
             if depth > len(bounces):
                 bounces.append(BounceTimes())
-            bounces[depth - 1].rays += items
-            bounces[depth - 1].seconds += seconds
-        elif kernel in SHADOW_KERNELS:
-            bounces[depth - 1].shadow_seconds += seconds
+            bounces[depth - 1].rays += launch.items
+            bounces[depth - 1].seconds += launch.seconds
+        elif launch.kernel in SHADOW_KERNELS:
+            bounces[depth - 1].shadow_seconds += launch.seconds
 
     prepared.reset(profile=True)
     prepared.device.on_launch = on_launch

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from isonoise import __version__
 from isonoise.benchmark.bounces import count_shadow_rays, count_tests, ray_rows, time_bounces
 from isonoise.benchmark.bvh_stats import bvh_statistics
+from isonoise.benchmark.kernel_rows import kernel_rows
+from isonoise.benchmark.origin import origin_fields
 from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene, Run
 from isonoise.benchmark.spread import spread
 from isonoise.benchmark.startup import startup_times
@@ -56,6 +58,7 @@ def report_header(schema: str, schema_version: int, settings: Settings, device: 
         "schema": schema,
         "schema_version": schema_version,
         "isonoise_version": __version__,
+        **origin_fields(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "device": _device_fields(device),
@@ -112,7 +115,13 @@ def scene_identity(name: str, scene: CompiledScene, samples: int) -> dict[str, o
 
 
 def measure_scene(
-    name: str, source: str, scene: CompiledScene, settings: Settings, show: ShowProgress = lambda done, activity: None
+    name: str,
+    source: str,
+    scene: CompiledScene,
+    settings: Settings,
+    copy_gb_per_s: Mapping[str, float],
+    show: ShowProgress = lambda done, activity: None,
+    inspect: Callable[[PreparedScene, Run], None] = lambda prepared, run: None,
 ) -> dict[str, object]:
     """An entry of the JSON field `scenes`.
 
@@ -122,6 +131,10 @@ def measure_scene(
         Name in the report.
     source : str
         File or built-in scene that `scene` was compiled from.
+    copy_gb_per_s : mapping
+        Spread of the device's bandwidth, from `copy_bandwidth`.
+    inspect : callable
+        Gets the scene on its device and the last profiled run.
     """
     show(0.0, "start of a process")
     startup = startup_times(source, settings.render_options(), settings.repeat)
@@ -141,7 +154,8 @@ def measure_scene(
     options = {"device": settings.device, "size": settings.size, "max_depth": settings.max_depth}
     wave_costs = measure_wave_costs(source, settings.repeat, pool_size=settings.pool_size, **options)
     tests = count_tests(prepared, [bounce.rays for bounce in passes[0]])
-    kernels = _kernel_rows(profiled)
+    kernels = kernel_rows(prepared, profiled, sum(shadow_rays), tests, copy_gb_per_s["median"])
+    inspect(prepared, profiled[-1])
     intersect = next((row for row in kernels if row["kernel"] == "intersect"), None)
     return {
         **scene_identity(name, scene, prepared.samples),
@@ -153,10 +167,9 @@ def measure_scene(
         "features": [feature for feature, is_on in prepared.wavefront.features.items() if is_on],
         "samples_per_s": spread(prepared.samples / run.seconds for run in plain),
         "run_s": spread(run.seconds for run in plain),
+        "runs_s": [run.seconds for run in plain],
         "profiled_run_s": spread(run.seconds for run in profiled),
-        "device_busy_share": spread(
-            sum(totals.seconds for totals in run.kernels.values()) / run.seconds for run in profiled
-        ),
+        "device_busy_share": spread(sum(launch.seconds for launch in run.launches) / run.seconds for run in profiled),
         "startup": startup,
         "wave_costs": wave_costs,
         "kernels": kernels,
@@ -166,24 +179,6 @@ def measure_scene(
         "bvh": bvh_statistics(prepared.bvh, scene),
         "memory": _memory_fields(device, prepared.wavefront.features),
     }
-
-
-def _kernel_rows(runs: list[Run]) -> list[dict[str, object]]:
-    """A row per kernel, the one with the largest time first; shares are those of the median times."""
-    times = {name: spread(run.kernels[name].seconds for run in runs) for name in runs[0].kernels}
-    total = sum(time["median"] for time in times.values())
-    rows = [
-        {
-            "kernel": name,
-            "launches": totals.launches,
-            "items": totals.items,
-            "time_s": times[name],
-            "time_share": times[name]["median"] / total if total else 0.0,
-            "ns_per_item": 1e9 * times[name]["median"] / totals.items,
-        }
-        for name, totals in runs[0].kernels.items()  # launches and items are equal in all runs
-    ]
-    return sorted(rows, key=lambda row: -row["time_share"])
 
 
 def _memory_fields(device: MeasuredDevice, features: Mapping[str, bool]) -> dict[str, object]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isonoise.device.opencl import Device
+from isonoise.device.opencl import Device, Launch
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
@@ -16,11 +16,20 @@ from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
 class MeasuredDevice(Device):
-    """A device that records the bytes of its buffers by their content (`buffer_bytes`)."""
+    """A device that records its programs, and the bytes of its buffers by their content.
+
+    `programs` holds source, options and kernels of each.
+    """
 
     def __init__(self, choice: str | int | None = None):
         self.buffer_bytes: Counter[str] = Counter()
+        self.programs: list[tuple[str, tuple[str, ...], dict[str, object]]] = []
         super().__init__(choice)
+
+    def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
+        kernels = super().build(source, options)
+        self.programs.append((source, options, kernels))
+        return kernels
 
     def buffer(self, content: int | np.ndarray, label: str):
         content_bytes = content.nbytes if isinstance(content, np.ndarray) else int(content)
@@ -39,10 +48,20 @@ class KernelTotals:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: wall-clock seconds, and totals by kernel if it was profiled."""
+    """One run: wall-clock seconds; if it was profiled, its launches in order."""
 
     seconds: float
-    kernels: dict[str, KernelTotals] | None
+    launches: list[Launch] | None
+
+    def kernels(self) -> dict[str, KernelTotals]:
+        """Totals by kernel of a profiled run, in the order of their first launches."""
+        totals: dict[str, KernelTotals] = {}
+        for launch in self.launches:
+            kernel = totals.setdefault(launch.kernel, KernelTotals())
+            kernel.launches += 1
+            kernel.items += launch.items
+            kernel.seconds += launch.seconds
+        return totals
 
 
 class PreparedScene:
@@ -77,22 +96,15 @@ class PreparedScene:
         """Trace the wave from its first sample on and read its statistics."""
         device = self.device
         self.reset(profile)
-        kernels: dict[str, KernelTotals] = {}
-
-        def on_launch(kernel: str, items: int, seconds: float) -> None:
-            totals = kernels.setdefault(kernel, KernelTotals())
-            totals.launches += 1
-            totals.items += items
-            totals.seconds += seconds
-
-        device.on_launch = on_launch
+        launches: list[Launch] = []
+        device.on_launch = launches.append
         start = time.perf_counter()
         self.wavefront.trace(self.allocation)
         self.wavefront.accumulator.statistics(self.scene.radiance_scale)
         device.finish()
         seconds = time.perf_counter() - start
         device.on_launch = None
-        return Run(seconds, kernels if profile else None)
+        return Run(seconds, launches if profile else None)
 
     def reset(self, profile: bool) -> None:
         """Discard all samples and profiled times; turn profiling of the queue on or off."""

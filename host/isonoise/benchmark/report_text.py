@@ -22,14 +22,34 @@ def header_text(result: Mapping, *more: tuple[str, str]) -> str:
     device, load = result["device"], result["load_average"]
     lines = [
         ("device", f"{device['name']}, {device['compute_units']} compute units, {_bytes(device['memory_bytes'])}"),
-        ("driver", f"{device['platform']}, {device['opencl_version']}, driver {device['driver_version']}"),
-        ("isonoise", f"{result['isonoise_version']}, {device['local_size']} work-items per group; {result['system']}"),
+        ("driver", driver_text(device)),
+        ("machine", ", ".join(filter(None, (result["host"], result["cpu_model"], result["system"])))),
+        ("isonoise", f"{_version(result)}, {device['local_size']} work-items per group"),
         *more,
         ("figures", f"medians of {_plural(result['repeat'], 'repeat')}, in brackets minimum and maximum"),
     ]
     if load is not None and load > BUSY_LOAD * device["compute_units"] and device["is_cpu"]:
         lines.append(("note", f"the machine is busy (load average {load:.1f}): the figures are less accurate"))
     return _labels(lines)
+
+
+def driver_text(device: Mapping) -> str:
+    """Platform, versions and the compiler's target."""
+    text = f"{device['platform']}, {device['opencl_version']}, driver {device['driver_version']}"
+    return f"{text}, code for {device['compiler_target']}" if device["compiler_target"] else text
+
+
+def _version(fields: Mapping) -> str:
+    """Version and commit of isonoise."""
+    if not fields["commit"]:
+        return fields["isonoise_version"]
+    changes = " with local changes" if fields["has_local_changes"] else ""
+    return f"{fields['isonoise_version']}, commit {fields['commit'][:12]}{changes}"
+
+
+def bandwidth_text(result: Mapping) -> str:
+    """The bandwidth that kernels are compared with."""
+    return f"{_spread(result['copy_gb_per_s'], lambda rate: f'{rate:.3g}')} GB/s read and written"
 
 
 def scene_text(scene: Mapping) -> str:
@@ -136,6 +156,28 @@ def _embree_table(meshes: Sequence[Mapping]) -> str:
     return text_table(Table(columns(*heads, left=(0, 2)), rows))
 
 
+def versus_text(result: Mapping, threshold: float, slower: Sequence[str]) -> str:
+    """A row per scene; `slower` are the scenes whose ratio is too low."""
+    other = result["other"]
+    where = other["checkout"] or "the same program on another device"
+    rows = [
+        (
+            scene["scene"],
+            _spread(scene["samples_per_s"], format_count),
+            _spread(scene["other_samples_per_s"], format_count),
+            _spread(scene["speedup"], lambda ratio: f"{ratio:.3f}"),
+            _spread(scene["cpu_speedup"], lambda ratio: f"{ratio:.3f}"),
+            "" if scene["image_mean_ratio"] is None else f"{scene['image_mean_ratio']:.4f}",
+            "slower" if scene["scene"] in slower else "",
+        )
+        for scene in result["scenes"]
+    ]
+    heads = ("scene", "samples/s", "other", "ratio", "by CPU time", "image means", "")
+    table = text_table(Table(columns(*heads, left=(0, 6)), rows))
+    labels = [("other", f"{where}: {_version(other)}"), ("", driver_text(other["device"]))]
+    return f"{header_text(result, *labels)}\n\nspeed over that of the other; below {threshold:g} is slower\n{table}"
+
+
 def specialisation_text(result: Mapping) -> str:
     """A row for every scene and program."""
     heads = ("scene", "program", "features", "samples/s", "ratio", "compile", "bytes/path", "launches", "image")
@@ -212,10 +254,14 @@ def _kernel_table(scene: Mapping) -> str:
             f"{row['launches']:,}",
             f"{row['items']:,}",
             f"{row['ns_per_item']:.4g}",
+            "" if row["gb_per_s"] is None else f"{row['bytes_per_item'] + (row['traversal_bytes_per_item'] or 0):,.0f}",
+            "" if row["gb_per_s"] is None else f"{row['gb_per_s']:.3g}",
+            "" if row["copy_share"] is None else _percent(row["copy_share"]),
         )
         for row in scene["kernels"]
     ]
-    return text_table(Table(columns("kernel", "share", "ms per run", "launches", "items", "ns/item"), rows))
+    heads = ("kernel", "share", "ms per run", "launches", "items", "ns/item", "bytes/item", "GB/s", "of a copy")
+    return text_table(Table(columns(*heads), rows))
 
 
 def _ray_table(scene: Mapping) -> str:

@@ -82,7 +82,7 @@ def _measure_programs(name: str, source: str, settings: Settings, show: ShowProg
         device = MeasuredDevice(settings.device)
         samples = samples_per_run(scene, settings, device)
         prepared[program] = PreparedScene(scene, device, samples, settings.pool_size, needs, feature_override)
-        kernels = prepared[program].run(profile=True).kernels
+        kernels = prepared[program].run(profile=True).kernels()
         launches[program] = sum(totals.launches for totals in kernels.values())
         images[program] = prepared[program].wavefront.accumulator.statistics(scene.radiance_scale)
     seconds: dict[str, list[float]] = {program: [] for program in chosen}

@@ -1,13 +1,14 @@
 """`isonoise bench`: checks the options, measures scene by scene, prints and writes the report."""
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 from isonoise.benchmark.baseline import Baseline
+from isonoise.benchmark.copy_bandwidth import copy_gb_per_s
 from isonoise.benchmark.generated_scenes import GENERATED_SCENES, write_generated_scene
 from isonoise.benchmark.measure import (
     SCHEMA,
@@ -21,7 +22,9 @@ from isonoise.benchmark.measure import (
     samples_per_run,
     scene_identity,
 )
+from isonoise.benchmark.outputs import Outputs, write_json
 from isonoise.benchmark.report_text import (
+    bandwidth_text,
     comparison_text,
     header_text,
     peers_text,
@@ -29,12 +32,13 @@ from isonoise.benchmark.report_text import (
     scene_text,
     specialisation_text,
     summary_text,
+    versus_text,
 )
 from isonoise.commands import EXIT_DONE
 from isonoise.device import pool_size, program_cache
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
-from isonoise.film.files import check_writable, write_atomically
+from isonoise.film.files import check_writable
 from isonoise.progress import ProgressBar
 from isonoise.scene.builtin import builtin_scenes, find_scene
 
@@ -42,6 +46,9 @@ EXIT_SLOWER = 1
 DEFAULT_SCENES = ("cornell", "bright-spots", "mesh-82k")
 DEFAULT_THRESHOLD = 0.9
 TUNED_SCENES = ("cornell",)
+MODES = ("tune", "peers", "specialisation", "versus")
+MEASUREMENT_OPTIONS = ("against", "trace", "dump", "pytest_benchmark")
+"""Options of the measurement that a mode replaces."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,48 +62,56 @@ def run(options: argparse.Namespace) -> int:
             from isonoise.benchmark.specialisation import measure_specialisation
 
             result = measure_specialisation(_sources(options.scenes or builtin_scenes(), Path(folder)), settings)
-            _write(options.json, result)
+            write_json(options.json, result)
             _print(specialisation_text(result))
             return EXIT_DONE
         if options.peers:
             from isonoise.benchmark.peers import PEER_SCENES, measure_peers
 
             result = measure_peers(_sources(options.scenes or PEER_SCENES, Path(folder)), settings)
-            _write(options.json, result)
+            write_json(options.json, result)
             _print(peers_text(result))
             return EXIT_DONE
+        if options.versus:
+            return _versus(options, settings, _sources(options.scenes or DEFAULT_SCENES, Path(folder)))
         return _bench(options, settings, _sources(options.scenes or DEFAULT_SCENES, Path(folder)))
 
 
 def _check_options(options: argparse.Namespace) -> None:
     if options.json:
         check_writable(options.json)
-    if options.threshold is not None and not options.against:
-        raise UserError("--threshold needs a file to compare with: name it with --against")
-    if options.tune and (options.against or options.json):
-        raise UserError("--tune only chooses a pool size: it cannot be combined with --against or --json")
-    if options.against and (options.peers or options.specialisation):
-        raise UserError("--against only compares measurements without --peers and without --specialisation")
+    if options.threshold is not None and not (options.against or options.versus):
+        raise UserError("--threshold needs something to compare with: name it with --against or --versus")
+    if options.tune and options.json:
+        raise UserError("--tune only chooses a pool size: it cannot be combined with --json")
+    mode = next((name for name in MODES if getattr(options, name)), None)
+    used = next((name for name in MEASUREMENT_OPTIONS if getattr(options, name)), None)
+    if mode and used:
+        raise UserError(f"--{used.replace('_', '-')} belongs to the measurement that --{mode} replaces: leave out one")
 
 
 def _bench(options: argparse.Namespace, settings: Settings, sources: Mapping[str, str]) -> int:
+    outputs = Outputs(options.json, options.trace, options.dump, options.pytest_benchmark)
     baseline = Baseline(options.against) if options.against else None
     device = Device(options.device)
     result = report_header(SCHEMA, SCHEMA_VERSION, settings, device)
     if baseline:
         baseline.check_device(result)
-    _print(header_text(result))
+    result["copy_gb_per_s"] = copy_gb_per_s(Device(options.device), settings.repeat)
+    _print(header_text(result, ("copies", bandwidth_text(result))))
 
     def measure(name: str, source: str, show: ShowProgress) -> None:
         scene = load_scene(source, settings)
         if baseline:
             baseline.check_scene(scene_identity(name, scene, samples_per_run(scene, settings, device)))
-        result["scenes"].append(measure_scene(name, source, scene, settings, show))
+        inspect = partial(outputs.add_scene, name)
+        row = measure_scene(name, source, scene, settings, result["copy_gb_per_s"], show, inspect)
+        result["scenes"].append(row)
         _print(scene_text(result["scenes"][-1]))
 
     measure_each(sources, measure)
     _print(summary_text(result))
-    _write(options.json, result)
+    outputs.write(result)
     return _compare(baseline, result, options.threshold or DEFAULT_THRESHOLD) if baseline else EXIT_DONE
 
 
@@ -128,17 +143,26 @@ def _compare(baseline: Baseline, result: Mapping, threshold: float) -> int:
     return EXIT_SLOWER
 
 
+def _versus(options: argparse.Namespace, settings: Settings, sources: Mapping[str, str]) -> int:
+    from isonoise.benchmark.versus import is_slower, measure_versus
+
+    result = measure_versus(sources, settings, options.versus)
+    threshold = options.threshold or DEFAULT_THRESHOLD
+    slower = [scene for scene in result["scenes"] if is_slower(scene, threshold)]
+    write_json(options.json, result)
+    _print(versus_text(result, threshold, [scene["scene"] for scene in slower]))
+    if not slower:
+        return EXIT_DONE
+    ratios = "; ".join(f"{scene['scene']} samples/s {scene['speedup']['median']:.3f}" for scene in slower)
+    print(f"isonoise: slower than '{options.versus}': {ratios}", file=sys.stderr)
+    return EXIT_SLOWER
+
+
 def _sources(names: list[str], folder: Path) -> dict[str, str]:
     """Name -> file or built-in scene; generated scenes are written to `folder`. Raises UserError for unknown names."""
     is_generated = {name: name in GENERATED_SCENES and not Path(name).exists() for name in names}
     found = {name: str(find_scene(name)) for name in names if not is_generated[name]}
     return {name: found[name] if name in found else str(write_generated_scene(name, folder)) for name in names}
-
-
-def _write(path: str | None, result: Mapping) -> None:
-    if path:
-        text = json.dumps(result, indent=1, allow_nan=False) + "\n"
-        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _print(text: str) -> None:

@@ -154,13 +154,14 @@ def driver_identity(device) -> tuple[str, ...]:
     return driver.name, driver.version, device.name, device.version, device.driver_version
 
 
-def driver_fields(device) -> dict[str, str]:
-    """Names and versions of a device and its driver, as in all JSON reports."""
+def driver_fields(device) -> dict[str, str | None]:
+    """Names and versions of a device and its driver, and its compiler's target, as in all JSON reports."""
     return {
         "name": device.name.strip(),
         "platform": device.platform.name.strip(),
         "opencl_version": device.version.strip(),
         "driver_version": device.driver_version.strip(),
+        "compiler_target": compiler_target(device),
     }
 
 

@@ -7,6 +7,7 @@ import warnings
 import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,6 +70,20 @@ def global_size(items: int, per_work_item: int, local_size: int) -> int:
     return -(-items // (per_work_item * local_size)) * local_size
 
 
+class Launch(NamedTuple):
+    """A launch in a profiling queue, with times of the device's clock."""
+
+    kernel: str
+    items: int
+    queued_ns: int
+    start_ns: int
+    end_ns: int
+
+    @property
+    def seconds(self) -> float:
+        return 1e-9 * (self.end_ns - self.start_ns)
+
+
 class Device:
     """Context, in-order queue, buffers and programs of one OpenCL device.
 
@@ -78,7 +93,7 @@ class Device:
         As for `select_device`.
     profile : bool
         Measure the launches that have been waited for: `launches` counts them by kernel name, `seconds` adds up their
-        time on the device. `on_launch`, if set, is called for each in order: kernel name, items, seconds.
+        time on the device. `on_launch`, if set, is called for each in order.
     """
 
     def __init__(self, choice: str | int | None = None, profile: bool = False):
@@ -86,7 +101,7 @@ class Device:
         self.device = select_device(choice)
         self.context = _context(self.device)
         self.allocated = 0
-        self.on_launch: Callable[[str, int, float], None] | None = None
+        self.on_launch: Callable[[Launch], None] | None = None
         self._pending_launches: list[tuple] = []  # kernel, items and event since the last wait
         # Memory of the buffers, by the number of a weak reference that dies with the buffer; and the dead references
         # since the last wait. They are collected without Python code, in which Ctrl-C would be lost.
@@ -257,9 +272,10 @@ class Device:
         while self._dead_references:
             del self._memory[id(self._dead_references.pop())]
         for kernel, items, event in self._pending_launches:
-            name, seconds = kernel.function_name, 1e-9 * (event.profile.end - event.profile.start)
-            self.launches[name] += 1
-            self.seconds[name] += seconds
+            times = event.profile
+            launch = Launch(kernel.function_name, items, times.queued, times.start, times.end)
+            self.launches[launch.kernel] += 1
+            self.seconds[launch.kernel] += launch.seconds
             if self.on_launch:
-                self.on_launch(name, items, seconds)
+                self.on_launch(launch)
         self._pending_launches.clear()

@@ -64,6 +64,10 @@ class Stages:
     def __iter__(self):
         return iter(self._kernels)
 
+    def __getitem__(self, name: str):
+        """The compiled kernel, for measurements."""
+        return self._kernels[name]
+
     def launch(self, kernel: str, items: int, per_work_item: int | None = None, **given) -> None:
         """Enqueue a kernel over at least `items`.
 
