@@ -75,6 +75,7 @@ def strategies(modules: set[str]) -> set[str]:
 
 def test_a_uniform_render_imports_nothing_of_other_renders(tmp_path):
     """No allocation rules, other strategies, mesh readers, plots, benchmarks and self-tests."""
+    render("cornell", "--strategy", "uniform", folder=tmp_path)  # the first one checks the driver
     modules = render("cornell", "--strategy", "uniform", folder=tmp_path)
     assert strategies(modules) == {"isonoise.strategies.uniform"}
     assert modules.isdisjoint(HEAVY)

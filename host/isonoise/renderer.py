@@ -12,6 +12,7 @@ from isonoise.device.opencl import Device
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
 from isonoise.errors import UserError
+from isonoise.integrator.driver_check import check_driver
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.samplers import SAMPLERS
 from isonoise.scene.accel.build import build_scene_bvh
@@ -129,6 +130,7 @@ class Renderer:
             needs = self.strategy.needs.with_sampler(self.scene.sampler)
             self._wavefront = Wavefront(opencl_device, self.scene, bvh, needs, seed, pool_size)
             self._wavefront.warm_up()
+            check_driver(self._wavefront, needs)
         self._schedule = self.strategy.waves()
         self._unfinished_wave: Wave | None = None  # the rest of a shortened uniform wave
         self._statistics: Statistics | None = None  # None: out of date

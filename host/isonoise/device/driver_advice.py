@@ -97,4 +97,4 @@ def known_fault(device) -> str | None:
     """What is known to be wrong with the device's driver; None if nothing is."""
     if not is_mesa(device):
         return None
-    return "Mesa's rusticl 22.3 renders wrong images; isonoise checks the driver and refuses it if it does"
+    return "rusticl 22.3 computes wrong numbers; a render checks the driver and is refused if it does"

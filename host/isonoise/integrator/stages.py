@@ -1,5 +1,6 @@
 """Kernels that are built and launched by name, with arguments by name."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -24,6 +25,7 @@ class Stages:
     """The kernels of a table, built for a set of features.
 
     `arguments` holds the arguments that stay the same from launch to launch; the owner of a buffer enters it there.
+    `texts` are the source and the build options of every program.
 
     Parameters
     ----------
@@ -58,7 +60,8 @@ class Stages:
             texts[tuple(files)] = stage_source(files, structs, own, features, generated_headers())
         if precompiled_items is not None:
             precompile(device, [self._job(table, *item, precompiled_items) for item in texts.items()])
-        for text in texts.values():
+        self.texts: tuple[tuple[str, tuple[str, ...]], ...] = tuple(texts.values())
+        for text in self.texts:
             self._kernels.update(device.build(*text))
 
     def __iter__(self):
@@ -67,6 +70,12 @@ class Stages:
     def __getitem__(self, name: str):
         """The compiled kernel, for measurements."""
         return self._kernels[name]
+
+    def with_own_arguments(self) -> "Stages":
+        """The same kernels, with no arguments yet."""
+        other = copy.copy(self)
+        other.arguments = {}
+        return other
 
     def launch(self, kernel: str, items: int, per_work_item: int | None = None, **given) -> None:
         """Enqueue a kernel over at least `items`.

@@ -1,0 +1,177 @@
+"""The check of a driver by the kernels of a render: correct kernels pass, broken ones are refused."""
+
+import numpy as np
+import pytest
+from small_scene import assert_same_bits, lamp_over_floor
+
+from isonoise.cli import main
+from isonoise.device import program, program_cache
+from isonoise.device.opencl import Device
+from isonoise.errors import DeviceError
+from isonoise.integrator import driver_check, stages
+from isonoise.integrator.check_scene import SIDE, check_scenes
+from isonoise.integrator.wavefront import Wavefront
+from isonoise.renderer import Renderer
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.statistics import BASIC_NEEDS
+from isonoise.strategies import make_strategy
+
+# Deliberate faults: kernel file, text, its replacement, a part of the message.
+FAULTS = {
+    "a lost sample": ("stages/reduce.cl", "        ++n;", "        if (sample % 8u != 3u) ++n;", "`reduce`"),
+    "wrong squares": (
+        "stages/reduce.cl",
+        "m->block_squares += difference * difference;",
+        "m->block_squares += difference;",
+        "`variance`",
+    ),
+    "rejected samples": ("stages/reduce.cl", "            continue;", "", "`reduce`"),
+    "a missed triangle": (
+        "stages/intersect.cl",
+        "if (t.lane[triangle] < closest->t) {",
+        "if (t.lane[triangle] < closest->t && triangle != 1u) {",
+        "bounce",
+    ),
+    "a wrong distance": (
+        "stages/intersect.cl",
+        "closest->t = t.lane[triangle];",
+        "closest->t = 1.2f * t.lane[triangle];",
+        "bounce",
+    ),
+    "a wrong BSDF": ("bsdf/diffuse.h", "REFLECTANCE), *pdf);", "REFLECTANCE), 1.1f * *pdf);", "bounce"),
+    "a dead vector lane": (
+        "path/scatter.h",
+        "mis / light->pdf);",
+        "get_global_id(0) % 8u == 3u ? 0.0f : mis / light->pdf);",
+        "bounce",
+    ),
+    "no shadow": ("stages/shadow.cl", "analytics, t_max)) continue;", "analytics, t_max)) {}", "bounce"),
+}
+
+
+@pytest.fixture
+def unchecked(monkeypatch, tmp_path):
+    """No check has been made: the notes of this process and of the program cache are empty."""
+    monkeypatch.setattr(driver_check, "_passed_here", set())
+    monkeypatch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path / "programs"))
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Names of the checks that were made."""
+    made = []
+    for name in ("reduce_fault", "bounce_fault"):
+        check = getattr(driver_check, name)
+        monkeypatch.setattr(driver_check, name, lambda *a, check=check, name=name: made.append(name) or check(*a))
+    return made
+
+
+def break_kernels(monkeypatch, fault: str) -> None:
+    file, before, after, _ = FAULTS[fault]
+    original = program.kernel_source
+
+    def read(name: str) -> str:
+        text = original(name)
+        assert name != file or before in text
+        return text.replace(before, after) if name == file else text
+
+    monkeypatch.setattr(program, "kernel_source", read)
+
+
+@pytest.mark.usefixtures("one_lane")
+@pytest.mark.parametrize("number", range(7))
+def test_check_scenes_have_their_closed_form(number):
+    """The images of all check scenes, by kernels with no feature more than they need."""
+    check = list(check_scenes())[number]
+    scene = check.compile(1, "independent", has_filter=False, hide_emitters=False)
+    wavefront = Wavefront(Device(), scene, build_scene_bvh(scene), BASIC_NEEDS, seed=2)
+    wavefront.trace(np.full((SIDE, SIDE), 64, np.uint32))
+    statistics = wavefront.accumulator.statistics(scene.radiance_scale)
+    image = check.image()
+    deviation = np.abs((statistics.mean - image).mean())
+    assert deviation < 6 * np.sqrt((statistics.variance / 64).sum()) / image.size + 1e-4 * image.mean()
+
+
+@pytest.mark.usefixtures("unchecked", "one_lane")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_broken_kernels_are_refused(monkeypatch, fault):
+    break_kernels(monkeypatch, fault)
+    with pytest.raises(DeviceError) as caught:
+        Renderer(lamp_over_floor(), strategy="uniform")
+    message = str(caught.value)
+    assert FAULTS[fault][-1] in message
+    assert Device().name in message
+    assert "--device" in message
+
+
+@pytest.mark.usefixtures("unchecked", "one_lane", "in_tmp_path")
+def test_a_refused_driver_ends_the_command(monkeypatch, capsys):
+    from isonoise.device.drivers import driver_fields
+
+    break_kernels(monkeypatch, "wrong squares")
+    for _ in range(2):  # and again: a failure is not noted as a pass
+        assert main(["render", "cornell", "--size", "8x8", "-o", "a.exr"]) == 2
+        error = capsys.readouterr().err
+        assert driver_fields(Device().device)["driver_version"] in error
+        assert "`reduce`" in error
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_pass_is_noted(calls, monkeypatch):
+    Renderer(lamp_over_floor(), strategy="uniform")
+    assert calls == ["reduce_fault", "bounce_fault"]
+    Renderer(lamp_over_floor(), strategy="uniform", seed=5)
+    assert len(calls) == 2
+    driver_check._passed_here.clear()  # as in another process
+    Renderer(lamp_over_floor(), strategy="uniform")
+    assert len(calls) == 2
+    monkeypatch.setattr(driver_check, "driver_identity", lambda device: ("another version",))
+    Renderer(lamp_over_floor(), strategy="uniform")
+    assert len(calls) == 4
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_without_a_program_cache_it_is_checked_once_per_process(calls, monkeypatch):
+    monkeypatch.setenv(program_cache.FOLDER_VARIABLE, "off")
+    for _ in range(2):
+        Renderer(lamp_over_floor(), strategy="uniform")
+    assert len(calls) == 2
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("pool_size", [None, 150, 1])
+def test_the_check_compiles_nothing_and_changes_nothing(calls, monkeypatch, pool_size):
+    jobs, renderers = [], []
+    monkeypatch.setattr(stages, "precompile", lambda device, wanted: jobs.append(wanted))
+    for check in (lambda *_: None, driver_check.check_driver):
+        monkeypatch.setattr("isonoise.renderer.check_driver", check)
+        renderers.append(Renderer(lamp_over_floor(), strategy="relative-mean", pool_size=pool_size, profile=True))
+        monkeypatch.setattr(Device, "_compile", lambda self, source, options: pytest.fail("a program is compiled"))
+    assert calls == ["reduce_fault", "bounce_fault"]
+    assert len(jobs) == 3
+    assert jobs[0] == jobs[1] == jobs[2]  # the same launches too
+    for renderer in renderers:
+        renderer.step()
+    assert_same_bits(*(renderer.statistics() for renderer in renderers))
+    assert len({renderer._wavefront.device.allocated for renderer in renderers}) == 1
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("name", ["cornell", "penumbra", "bright-spots", "glass-roof"])
+def test_check_scenes_suit_the_built_in_scenes(name, monkeypatch):
+    traced = []
+    trace = Wavefront.trace
+    monkeypatch.setattr(Wavefront, "trace", lambda self, *a: traced.append(self.features) or trace(self, *a))
+    renderer = Renderer(name, size=(8, 8))
+    assert traced == [renderer.features]
+
+
+@pytest.mark.usefixtures("one_lane")
+def test_materials_without_a_check_scene_are_checked_by_their_statistics_alone(calls):
+    scene = lamp_over_floor()
+    scene["floor"]["bsdf"] = {"type": "conductor", "material": "none"}
+    scene["lamp"]["bsdf"] = {"type": "conductor", "material": "none"}
+    renderer = Renderer(scene, strategy="uniform")
+    needs = make_strategy("uniform").needs.with_sampler(renderer.scene.sampler)
+    assert not renderer.features["DIFFUSE"]
+    assert driver_check.bounce_fault(renderer._wavefront, needs) is None
