@@ -33,10 +33,11 @@ def edit(path: Path, old: str, new: str) -> None:
 
 
 def test_two_checkouts_are_compared(other_checkout, capsys):
-    """The kernels and the version of the other side are those in its folder: there, every sample is twice as bright."""
+    """The other side is that in its folder, where images are twice as bright."""
     edit(other_checkout / "host/isonoise/__init__.py", '__version__ = "', '__version__ = "99.')
-    edit(other_checkout / "kernels/stages/reduce.cl", "const Vec3 rgb = LOAD3(sample, samples);",
-         "const Vec3 rgb = scale3(LOAD3(sample, samples), 2.0f);")  # fmt: skip
+    edit(
+        other_checkout / "host/isonoise/renderer.py", "return self.statistics().rgb", "return 2 * self.statistics().rgb"
+    )
     assert run_isonoise(*COMMAND, "--versus", str(other_checkout), "--json", "v.json", "--threshold", "0.001") == 0
     result = json.loads(Path("v.json").read_text())
     assert json_fields(result) == documented_fields()[1]
@@ -53,6 +54,7 @@ def test_two_checkouts_are_compared(other_checkout, capsys):
 
 
 def test_a_checkout_that_fails_is_a_message(other_checkout, capsys):
+    """Its kernels are those in its folder, too."""
     edit(other_checkout / "kernels/stages/reduce.cl", "__kernel", "#error broken\n__kernel")
     assert run_isonoise(*COMMAND, "--versus", str(other_checkout)) == 2
     out, err = capsys.readouterr()

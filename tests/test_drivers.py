@@ -10,6 +10,7 @@ from isonoise.device import driver_advice, drivers
 from isonoise.device.drivers import (
     Rank,
     compiler_target,
+    describe_driver,
     list_devices,
     pocl_version,
     preference,
@@ -190,3 +191,14 @@ def test_devices_prints_driver_target_and_reason(capsys):
         assert f"compiles for the CPU {target}" in out
     (reason,) = [line for line in out.splitlines() if line.startswith("default: ")]
     assert reason == f"default: device 0, {driver_advice.default_reason(list_devices())}"
+
+
+@pytest.mark.parametrize(
+    ("version", "text"),
+    [
+        ("OpenCL 3.0 PoCL HSTR: cpu-x86_64-pc-linux-gnu-znver4", "driver 7.1, code for znver4"),
+        ("OpenCL 3.0 CUDA", "driver 7.1"),
+    ],
+)
+def test_the_version_and_target_of_a_driver(version, text):
+    assert describe_driver(SimpleNamespace(version=version, driver_version="7.1 ")) == text

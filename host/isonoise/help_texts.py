@@ -85,7 +85,8 @@ measured in separate processes, about a minute per scene on a CPU.
 
 --versus keeps a process for each side, which traces the same number of samples in turn with the other, so that a
 busy machine slows down both. The ratio is the median over the pairs of runs. The other checkout needs no
-installation and may be an older version. It is slower if the median is below --threshold and every pair below 1.
+installation and may be an older version. This side is slower if the median is below --threshold and every pair
+below 1.
 
 --dump takes longer with PoCL, which compiles every kernel once more if asked for its binary.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
@@ -82,6 +83,8 @@ class Renderer:
         The strategy in use.
     device_name : str
         Name of the OpenCL device and its platform.
+    driver : str
+        Version of its driver, and the CPU that the driver's compiler emits code for, if that is known.
     setup_times : dict of str to float
         Seconds to `load` the scene, `build` its BVH and `compile` the kernels.
 
@@ -126,7 +129,7 @@ class Renderer:
             bvh = build_scene_bvh(self.scene)
         with self._measured("compile"):
             opencl_device = Device(device, profile)
-            self.device_name = opencl_device.name
+            self.device_name, self.driver = opencl_device.name, describe_driver(opencl_device.device)
             needs = self.strategy.needs.with_sampler(self.scene.sampler)
             self._wavefront = Wavefront(opencl_device, self.scene, bvh, needs, seed, pool_size)
             self._wavefront.warm_up()

@@ -74,6 +74,7 @@ def _device_fields(device: Device) -> dict[str, object]:
         "compute_units": device.device.max_compute_units,
         "clock_mhz": device.device.max_clock_frequency,
         "memory_bytes": device.device.global_mem_size,
+        "form": device.form.name,
         "local_size": LOCAL_SIZE,
     }
 

@@ -24,7 +24,10 @@ def header_text(result: Mapping, *more: tuple[str, str]) -> str:
         ("device", f"{device['name']}, {device['compute_units']} compute units, {_bytes(device['memory_bytes'])}"),
         ("driver", driver_text(device)),
         ("machine", ", ".join(filter(None, (result["host"], result["cpu_model"], result["system"])))),
-        ("isonoise", f"{_version(result)}, {device['local_size']} work-items per group"),
+        (
+            "isonoise",
+            f"{_version(result)}; kernels in the form {device['form']}, {device['local_size']} work-items a group",
+        ),
         *more,
         ("figures", f"medians of {_plural(result['repeat'], 'repeat')}, in brackets minimum and maximum"),
     ]

@@ -125,7 +125,7 @@ class _Runner:
             "warm_up_spp": warm_up_spp,
             "scene": scene.name,
             "seed": seed,
-            "device": renderer.device_name,
+            "device": f"{renderer.device_name}, {renderer.driver}",
             "setup_s": sum(renderer.setup_times.values()),
             "samples": outcome.statistics.samples,
             "elapsed_s": outcome.elapsed_s,

@@ -165,6 +165,12 @@ def driver_fields(device) -> dict[str, str | None]:
     }
 
 
+def describe_driver(device) -> str:
+    """The driver's version, and its compiler's target if that is known."""
+    target = compiler_target(device)
+    return f"driver {device.driver_version.strip()}" + (f", code for {target}" if target else "")
+
+
 def compiler_target(device) -> str | None:
     """The CPU that PoCL's compiler emits code for, in LLVM's words such as `znver4`; None if unknown."""
     match = _POCL_TARGET.search(device.version)
