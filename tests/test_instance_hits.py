@@ -83,7 +83,8 @@ class IntersectStage:
         self.features = features(scene) | dict.fromkeys((*SHAPES, "VERTEX_NORMALS"), True)
         bvh = build_scene_bvh(scene)
 
-        self.stages = Stages(device, {"intersect": KERNELS["intersect"]}, self.features, structs.CONSTANTS, STRUCTS)
+        constants = structs.CONSTANTS | {"BVH_LANES": device.form.bvh_lanes}
+        self.stages = Stages(device, {"intersect": KERNELS["intersect"]}, self.features, constants, STRUCTS)
         source = program.kernel_source
         monkeypatch.setattr(program, "kernel_source", lambda name: PROBE if name == "probe.cl" else source(name))
         self.probe = device.build(

@@ -46,7 +46,7 @@ NOINLINE void smooth_level(Tile t, int level)
     for (int q = 0; q < 4; ++q) {
         FOR_EACH(w, windows) {
             float scatter = 0.0f, noise = 0.0f;
-#pragma unroll
+            UNROLL_IF_VECTORIZED
             for (int k = 0; k < 4; ++k) {
                 scatter += group_scatter[w + k * windows];
                 noise += t.s2[parent + w + k * windows];

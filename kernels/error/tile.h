@@ -11,13 +11,16 @@
 #define PYRAMID_SIZE LEVEL_BEGIN(LEVELS + 1)
 
 // Loops over elements of a tile, shared by the work-items of a group. SYNCHRONIZE stands between loops of which one
-// reads what the other writes. On a CPU a group has one work-item, and the loops are vectorised.
+// reads what the other writes. On a CPU a group has one work-item, and the loops are vectorised. UNROLL_IF_VECTORIZED
+// stands before an inner loop that would double the registers of a GPU if it were unrolled.
 #if TILE_WORK_ITEMS > 1
 #define FOR_EACH(i, size) for (int i = (int)get_local_id(0); i < (size); i += (int)TILE_WORK_ITEMS)
 #define SYNCHRONIZE barrier(CLK_GLOBAL_MEM_FENCE)
+#define UNROLL_IF_VECTORIZED NO_UNROLL
 #else
 #define FOR_EACH(i, size) VECTORIZE_PIXELS for (int i = 0; i < (size); ++i)
 #define SYNCHRONIZE
+#define UNROLL_IF_VECTORIZED _Pragma("unroll")
 #endif
 
 typedef __global float* Plane;

@@ -97,7 +97,7 @@ INLINE void shear_vertex(const RayPacket* packet, uint ray, Vec3 corner, Sheared
     sheared->z[ray] = z;
 }
 
-// Bit-identical to `intersect_triangle_block` in geometry/bvh.h. That one swaps the first two axes for negative
+// Bit-identical to `intersect_triangles` in geometry/bvh.h. That one swaps the first two axes for negative
 // directions, which changes only the sign of all edge functions.
 INLINE void intersect_triangle(RayPacket* packet, uint ray, const ShearedVertex* a, const ShearedVertex* b,
                                const ShearedVertex* c, uint triangle)

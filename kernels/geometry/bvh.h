@@ -6,6 +6,35 @@
 
 #define NODE_ROWS 7u  // float8: lower x, y, z and upper x, y, z of the 8 children, then their references
 
+// Children of a node, or triangles of a block, are tested BVH_LANES at a time: 8, or 4 on a GPU, where a vector takes a
+// register for each of its numbers. The 8 numbers of a row are BVH_PARTS such vectors.
+#define BVH_PARTS (8u / BVH_LANES)
+#if BVH_LANES == 8
+typedef float8 FloatLanes;
+typedef int8 IntLanes;
+typedef uint8 UintLanes;
+#define AS_UINT_LANES as_uint8
+#define MAD_LANES MAD8
+#define LANE_BITS mask_bits
+#else
+typedef float4 FloatLanes;
+typedef int4 IntLanes;
+typedef uint4 UintLanes;
+#define AS_UINT_LANES as_uint4
+#define MAD_LANES MAD4
+#define LANE_BITS mask_bits4
+#endif
+
+typedef union {
+    FloatLanes part[BVH_PARTS];
+    float lane[8];
+} ChildDistances;
+
+typedef union {
+    FloatLanes vector;
+    float lane[BVH_LANES];
+} LaneNumbers;
+
 // Traversal is not vectorised across rays, so it uses OpenCL vectors. They have 4 components, all initialised.
 INLINE float4 to_float4(Vec3 v)
 {
@@ -83,54 +112,73 @@ INLINE Ray make_object_ray(__global const Instance* instance, float4 origin, flo
 }
 #endif
 
-// Bit mask of the node's children whose boxes the ray enters before t_max; `entry` receives the entry distances.
-INLINE uint intersect_node(__global const float8* node, const Ray* ray, float t_max, float8* entry)
+// Bit mask of the children in part `part` of a node whose boxes the ray enters before t_max; `entry` receives the entry
+// distances.
+INLINE uint intersect_children(__global const float8* node, uint part, const Ray* ray, float t_max, FloatLanes* entry)
 {
-    const int4 row = ray->near_row;
+    __global const FloatLanes* rows = (__global const FloatLanes*)node + part;
+    const int stride = (int)BVH_PARTS;
+    const int4 row = ray->near_row * stride;
     const float4 near = ray->near_scale, near_shift = ray->near_shift, far = ray->far_scale, far_shift = ray->far_shift;
-    __global const float8 *near_row_x = node + row.x, *near_row_y = node + row.y + 1, *near_row_z = node + row.z + 2;
-    __global const float8 *far_row_x = node - row.x + 3, *far_row_y = node - row.y + 4, *far_row_z = node - row.z + 5;
-    const float8 near_x = MAD8(*near_row_x, near.x, near_shift.x), far_x = MAD8(*far_row_x, far.x, far_shift.x);
-    const float8 near_y = MAD8(*near_row_y, near.y, near_shift.y), far_y = MAD8(*far_row_y, far.y, far_shift.y);
-    const float8 near_z = MAD8(*near_row_z, near.z, near_shift.z), far_z = MAD8(*far_row_z, far.z, far_shift.z);
-    const float8 near_yz = MAX(near_y, near_z), near_x0 = MAX(near_x, (float8)(0.0f));
-    const float8 far_yz = MIN(far_y, far_z), far_xt = MIN(far_x, (float8)(t_max));
+    __global const FloatLanes *near_row_x = rows + row.x, *near_row_y = rows + row.y + stride;
+    __global const FloatLanes *near_row_z = rows + row.z + 2 * stride, *far_row_x = rows - row.x + 3 * stride;
+    __global const FloatLanes *far_row_y = rows - row.y + 4 * stride, *far_row_z = rows - row.z + 5 * stride;
+    const FloatLanes near_x = MAD_LANES(*near_row_x, near.x, near_shift.x);
+    const FloatLanes far_x = MAD_LANES(*far_row_x, far.x, far_shift.x);
+    const FloatLanes near_y = MAD_LANES(*near_row_y, near.y, near_shift.y);
+    const FloatLanes far_y = MAD_LANES(*far_row_y, far.y, far_shift.y);
+    const FloatLanes near_z = MAD_LANES(*near_row_z, near.z, near_shift.z);
+    const FloatLanes far_z = MAD_LANES(*far_row_z, far.z, far_shift.z);
+    const FloatLanes near_yz = MAX(near_y, near_z), near_x0 = MAX(near_x, (FloatLanes)(0.0f));
+    const FloatLanes far_yz = MIN(far_y, far_z), far_xt = MIN(far_x, (FloatLanes)(t_max));
     *entry = MAX(near_yz, near_x0);
-    return mask_bits(*entry <= MIN(far_yz, far_xt));
+    return LANE_BITS(*entry <= MIN(far_yz, far_xt));
+}
+
+// The same for all children.
+INLINE uint intersect_node(__global const float8* node, const Ray* ray, float t_max, ChildDistances* entry)
+{
+    uint hits = 0u;
+    NO_UNROLL
+    for (uint part = 0u; part < BVH_PARTS; ++part)
+        hits |= intersect_children(node, part, ray, t_max, entry->part + part) << part * BVH_LANES;
+    return hits;
 }
 
 #if FEATURE_TRIANGLES
-// Intersects the triangles of a triangle block. Returns a bit mask of the hits in (0, t_max); t, u, v receive the
-// distances and the barycentric coordinates of the second and third corner. Woop, Benthin, Wald, "Watertight
-// Ray/Triangle Intersection", JCGT 2013, without the double-precision fallback: an edge function that rounds to zero
-// counts as inside for both neighbours, so there are no leaks. Edge functions use no fma: neighbours get exactly
-// opposite values on a shared edge. A ray cannot hit again the plane that it starts or ends on, but rounding can
-// produce such a hit: the two primitives in `skip` are left out (TWO_TRIANGLES_BIT). This needs no epsilon.
-INLINE uint intersect_triangle_block(__global const float8* block, const Ray* ray, uint2 skip, float t_max, float8* t,
-                                     float8* u, float8* v)
+// Intersects the triangles in part `part` of a triangle block. Returns a bit mask of the hits in (0, t_max); t, u, v
+// receive the distances and the barycentric coordinates of the second and third corner. Woop, Benthin, Wald,
+// "Watertight Ray/Triangle Intersection", JCGT 2013, without the double-precision fallback: an edge function that
+// rounds to zero counts as inside for both neighbours, so there are no leaks. Edge functions use no fma: neighbours get
+// exactly opposite values on a shared edge. A ray cannot hit again the plane that it starts or ends on, but rounding
+// can produce such a hit: the two primitives in `skip` are left out (TWO_TRIANGLES_BIT). This needs no epsilon.
+INLINE uint intersect_triangles(__global const float8* block, uint part, const Ray* ray, uint2 skip, float t_max,
+                                FloatLanes* t, FloatLanes* u, FloatLanes* v)
 {
-    const int4 k = ray->axis;
+    __global const FloatLanes* rows = (__global const FloatLanes*)block + part;
+    const int second = 3 * (int)BVH_PARTS, third = 2 * second;  // to the rows of the second and third corners
+    const int4 k = ray->axis * (int)BVH_PARTS;
     const float4 o = ray->permuted_origin, s = ray->shear;
-    __global const float8 *x = block + k.x, *y = block + k.y, *z = block + k.z;
-    const float8 az = z[0] - o.z, bz = z[3] - o.z, cz = z[6] - o.z;
-    const float8 ax = (x[0] - o.x) - s.x * az, ay = (y[0] - o.y) - s.y * az;
-    const float8 bx = (x[3] - o.x) - s.x * bz, by = (y[3] - o.y) - s.y * bz;
-    const float8 cx = (x[6] - o.x) - s.x * cz, cy = (y[6] - o.y) - s.y * cz;
-    const float8 edge_a = cx * by - cy * bx, edge_b = ax * cy - ay * cx, edge_c = bx * ay - by * ax;
-    const float8 min_edge = MIN(MIN(edge_a, edge_b), edge_c), max_edge = MAX(MAX(edge_a, edge_b), edge_c);
-    const float8 determinant = edge_a + edge_b + edge_c;
-    const int8 inside = ((min_edge >= 0.0f) | (max_edge <= 0.0f)) & (determinant != 0.0f);
-    const float8 inverse = 1.0f / determinant;
+    __global const FloatLanes *x = rows + k.x, *y = rows + k.y, *z = rows + k.z;
+    const FloatLanes az = z[0] - o.z, bz = z[second] - o.z, cz = z[third] - o.z;
+    const FloatLanes ax = (x[0] - o.x) - s.x * az, ay = (y[0] - o.y) - s.y * az;
+    const FloatLanes bx = (x[second] - o.x) - s.x * bz, by = (y[second] - o.y) - s.y * bz;
+    const FloatLanes cx = (x[third] - o.x) - s.x * cz, cy = (y[third] - o.y) - s.y * cz;
+    const FloatLanes edge_a = cx * by - cy * bx, edge_b = ax * cy - ay * cx, edge_c = bx * ay - by * ax;
+    const FloatLanes min_edge = MIN(MIN(edge_a, edge_b), edge_c), max_edge = MAX(MAX(edge_a, edge_b), edge_c);
+    const FloatLanes determinant = edge_a + edge_b + edge_c;
+    const IntLanes inside = ((min_edge >= 0.0f) | (max_edge <= 0.0f)) & (determinant != 0.0f);
+    const FloatLanes inverse = 1.0f / determinant;
     *t = (edge_a * az + edge_b * bz + edge_c * cz) * s.z * inverse;
     *u = edge_b * inverse;
     *v = edge_c * inverse;
-    const uint8 ids = as_uint8(block[9]);
-    const int8 hits = inside & (*t > 0.0f) & (*t < t_max) & (ids != skip.x);
+    const UintLanes ids = AS_UINT_LANES(rows[third + second]);
+    const IntLanes hits = inside & (*t > 0.0f) & (*t < t_max) & (ids != skip.x);
 #if FEATURE_PARALLELOGRAM_LIGHTS
     const uint end = skip.y & ~TWO_TRIANGLES_BIT;
-    return mask_bits(hits & (ids != end) & (ids != (skip.y & TWO_TRIANGLES_BIT ? end + 1u : end)));
+    return LANE_BITS(hits & (ids != end) & (ids != (skip.y & TWO_TRIANGLES_BIT ? end + 1u : end)));
 #else
-    return mask_bits(hits & (ids != skip.y));
+    return LANE_BITS(hits & (ids != skip.y));
 #endif
 }
 #endif

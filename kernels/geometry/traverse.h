@@ -95,8 +95,8 @@ INLINE uint next_leaf(Traversal* traversal, ulong* stack, __global const float8*
         while (reference >= 0) {
             __global const float8* node = nodes + reference;
             __global const uint* children = (__global const uint*)(node + 6);
-            Float8Lanes entry;
-            uint hits = intersect_node(node, &traversal->ray, t_max, &entry.vector);
+            ChildDistances entry;
+            uint hits = intersect_node(node, &traversal->ray, t_max, &entry);
 #if FEATURE_COUNT_TESTS
             ++traversal->nodes_tested;
 #endif

@@ -13,22 +13,23 @@ typedef struct {
 } ClosestHit;
 
 #if FEATURE_TRIANGLES
-INLINE void update_from_block(ClosestHit* closest, const Traversal* traversal, __global const float8* block)
+INLINE void update_from_triangles(ClosestHit* closest, const Traversal* traversal, __global const float8* block,
+                                  uint part)
 {
-    float8 t8, u8, v8;
-    uint hits = intersect_triangle_block(block, &traversal->ray, traversal->skip, closest->t, &t8, &u8, &v8);
+    FloatLanes all_t, all_u, all_v;
+    uint hits = intersect_triangles(block, part, &traversal->ray, traversal->skip, closest->t, &all_t, &all_u, &all_v);
     if (!hits) return;
-    Float8Lanes t, u, v;
-    t.vector = t8;
-    u.vector = u8;
-    v.vector = v8;
+    LaneNumbers t, u, v;
+    t.vector = all_t;
+    u.vector = all_u;
+    v.vector = all_v;
     for (; hits; hits &= hits - 1u) {
         const uint triangle = lowest_set_bit(hits);
         if (t.lane[triangle] < closest->t) {
             closest->t = t.lane[triangle];
             closest->u = u.lane[triangle];
             closest->v = v.lane[triangle];
-            closest->primitive = ((__global const uint*)(block + 9))[triangle];
+            closest->primitive = ((__global const uint*)(block + 9))[part * BVH_LANES + triangle];
 #if FEATURE_INSTANCES
             closest->instance = traversal->instance;
 #endif
@@ -82,7 +83,11 @@ __kernel void intersect(
             triangle_blocks_tested += leaf < first_analytic ? 1u : 0u;
 #endif
 #if FEATURE_TRIANGLES
-            if (leaf < first_analytic) update_from_block(&closest, &traversal, triangle_blocks + leaf);
+            if (leaf < first_analytic) {
+                NO_UNROLL
+                for (uint part = 0u; part < BVH_PARTS; ++part)
+                    update_from_triangles(&closest, &traversal, triangle_blocks + leaf, part);
+            }
 #endif
 #if FEATURE_ANALYTICS
             if (leaf >= first_analytic) update_from_analytic(&closest, &traversal, analytics, leaf - first_analytic);

@@ -9,10 +9,15 @@ INLINE bool is_occluded(Traversal* traversal, ulong* stack, __global const float
 {
     for (uint leaf; (leaf = next_leaf(traversal, stack, nodes, triangle_blocks, t_max, false)) != NO_LEAF;) {
 #if FEATURE_TRIANGLES
-        float8 t, u, v;
-        if (leaf < first_analytic &&
-            intersect_triangle_block(triangle_blocks + leaf, &traversal->ray, traversal->skip, t_max, &t, &u, &v))
-            return true;
+        if (leaf < first_analytic) {
+            NO_UNROLL
+            for (uint part = 0u; part < BVH_PARTS; ++part) {
+                FloatLanes t, u, v;
+                if (intersect_triangles(triangle_blocks + leaf, part, &traversal->ray, traversal->skip, t_max, &t, &u,
+                                        &v))
+                    return true;
+            }
+        }
 #endif
 #if FEATURE_ANALYTICS
         if (leaf >= first_analytic &&

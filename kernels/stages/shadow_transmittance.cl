@@ -80,15 +80,16 @@ INLINE bool attenuate_surface(ShadowState* shadow, const SceneView* scene, const
 }
 
 #if FEATURE_TRIANGLES
-// Applies the hits in a triangle block. Returns whether any light is left.
-INLINE bool attenuate_block(ShadowState* shadow, const SceneView* scene, const Traversal* traversal,
-                            __global const float8* block, Vec3 origin, Vec3 direction, float t_max)
+// Applies the hits in part `part` of a triangle block. Returns whether any light is left.
+INLINE bool attenuate_triangles(ShadowState* shadow, const SceneView* scene, const Traversal* traversal,
+                                __global const float8* block, uint part, Vec3 origin, Vec3 direction, float t_max)
 {
-    Float8Lanes t, u, v;
-    uint hits =
-        intersect_triangle_block(block, &traversal->ray, traversal->skip, t_max, &t.vector, &u.vector, &v.vector);
+    LaneNumbers t, u, v;
+    uint hits = intersect_triangles(block, part, &traversal->ray, traversal->skip, t_max, &t.vector, &u.vector,
+                                    &v.vector);
     for (; hits; hits &= hits - 1u) {
-        const uint triangle = lowest_set_bit(hits), primitive = ((__global const uint*)(block + 9))[triangle];
+        const uint triangle = lowest_set_bit(hits);
+        const uint primitive = ((__global const uint*)(block + 9))[part * BVH_LANES + triangle];
         if (!(Triangle_at(scene->triangles, primitive).flags & SHAPE_PASS_THROUGH)) return false;
 #if FEATURE_INSTANCES
         const Surface s = instanced_surface_of_hit(scene, traversal->instance, primitive, origin, direction,
@@ -173,9 +174,13 @@ __kernel void shadow_transmittance(
             break;
         }
 #if FEATURE_TRIANGLES
-        if (leaf < first_analytic &&
-            !attenuate_block(&shadow, &scene, &traversal, triangle_blocks + leaf, origin, direction, t_max))
-            return;
+        if (leaf < first_analytic) {
+            NO_UNROLL
+            for (uint part = 0u; part < BVH_PARTS; ++part)
+                if (!attenuate_triangles(&shadow, &scene, &traversal, triangle_blocks + leaf, part, origin, direction,
+                                         t_max))
+                    return;
+        }
 #endif
 #if FEATURE_ANALYTICS
         if (leaf >= first_analytic &&

@@ -40,13 +40,16 @@
 #define FMA(a, b, c) fma(a, b, c)
 #endif
 
-// a * b + c for 8 vector lanes of `a` and scalars b, c: rounded once where the device has a fast fma, else twice.
+// a * b + c for 8 or 4 vector lanes of `a` and scalars b, c: rounded once where the device has a fast fma, else twice.
 #if defined(__FMA__) && HAS_BUILTIN(__builtin_ia32_vfmaddps256)
 #define MAD8(a, b, c) __builtin_ia32_vfmaddps256(a, (float8)(b), (float8)(c))
+#define MAD4(a, b, c) __builtin_ia32_vfmaddps(a, (float4)(b), (float4)(c))
 #elif defined(FP_FAST_FMAF)
 #define MAD8(a, b, c) fma(a, (float8)(b), (float8)(c))
+#define MAD4(a, b, c) fma(a, (float4)(b), (float4)(c))
 #else
 #define MAD8(a, b, c) ((a) * (b) + (c))
+#define MAD4(a, b, c) ((a) * (b) + (c))
 #endif
 
 // Before a loop over pixels whose iterations are independent. PoCL does not vectorise across work-items, but such loops.
@@ -56,6 +59,9 @@
 #else
 #define VECTORIZE_PIXELS
 #endif
+
+// Before a loop whose iterations would need too many registers side by side.
+#define NO_UNROLL _Pragma("unroll 1")
 
 // Prefetches the cache line at `byte_offset` of a buffer, on CPUs: there a work-item would wait for it.
 #if (defined(__x86_64__) || defined(__aarch64__)) && HAS_BUILTIN(__builtin_prefetch)
@@ -256,6 +262,13 @@ INLINE uint mask_bits(int8 mask)
     const int2 quarter_lanes = half_lanes.lo | half_lanes.hi;
     return (uint)(quarter_lanes.x | quarter_lanes.y);
 #endif
+}
+
+INLINE uint mask_bits4(int4 mask)
+{
+    const int4 lanes = mask & (int4)(1, 2, 4, 8);
+    const int2 half_lanes = lanes.lo | lanes.hi;
+    return (uint)(half_lanes.x | half_lanes.y);
 }
 
 // Number of leading zero bits; `bits` must not be 0.

@@ -22,6 +22,8 @@ class DeviceForm(NamedTuple):
     """The same of `shade`."""
     max_rays_per_item: int
     """Most rays that a work-item traces, one after the other."""
+    bvh_lanes: int
+    """Children of a node, or triangles of a block, that a work-item tests at a time (kernels/geometry/bvh.h)."""
     path_block_size: int
     """Paths that the compaction moves at a time."""
     block_work_items: int
@@ -47,6 +49,7 @@ FORMS = {
             lanes=64,
             shade_lanes=256,
             max_rays_per_item=32,
+            bvh_lanes=8,
             path_block_size=512,
             block_work_items=1,
             tile_work_items=1,
@@ -59,6 +62,7 @@ FORMS = {
             lanes=1,
             shade_lanes=1,
             max_rays_per_item=32,
+            bvh_lanes=8,
             path_block_size=512,
             block_work_items=1,
             tile_work_items=256,
@@ -71,6 +75,7 @@ FORMS = {
             lanes=1,
             shade_lanes=1,
             max_rays_per_item=1,
+            bvh_lanes=4,
             path_block_size=256,
             block_work_items=256,
             tile_work_items=256,

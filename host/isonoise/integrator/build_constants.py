@@ -15,6 +15,7 @@ def build_constants(needs: Needs, form: DeviceForm) -> dict[str, int | str]:
         **accumulator.build_constants(needs, form),
         **error_stage.build_constants(form.tile_work_items),
         "LANES": form.lanes,
+        "BVH_LANES": form.bvh_lanes,
         "PATH_BLOCK_SIZE": form.path_block_size,
         "BLOCK_WORK_ITEMS": form.block_work_items,
         "MAX_CORNERS": MAX_CORNERS,

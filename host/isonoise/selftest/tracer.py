@@ -50,7 +50,8 @@ class Tracer:
         corners = np.asarray(corners, np.float32).reshape(-1, 3, 3)
         analytics = np.zeros(0, structs.ANALYTIC) if analytics is None else analytics
         kernels = BRUTE_FORCE_KERNELS if method == BRUTE_FORCE else KERNELS
-        constants = structs.CONSTANTS | {"LANES": device.form.lanes, "MAX_CORNERS": MAX_CORNERS}
+        form = device.form
+        constants = structs.CONSTANTS | {"LANES": form.lanes, "BVH_LANES": form.bvh_lanes, "MAX_CORNERS": MAX_CORNERS}
         features = _FEATURES | {"COUNT_TESTS": count_tests}
         self._stages = Stages(device, {"intersect": kernels["intersect"]}, features, constants, STRUCTS)
         self._stages.arguments["analytics"] = self._table(analytics)
