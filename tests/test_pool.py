@@ -127,6 +127,7 @@ def test_bench_tune_stores_the_size_and_devices_shows_it(device, monkeypatch, ca
     out = capsys.readouterr().out
     assert f"{2 * untuned:,}" in out
     assert "1.38 (1.25 to 1.50)" in out
+    assert drivers.describe_driver(device) in out
     assert main(["devices"]) == 0
     assert f"{2 * untuned:,} paths in flight, found by" in capsys.readouterr().out
     speeds[2 * untuned] = [1e6, 1e6]

@@ -32,8 +32,8 @@ def trace_json(header: Mapping, launches: Mapping[str, Iterable[Launch]]) -> dic
 
 
 def _scene_events(scene: str, launches: list[Launch], process: int) -> list[dict[str, object]]:
-    """Events of a scene in the order of their tracks; time 0 is when the first launch was enqueued."""
-    zero = launches[0].queued_ns if launches else 0
+    """Events of a scene; time 0 is the start of the first launch."""
+    zero = launches[0].start_ns if launches else 0
     events = [_metadata("process_name", scene, process, 0)]
     events += [_metadata("thread_name", name, process, track) for track, name in TRACKS.items()]
     starts: dict[str, Launch] = {}

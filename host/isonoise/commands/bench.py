@@ -36,6 +36,7 @@ from isonoise.benchmark.report_text import (
 )
 from isonoise.commands import EXIT_DONE
 from isonoise.device import pool_size, program_cache
+from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable
@@ -119,7 +120,9 @@ def _tune(settings: Settings, sources: Mapping[str, str]) -> int:
     """Measure pool sizes and store the fastest one for the device."""
     from isonoise.benchmark.tune import choose_pool_size, measure_pools
 
-    device = Device(settings.device).device
+    measured = Device(settings.device)
+    device = measured.device
+    _print(f"{measured.name}, {describe_driver(device)}")
     scenes = [load_scene(source, settings) for source in sources.values()]
     with ProgressBar() as bar:
         speeds = measure_pools(scenes, settings, lambda done, activity: bar.show(done, 1, activity))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from isonoise.commands import EXIT_DONE
-from isonoise.device.drivers import driver_fields
+from isonoise.device.drivers import describe_driver, driver_fields
 from isonoise.device.opencl import Device
 from isonoise.film.files import check_writable, write_atomically
 from isonoise.selftest.cases import Case, Context
@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         check_writable(options.json)
     device = Device(options.device)
-    print(f"{device.name}, driver {device.device.driver_version}", flush=True)
+    print(f"{device.name}, {describe_driver(device.device)}", flush=True)
     results: list[GroupResult] = []
     for outcome in run_groups(GROUPS, Context(device, options.device, options.thorough), _print_head):
         if isinstance(outcome, Case):
