@@ -76,7 +76,7 @@ FAULTS = {
     ),
     "race": (
         "stages/compact.cl",
-        "path_block_alive[block] = sum;",
+        "path_block_alive[get_group_id(0)] = sum;",
         "path_block_alive[0] = sum;",
         "Write-write data race",
     ),
@@ -97,6 +97,7 @@ WRITTEN_BY_KERNELS = (
     "the sample buffer",
     "the sample list",
     "the shadow rays",
+    "the slots of dead paths",
 )
 
 

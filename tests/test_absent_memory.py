@@ -63,7 +63,7 @@ def test_path_state_is_the_sum_of_the_stated_bytes(monkeypatch, name):
         each: size * planes for each, size in path_bytes(wavefront.features).items()
     }
     bare = sum(path_bytes(only()).values())
-    assert bare == 2 * sum(4 * field.planes for field in PATH_STATE.values() if not field.features) + 16 + 4
+    assert bare == sum(4 * field.planes for field in PATH_STATE.values() if not field.features) + 16 + 4 + 4
     stated = sum(cost(each, wavefront.features).path_bytes for each, on in wavefront.features.items() if on)
     assert sum(path_bytes(wavefront.features).values()) == bare + stated
 

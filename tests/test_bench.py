@@ -94,7 +94,7 @@ def test_counts_add_up(cornell):
 
 def test_bytes_per_path_are_those_of_the_buffers(cornell):
     memory = cornell["scenes"][0]["memory"]
-    labels = ("paths", "hits", "shadow rays", "flags of the paths")
+    labels = ("paths", "hits", "shadow rays", "flags of the paths", "slots of dead paths")
     plane_stride = cornell["scenes"][0]["pool_size"] + PLANE_PADDING
     assert memory["state_bytes_per_path"] == sum(memory["buffers_bytes"][label] for label in labels) / plane_stride
     assert memory["total_bytes"] == sum(memory["buffers_bytes"].values())

@@ -230,14 +230,14 @@ def test_counted_bytes_of_known_kernels(prepared, profiled):
     assert moved["shade"] == paths * (16 + 64 + 4) + survivors * (16 + 16 + 16 + 8) + shadow_rays * (16 + 16 + 12)
     assert moved["shadow"] == paths * 4 + shadow_rays * (12 + 16 + 4)
     assert moved["count_alive"] == 4 * paths
-    assert moved["move_paths"] == 4 * paths + 2 * 64 * survivors
+    assert moved["list_holes"] == 4 * paths
     assert moved["list_samples"] == 4 * pixels + 4 * prepared.samples
     assert moved["reduce"] == pixels * (4 + 2 * (4 + 4 + 40 + 24)) + 12 * prepared.samples
     assert moved["summarise"] == kernels["summarise"].items * (4 + 40 + 24 + 24 + 8)
     assert "scan_blocks" not in moved
 
 
-def test_survivors_of_a_run_are_the_paths_that_are_moved(prepared):
+def test_survivors_of_a_run_are_the_paths_that_continue(prepared):
     """The sum over all bounces of the paths that continue, as the host reads them, is what `traffic` takes for it."""
     continuing = []
     compact = Wavefront._compact

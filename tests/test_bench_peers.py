@@ -115,14 +115,14 @@ def test_specialisation_report(monkeypatch, capsys):
     assert special["specialised_speedup"] == {"median": 1, "min": 1, "max": 1}
     for build in others:
         assert build["feature_count"] == special["feature_count"] + len(more)
-        assert build["state_bytes_per_path"] == special["state_bytes_per_path"] + 8
+        assert build["state_bytes_per_path"] == special["state_bytes_per_path"] + 4
         assert build["total_bytes"] > special["total_bytes"]
         assert build["launches"] == special["launches"] > 0
         assert build["bit_identical"]
         assert build["max_relative_difference"] == 0
     out = capsys.readouterr().out
     assert "the same bits" in out
-    assert "192" in out
+    assert "132" in out
 
 
 def test_different_images_are_not_bit_identical():

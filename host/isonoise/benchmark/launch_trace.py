@@ -11,7 +11,7 @@ from isonoise.device.opencl import Launch
 WAVEFRONT_TRACK, QUEUE_TRACK = 1, 2
 TRACKS = {WAVEFRONT_TRACK: "slices and bounces", QUEUE_TRACK: "queue"}
 """Thread numbers and their names. A scene is a process."""
-SPANS = {"slice": ("list_samples", "reduce"), "bounce": ("intersect", "move_paths")}
+SPANS = {"slice": ("list_samples", "reduce"), "bounce": ("intersect", "fill_holes")}
 """First and last kernel of each."""
 
 

@@ -22,7 +22,6 @@ class Traffic(NamedTuple):
 
 
 _STATE = " ".join(PATH_STATE)
-_NEXT_STATE = " ".join(f"next_{name}" for name in PATH_STATE)
 _SUMS = "count sums sample_block_sums"
 
 TRAFFIC: dict[str, tuple[Traffic, ...]] = {
@@ -39,7 +38,7 @@ TRAFFIC: dict[str, tuple[Traffic, ...]] = {
         Traffic("shadow ray", "shadow_direction:3 shadow_origin hit:1 instance"),
     ),
     "count_alive": (Traffic("path", "alive"),),
-    "move_paths": (Traffic("path", "alive"), Traffic("survivor", _STATE, _NEXT_STATE)),
+    "list_holes": (Traffic("path", "alive"),),
     "reduce": (Traffic("pixel", f"pixel_offset rejected {_SUMS}", f"rejected {_SUMS}"), Traffic("sample", "samples")),
     "summarise": (Traffic("image pixel", _SUMS, "summary luminance"),),
 }

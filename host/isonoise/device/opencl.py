@@ -239,6 +239,17 @@ class Device:
             self._after_wait()
         return array
 
+    def begin_read(self, buffer, dtype, count: int) -> Callable[[], np.ndarray]:
+        """Enqueue a read of the first elements. The returned function waits for them, but not for later launches."""
+        array = np.empty(count, np.dtype(dtype))
+        event = self._cl.enqueue_copy(self.queue, array, buffer, is_blocking=False)
+
+        def end_read() -> np.ndarray:
+            event.wait()
+            return array
+
+        return end_read
+
     @contextlib.contextmanager
     def mapped(self, buffer, dtype, count: int) -> Iterator[np.ndarray]:
         """The buffer's first `count` elements, readable within the `with` block. Waits for the device.

@@ -61,7 +61,7 @@ def _condition(argument: str) -> str:
 
 
 def _element(buffer: str) -> str:
-    state = PATH_STATE.get(buffer.removeprefix("next_"))
+    state = PATH_STATE.get(buffer)
     return state.element if state else ELEMENT_TYPES.get(buffer, "float")
 
 
@@ -116,8 +116,8 @@ def _init_path_state() -> str:
 
 
 def _move_path_state() -> str:
-    cast = "(__global const uint*){0}, (__global uint*)next_{0} + first_target"
+    slots = "plane_stride, source_slots, target_slots, count"
     return _lines(
-        (f"move_planes({field.planes}u, {cast.format(name)}, plane_stride, source_slots, count);", _condition(name))
+        (f"move_planes({field.planes}u, (__global uint*){name}, {slots});", _condition(name))
         for name, field in PATH_STATE.items()
     )

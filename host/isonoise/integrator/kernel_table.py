@@ -68,11 +68,12 @@ PATH_STATE = {
         default="vec4(0.0f, 0.0f, 0.0f, 0.0f)",
     ),
 }
-"""State of a path between bounces. Every buffer has a second one, `next_...`, which compaction writes to."""
+"""State of a path between bounces."""
 
 BOUNCE_BUFFERS = {
     "hit": {"": 16},
     "alive": {"": 4},
+    "holes": {"": 4},
     "tests": {"COUNT_TESTS": 8},
     "shadow_origin": {"NEXT_EVENT": 16},
     "shadow_direction": {"NEXT_EVENT": 16},
@@ -101,7 +102,7 @@ ELEMENT_TYPES = {
     **dict.fromkeys(("nodes", "triangle_blocks", "light_nodes"), "float8"),
     **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_guide"), "uint"),
     **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected", "error_bins"), "uint"),
-    **dict.fromkeys(("alive", "path_block_alive", "total_alive"), "uint"),
+    **dict.fromkeys(("alive", "path_block_alive", "total_alive", "holes"), "uint"),
     "tests": "uint2",
     "texel_bytes": "uchar",
     "camera": "Camera",
@@ -138,15 +139,14 @@ ARGUMENT_FEATURES = {
     "halves": ("HALF_BUFFER",),
     **dict.fromkeys(("net_means", "net_variances"), ("NET_MEANS",)),
     **dict.fromkeys(("neighbours", "neighbour_radius"), ("NEIGHBOURS",)),
-    **{prefix + name: field.features for name, field in PATH_STATE.items() for prefix in ("", "next_")},
+    **{name: field.features for name, field in PATH_STATE.items()},
 }
 """Features of which one has to be on for an argument to be there. All other arguments are always there."""
 
 
 def _names(arguments: str) -> tuple[str, ...]:
-    """Argument names; PATH_STATE and NEXT_PATH_STATE stand for all buffers of the path state."""
-    state = {"PATH_STATE": list(PATH_STATE), "NEXT_PATH_STATE": [f"next_{name}" for name in PATH_STATE]}
-    return tuple(name for word in arguments.split() for name in state.get(word, [word]))
+    """Argument names; PATH_STATE stands for all buffers of the path state."""
+    return tuple(name for word in arguments.split() for name in (PATH_STATE if word == "PATH_STATE" else [word]))
 
 
 class Kernel(NamedTuple):
@@ -230,9 +230,10 @@ KERNELS = {
         needs="NEXT_EVENT VOLPATH",
     ),
     "count_alive": _kernel("compact.cl", "path_count", "alive", "path_block_alive"),
-    "scan_blocks": _kernel("compact.cl", "path_block_count", "", "path_block_alive total_alive"),
-    "move_paths": _kernel(
-        "compact.cl", "path_count plane_stride", "alive path_block_alive PATH_STATE", "NEXT_PATH_STATE"
+    "scan_blocks": _kernel("compact.cl", "path_block_count", "alive", "path_block_alive total_alive"),
+    "list_holes": _kernel("compact.cl", "path_count", "alive path_block_alive total_alive", "holes"),
+    "fill_holes": _kernel(
+        "compact.cl", "path_count plane_stride", "alive path_block_alive total_alive holes", "PATH_STATE"
     ),
     "reduce": _kernel(
         "reduce.cl",
@@ -297,10 +298,10 @@ stand together if the same changes of a scene rebuild them: the statistics; the 
 LANE_KERNELS = {"generate", "shade"}
 """Kernels of which a work-item processes LANES paths: kernels/path/path_state.h."""
 
-COMPACTION_KERNELS = {"count_alive", "scan_blocks", "move_paths"}
+COMPACTION_KERNELS = {"count_alive", "scan_blocks", "list_holes", "fill_holes"}
 """Kernels of which a work-group shares a path block, on GPUs: kernels/stages/compact.cl."""
 
-SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "move_paths"}
+SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "list_holes", "fill_holes"}
 """Kernels of which a work-item of a CPU processes several rays, or a run of paths, one after the other."""
 
 _VIEW_MEMBERS = (
@@ -339,7 +340,7 @@ PATH_BUFFERS = (
     "plane_stride",
     "sample_pixel",
     *PATH_STATE,
-    *(name for name in BOUNCE_BUFFERS if name != "tests"),
+    *(name for name in BOUNCE_BUFFERS if name not in ("holes", "tests")),
     "samples",
 )
 """Members of the struct `PathBuffers`: kernel arguments of the same name."""
@@ -361,12 +362,7 @@ def programs(files: Iterable[str]) -> list[list[str]]:
 
 def path_bytes(features: Mapping[str, bool]) -> dict[str, int]:
     """Bytes a path of every buffer that holds paths."""
-    sizes = {
-        prefix + name: 4 * field.planes
-        for name, field in PATH_STATE.items()
-        if is_present(name, features)
-        for prefix in ("", "next_")
-    }
+    sizes = {name: 4 * field.planes for name, field in PATH_STATE.items() if is_present(name, features)}
     for name, parts in BOUNCE_BUFFERS.items():
         size = sum(part for needed, part in parts.items() if all(features[feature] for feature in needed.split()))
         sizes |= {name: size} if size else {}

@@ -22,10 +22,8 @@ from isonoise.integrator.kernel_table import (
     BRUTE_FORCE_KERNELS,
     COMPACTION_KERNELS,
     LANE_KERNELS,
-    PATH_STATE,
     SEQUENTIAL_KERNELS,
     STRUCTS,
-    is_present,
     kernel_table,
     path_bytes,
 )
@@ -45,6 +43,7 @@ MAX_COMPILED_ITEMS = 2**17
 _BUFFER_LABELS = {
     "hit": "the hits",
     "alive": "the flags of the paths",
+    "holes": "the slots of dead paths",
     "tests": "the counts of tests",
     **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance"), "the shadow rays"),
 }
@@ -105,7 +104,6 @@ class Wavefront:
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self.errors = error_stage.ErrorStage(self._stages, (scene.height, scene.width), form.tile_work_items)
-        self._path_state = [name for name in PATH_STATE if is_present(name, self.features)]
         self._arguments.update(scene_arguments(device, scene, bvh, self.features, self.brute_force))
         self._arguments.update(self._path_arguments(seed))
         if feature_override:
@@ -132,7 +130,7 @@ class Wavefront:
                 for name, size in path_bytes(self.features).items()
             },
             "path_block_alive": device.buffer(4 * -(-paths // self._form.path_block_size), "the compaction"),
-            "total_alive": device.buffer(4, "the compaction"),
+            "total_alive": device.buffer(8, "the compaction"),
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
             "pixel_offset": device.buffer(4 * self.accumulator.pixels, "the allocation"),
@@ -211,17 +209,17 @@ class Wavefront:
         return alive
 
     def _compact(self, paths: int) -> int:
-        """Move the paths that continue to the front of the pool; returns how many these are."""
+        """Move live paths into the slots of dead ones; returns how many are alive."""
         form, path_count = self._form, np.uint32(paths)
         path_blocks = -(-paths // form.path_block_size)
         work_items = path_blocks * form.block_work_items
         self._stages.launch("count_alive", work_items, path_count=path_count)
         self._stages.launch("scan_blocks", form.block_work_items, path_block_count=np.uint32(path_blocks))
-        self._stages.launch("move_paths", work_items, path_count=path_count)
-        arguments = self._arguments
-        for name in self._path_state:
-            arguments[name], arguments[f"next_{name}"] = arguments[f"next_{name}"], arguments[name]
-        return int(self.device.read(arguments["total_alive"], np.uint32, 1)[0])
+        end_read = self.device.begin_read(self._arguments["total_alive"], np.uint32, 1)
+        self._stages.launch("list_holes", work_items, path_count=path_count)
+        self._stages.launch("fill_holes", work_items, path_count=path_count)
+        self.device.flush()
+        return int(end_read()[0])  # the host prepares the next bounce while the device fills the holes
 
     def trace_rays(self, stage: str, paths: int) -> None:
         """Launch a stage that traces rays. A work-item may trace several, one after the other."""
