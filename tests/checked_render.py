@@ -61,7 +61,7 @@ CASES = {
     "penumbra": Case("penumbra", "tsallis:q=3"),
     "bright-spots": Case("bright-spots", "dammertz"),
     "bright-spots, many": Case("bright-spots", many=True),
-    "lamp": Case(filtered_lamp(), "relative-median:batch=1", spp=4),
+    "lamp": Case(filtered_lamp(), "relative-median:batch=1", pool=600, spp=10),
     "lamp, many": Case(filtered_lamp(), "relative-median", many=True, pool=600, spp=10),
 }
 
