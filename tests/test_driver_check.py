@@ -79,7 +79,7 @@ def break_kernels(monkeypatch, fault: str) -> None:
 
 
 @pytest.mark.usefixtures("one_lane")
-@pytest.mark.parametrize("number", range(7))
+@pytest.mark.parametrize("number", range(11))
 def test_check_scenes_have_their_closed_form(number):
     """The images of all check scenes, by kernels with no feature more than they need."""
     check = list(check_scenes())[number]

@@ -1,5 +1,11 @@
 """OpenCL drivers: order of preference, what their version strings say, and advice about them."""
 
+import ctypes.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pyopencl
@@ -18,6 +24,7 @@ from isonoise.device.drivers import (
     select_device,
 )
 
+WHEEL_FOLDER = Path(pyopencl.__file__).parent.parent / "pocl_binary_distribution"
 CPU, GPU = pyopencl.device_type.CPU, pyopencl.device_type.GPU
 POCL_TARGET = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-"
 
@@ -202,3 +209,36 @@ def test_devices_prints_driver_target_and_reason(capsys):
 )
 def test_the_version_and_target_of_a_driver(version, text):
     assert describe_driver(SimpleNamespace(version=version, driver_version="7.1 ")) == text
+
+
+TWO_DRIVERS = """
+import json
+from isonoise.device.drivers import list_devices
+from isonoise.renderer import Renderer
+from small_scene import lamp_over_floor
+images = {}
+for number, device in enumerate(list_devices()):
+    renderer = Renderer(lamp_over_floor(), device=number, strategy="uniform")
+    renderer.step()
+    images[device.driver_version] = renderer.image().tobytes().hex()
+print(json.dumps(list(images.items())))
+"""
+
+
+def test_the_pocl_of_the_system_beside_that_of_pip(tmp_path):
+    """Both are found, run in one process and compute the same bits; the newer one is the default."""
+    library = ctypes.util.find_library("pocl")
+    if library is None or not WHEEL_FOLDER.is_dir():
+        pytest.skip("needs PoCL of the system (apt install pocl-opencl-icd) and of pip (pocl-binary-distribution)")
+    (tmp_path / "system.icd").write_text(f"{library}\n")
+    environment = os.environ | {"OCL_ICD_VENDORS": str(tmp_path), "PYTHONPATH": os.path.dirname(__file__)}
+    environment.pop("ISONOISE_DEVICE_FORM", None)
+    done = subprocess.run([sys.executable, "-c", TWO_DRIVERS], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    images = json.loads(done.stdout.splitlines()[-1])
+    versions = [version for version, _ in images]
+    assert len(versions) == 2
+    assert "3.0-rc2" in versions
+    numbers = [pocl_version(fake_device(POCL, version)) for version in versions]
+    assert numbers == sorted(numbers, reverse=True)
+    assert images[0][1] == images[1][1]

@@ -20,6 +20,14 @@ _FLOOR_SIZE = 3.0  # half of it
 _BLOCKER_HEIGHT, _BLOCKER_EDGE = 0.9, 0.27
 
 
+def _rgb(value: float) -> dict:
+    return {"type": "rgb", "value": [value] * 3}
+
+
+_DIFFUSE = {"type": "diffuse", "reflectance": _rgb(_ALBEDO)}
+_MIRROR = {"type": "conductor", "material": "none", "specular_reflectance": _rgb(_ALBEDO)}
+
+
 @dataclass(frozen=True)
 class CheckScene:
     """A light over the floor z = 0."""
@@ -29,6 +37,8 @@ class CheckScene:
     """Irradiance of the floor at points (..., 3), in float64."""
     is_map: bool = False
     """Whether the constant light is turned into an environment map."""
+    is_mirror: bool = False
+    """Whether the floor reflects like a mirror. Under a sky of one radiance it then has that of a diffuse floor."""
     has_blocker: bool = False
     """Whether a surface at the height `_BLOCKER_HEIGHT` keeps light off the floor where x > `_BLOCKER_EDGE`."""
 
@@ -59,7 +69,7 @@ class CheckScene:
                 "to_world": to_world,
                 "film": {"type": "hdrfilm", **film},
             },
-            "floor": _floor(grid_size),
+            "floor": _floor(grid_size) | {"bsdf": _MIRROR if self.is_mirror else _DIFFUSE},
             "light": self.light,
         }
         if self.has_blocker:
@@ -81,18 +91,21 @@ def check_scenes() -> Iterator[CheckScene]:
     center, radius = np.array([0.3, 0.2, 1.5]), 0.25
     sphere = {"type": "sphere", "center": center.tolist(), "radius": radius, **radiance}
     yield CheckScene(sphere, lambda p: 2.0 * np.pi * radius**2 * _cosine_over_square(center - p))
+    disk = {"type": "disk", "to_world": to_world, **radiance}
+    yield CheckScene(disk, lambda p: 2.0 * np.pi * _disk_form_factor(corners.mean(axis=0), 0.5, p))
     point = {"type": "point", "position": center.tolist(), "intensity": _rgb(2.0)}
     yield CheckScene(point, lambda p: 2.0 * _cosine_over_square(center - p))
+    turned = to_world.copy()
+    turned[:3, :3], turned[:3, 3] = np.diag([1.0, -1.0, -1.0]), center  # shines down
+    spot = {"type": "spot", "to_world": turned, "intensity": _rgb(2.0), "cutoff_angle": 60.0, "beam_width": 50.0}
+    yield CheckScene(spot, lambda p: 2.0 * _cosine_over_square(center - p))
     direction = np.array([0.3, 0.2, -1.0])
     sun = {"type": "directional", "direction": direction.tolist(), "irradiance": _rgb(2.0)}
     yield CheckScene(sun, lambda p: 2.0 / np.linalg.norm(direction))
     sky = {"type": "constant", "radiance": _rgb(2.0)}
     yield CheckScene(sky, lambda p: 2.0 * np.pi)
-    yield CheckScene(sky, lambda p: 2.0 * np.pi, is_map=True)
-
-
-def _rgb(value: float) -> dict:
-    return {"type": "rgb", "value": [value] * 3}
+    for is_map, is_mirror in ((True, False), (False, True), (True, True)):
+        yield CheckScene(sky, lambda p: 2.0 * np.pi, is_map, is_mirror)
 
 
 def _mesh(vertices: np.ndarray, faces: list[tuple[int, int, int]]) -> dict:
@@ -107,7 +120,7 @@ def _floor(grid_size: int) -> dict:
     row = grid_size + 1
     corners = [row * i + j for i in range(grid_size) for j in range(grid_size)]
     faces = [face for k in corners for face in ((k, k + 1, k + row + 1), (k, k + row + 1, k + row))]
-    return _mesh(vertices, faces) | {"bsdf": {"type": "diffuse", "reflectance": _rgb(_ALBEDO)}}
+    return _mesh(vertices, faces)
 
 
 def _rectangle(x_min: float, x_max: float, y_max: float, z: float) -> dict:
@@ -137,6 +150,15 @@ def _form_factor(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     normals = np.cross(directions, following)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.abs(0.5 * (angles * normals[..., 2]).sum(axis=-1))
+
+
+def _disk_form_factor(center: np.ndarray, radius: float, points: np.ndarray) -> np.ndarray:
+    """Form factor from points with the normal +z to a disk above them that is parallel to the floor.
+
+    Howell, "A Catalog of Radiation Configuration Factors", 1982.
+    """
+    aside, above, size = ((center - points)[..., :2] ** 2).sum(axis=-1), center[2] ** 2, radius**2
+    return 0.5 * (1 - (above + aside - size) / np.sqrt((above + aside + size) ** 2 - 4 * aside * size))
 
 
 def _cosine_over_square(to_light: np.ndarray) -> np.ndarray:
