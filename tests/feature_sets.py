@@ -1,6 +1,7 @@
 """Valid sets of features, a small list of sets that covers every pair of features, and a small scene for each set."""
 
 import random
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,7 @@ def _without(features: dict[str, bool], name: str) -> dict[str, bool] | None:
     return {each: each in on for each in FEATURES} if name not in closed(on) else None
 
 
+@cache
 def covering_rows(seed: int = 1) -> list[dict[str, bool]]:
     """Returns a small list of sets in which every possible pair of values of two features occurs.
 

@@ -152,9 +152,12 @@ def parse_amdgpu(assembly: str) -> dict[str, Usage]:
     return usages
 
 
-def compile_features(target: str, on: Mapping[str, bool], needs: Needs) -> dict[str, Usage]:
-    """Compile all kernels of a set of features in the form `gpu`; what each uses."""
-    constants, usages = build_constants(needs, FORMS["gpu"]), {}
+def compile_features(target: str, on: Mapping[str, bool], needs: Needs, bvh_stack: int = 60) -> dict[str, Usage]:
+    """Compile all kernels of a set of features in the form `gpu`; what each uses.
+
+    `bvh_stack` is the number of stack entries that a traversal may need, some 50 for 82,000 triangles.
+    """
+    constants, usages = build_constants(needs, FORMS["gpu"], bvh_stack), {}
     for files in programs(row.file for row in kernel_table(on, brute_force=False).values()):
         usages |= compile_program(target, *stage_source(files, STRUCTS, constants, on, generated_headers()))
     return usages

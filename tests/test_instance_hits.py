@@ -21,6 +21,7 @@ from shared_programs import SHAPES
 
 from isonoise.device import program
 from isonoise.device.opencl import Device
+from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import CONSTANTS, KERNELS, STRUCTS
@@ -29,6 +30,7 @@ from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
+from isonoise.statistics import BASIC_NEEDS
 
 NONE = structs.NONE
 ANALYTIC_BIT = 0x80000000
@@ -83,7 +85,7 @@ class IntersectStage:
         self.features = features(scene) | dict.fromkeys((*SHAPES, "VERTEX_NORMALS"), True)
         bvh = build_scene_bvh(scene)
 
-        constants = structs.CONSTANTS | {"BVH_LANES": device.form.bvh_lanes}
+        constants = build_constants(BASIC_NEEDS, device.form)
         self.stages = Stages(device, {"intersect": KERNELS["intersect"]}, self.features, constants, STRUCTS)
         source = program.kernel_source
         monkeypatch.setattr(program, "kernel_source", lambda name: PROBE if name == "probe.cl" else source(name))

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from small_scene import BUILT_IN, PIXELS, assert_same_bits, assert_sound, lamp_over_floor, without
 
-from isonoise.device.form import FORMS
-from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.loop import render
 from isonoise.renderer import Renderer
@@ -39,46 +37,6 @@ def test_the_pool_size_changes_no_bit(thirty_spp, pool_size):
     """1,050 samples: in slices of 16 and 160; in one slice with slots used again, and without."""
     options = {"seed": 3, "strategy": "relative-median:warmup=30", "pool_size": pool_size}
     assert_same_bits(render(lamp_over_floor(), spp=30, **options).statistics, thirty_spp)
-
-
-def many_kinds() -> dict:
-    """Several kinds of surfaces and materials, a texture and a sky, so that neighbouring paths differ in kind."""
-    board = {"type": "checkerboard", "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
-    tiles = {"type": "diffuse", "reflectance": board}
-    transform = np.eye(4)
-    transform[:3, 3] = 0.3, 0.5, 0.2
-    return lamp_over_floor(width=32, height=24, max_depth=8) | {
-        "floor": {"type": "rectangle", "bsdf": tiles},
-        "glass": {"type": "sphere", "center": [-0.5, 0.0, 0.3], "radius": 0.2, "bsdf": {"type": "dielectric"}},
-        "net": {"type": "disk", "to_world": transform, "bsdf": {"type": "mask", "opacity": board, "inner": tiles}},
-        "group": {"type": "shapegroup", "box": {"type": "cube", "to_world": np.diag([0.1, 0.1, 0.1, 1.0])}},
-        "box": {"type": "instance", "to_world": transform, "group": {"type": "ref", "id": "group"}},
-        "sky": {"type": "constant", "radiance": 0.2},
-    }
-
-
-def many_materials() -> dict:
-    """The same with more lights and with rough materials, whose kernels take long to compile."""
-    board = {"type": "checkerboard", "to_uv": np.diag([4.0, 4.0, 1.0, 1.0])}
-    glossy = {"type": "roughconductor", "alpha": board, "distribution": "ggx"}
-    tiles = {"type": "blendbsdf", "weight": board, "first": {"type": "roughplastic"}, "second": glossy}
-    clear = {"type": "principled", "base_color": board, "spec_trans": 0.5}
-    scene = many_kinds()
-    scene["floor"]["bsdf"] = {"type": "twosided", "inner": tiles}
-    scene["net"]["bsdf"]["inner"] = glossy
-    spot = {"type": "spot", "to_world": scene["net"]["to_world"], "intensity": 3.0}
-    return scene | {"ball": {"type": "sphere", "radius": 0.3, "bsdf": clear}, "spot": spot}
-
-
-@pytest.mark.parametrize("scene", [lamp_over_floor, many_kinds, pytest.param(many_materials, marks=pytest.mark.long)])
-def test_the_form_of_the_device_changes_no_bit(monkeypatch, scene):
-    renders = []
-    for form in FORMS.values():
-        monkeypatch.setattr(Device, "form", form)
-        renders.append(render(scene(), spp=30, seed=3, strategy="uniform").statistics)
-    assert_sound(renders[0])
-    for other in renders[1:]:
-        assert_same_bits(renders[0], other)
 
 
 @pytest.mark.parametrize("wave_spp", [1, 10])

@@ -1,11 +1,10 @@
 // BVH traversal of one ray, as an iterator over leaves. Included by the stages intersect, shadow and
-// shadow_transmittance, which intersect the leaf and decide when to stop.
+// shadow_transmittance, which intersect the leaf and decide when to stop. The stack has STACK_SIZE entries, enough for
+// the scene's BVH: host/isonoise/device/form.py.
 #pragma once
 #include "geometry/bvh.h"
 #include "path/path_state.h"
 
-// host/isonoise/scene/accel/build.py rejects trees that need more than 256 entries; two more hold end markers.
-#define STACK_SIZE 258
 // Leaf numbers that mark the end of the traversal, and of the traversal of an instance.
 #define NO_LEAF 0x7FFFFFFFu
 #define END_OF_INSTANCE 0x7FFFFFFEu

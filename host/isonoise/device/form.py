@@ -11,6 +11,9 @@ from isonoise.errors import DeviceError
 FORM_VARIABLE = "ISONOISE_DEVICE_FORM"
 """Environment variable with the name of the form for all devices, for tests and measurements."""
 
+MAX_STACK_SIZE = 258
+"""Entries of a traversal stack: `build_scene_bvh` rejects trees that need more than 256; two more hold end markers."""
+
 
 class DeviceForm(NamedTuple):
     """Numbers of a form."""
@@ -24,6 +27,9 @@ class DeviceForm(NamedTuple):
     """Most rays that a work-item traces, one after the other."""
     bvh_lanes: int
     """Children of a node, or triangles of a block, that a work-item tests at a time (kernels/geometry/bvh.h)."""
+    stack_sizes: tuple[int, ...]
+    """Sizes of a ray's traversal stack, of which a scene's programs have the smallest that its BVH fits. Each size is
+    another program. The largest is for all trees that `build_scene_bvh` accepts."""
     path_block_size: int
     """Paths that the compaction moves at a time."""
     block_work_items: int
@@ -34,6 +40,10 @@ class DeviceForm(NamedTuple):
     """Pixels that a work-item of `summarise` processes."""
     neighbour_run: int
     """Pixels that a work-item of `average_neighbours` processes."""
+
+    def stack_size(self, bvh_stack: int) -> int:
+        """Stack entries of the programs for a BVH that needs `bvh_stack`, beside the two end markers."""
+        return next(size for size in self.stack_sizes if size >= bvh_stack + 2)
 
 
 FORMS = {
@@ -50,6 +60,7 @@ FORMS = {
             shade_lanes=256,
             max_rays_per_item=32,
             bvh_lanes=8,
+            stack_sizes=(MAX_STACK_SIZE,),
             path_block_size=512,
             block_work_items=1,
             tile_work_items=1,
@@ -63,19 +74,22 @@ FORMS = {
             shade_lanes=1,
             max_rays_per_item=32,
             bvh_lanes=8,
+            stack_sizes=(MAX_STACK_SIZE,),
             path_block_size=512,
             block_work_items=1,
             tile_work_items=256,
             pixels_per_item=1,
             neighbour_run=1,
         ),
-        # Neighbouring work-items access neighbouring memory.
+        # Neighbouring work-items access neighbouring memory. A driver reserves the stack of every work-item that the
+        # device can run at a time, 270,000 on an H100: 560 MB with the largest, 140 MB with the smallest.
         DeviceForm(
             "gpu",
             lanes=1,
             shade_lanes=1,
             max_rays_per_item=1,
             bvh_lanes=4,
+            stack_sizes=(66, 130, MAX_STACK_SIZE),
             path_block_size=256,
             block_work_items=256,
             tile_work_items=256,

@@ -94,7 +94,7 @@ class Wavefront:
             device,
             table,
             self.features,
-            build_constants(needs, form),
+            build_constants(needs, form, bvh.stack),
             STRUCTS,
             file_constants={"stages/shade.cl": {"LANES": form.shade_lanes}},
             local_sizes=local_sizes | {"relative_errors": form.tile_work_items},

@@ -3,12 +3,13 @@
 import numpy as np
 
 from isonoise.device.opencl import Device
-from isonoise.integrator.brute_force import MAX_CORNERS
+from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, STRUCTS
 from isonoise.integrator.stages import Stages
 from isonoise.scene import structs
 from isonoise.scene.accel.bounds import analytic_bounds
 from isonoise.scene.accel.bvh import Bvh, build_bvh
+from isonoise.statistics import BASIC_NEEDS
 
 _ON = ("TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS")
 _OFF = ("INSTANCES", "COUNT_TESTS", "NEXT_EVENT", "PARALLELOGRAM_LIGHTS")
@@ -50,8 +51,7 @@ class Tracer:
         corners = np.asarray(corners, np.float32).reshape(-1, 3, 3)
         analytics = np.zeros(0, structs.ANALYTIC) if analytics is None else analytics
         kernels = BRUTE_FORCE_KERNELS if method == BRUTE_FORCE else KERNELS
-        form = device.form
-        constants = structs.CONSTANTS | {"LANES": form.lanes, "BVH_LANES": form.bvh_lanes, "MAX_CORNERS": MAX_CORNERS}
+        constants = build_constants(BASIC_NEEDS, device.form)
         features = _FEATURES | {"COUNT_TESTS": count_tests}
         self._stages = Stages(device, {"intersect": kernels["intersect"]}, features, constants, STRUCTS)
         self._stages.arguments["analytics"] = self._table(analytics)

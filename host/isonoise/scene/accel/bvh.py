@@ -23,7 +23,7 @@ NODE_COST = 1.0
 CHUNK_NODES = 16384
 """Nodes processed at once: the temporaries stay in the cache."""
 STACK_SIZE = 256
-"""Entries of a ray's traversal stack (kernels/geometry/traverse.h)."""
+"""Most stack entries that a traversal may need (isonoise.device.form.MAX_STACK_SIZE has two more)."""
 
 
 @dataclass(frozen=True)
