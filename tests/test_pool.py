@@ -1,7 +1,9 @@
 """The pool size: default and tuned sizes, invalid cache files, tuning with `isonoise bench --tune`."""
 
 import json
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from small_scene import assert_same_bits, lamp_over_floor
 
@@ -9,8 +11,14 @@ from isonoise.benchmark import tune
 from isonoise.benchmark.measure import Settings
 from isonoise.cli import main
 from isonoise.device import drivers, pool_size, program_cache
+from isonoise.errors import SceneError, UserError
+from isonoise.integrator import accumulator, scene_buffers
+from isonoise.integrator.features import FEATURES
+from isonoise.integrator.kernel_table import path_bytes
 from isonoise.renderer import Renderer
 from isonoise.scene import compile_scene, load
+from isonoise.scene.camera import MAX_PIXELS
+from isonoise.statistics import Needs
 
 UNTUNED = 1000
 
@@ -44,6 +52,46 @@ def test_a_tuned_size_is_used_and_does_not_affect_the_image(device):
     assert_same_bits(before.statistics(), after.statistics())
 
 
+@pytest.mark.parametrize(
+    ("memory_gib", "buffer_gib", "size"),
+    [
+        (2, 1, 2**19),
+        (8, 2, 2**21),
+        (24, 6, 2**22),
+        (80, 20, 2**24),
+        (141, 35, 2**24),
+        (24, 0.5, 2**21),
+        (0.5, 0.1, 2**18),
+    ],
+)
+def test_the_pool_of_a_gpu_fits_its_memory(monkeypatch, memory_gib, buffer_gib, size):
+    monkeypatch.setattr(pool_size, "is_cpu", lambda device: False)
+    gpu = SimpleNamespace(global_mem_size=int(memory_gib * 2**30), max_mem_alloc_size=int(buffer_gib * 2**30))
+    assert pool_size.untuned_pool_size(gpu) == size
+
+
+def test_a_path_takes_no_more_memory_than_assumed():
+    bounce_and_state = sum(path_bytes(dict.fromkeys(FEATURES, True)).values())
+    assert bounce_and_state + 16 * pool_size.SAMPLES_PER_PATH <= pool_size.BYTES_PER_PATH
+
+
+def test_the_largest_pool_overflows_no_index():
+    """The last float of the last sample, and the last path, have signed 32-bit numbers."""
+    samples = pool_size.SAMPLES_PER_PATH * pool_size.MAX_POOL_SIZE
+    assert 3 * samples - 1 < 2**31
+    with pytest.raises(UserError, match=f"1 to {pool_size.MAX_POOL_SIZE}"):
+        Renderer(lamp_over_floor(), pool_size=pool_size.MAX_POOL_SIZE + 1)
+
+
+def test_tables_and_statistics_that_kernels_cannot_index_are_refused():
+    table = np.broadcast_to(np.float32(0), (2**31 + 1,))
+    with pytest.raises(SceneError, match="the triangles need 8"):
+        scene_buffers._table(None, table, "the triangles")
+    assert max(accumulator._SUMS, 2 + 2**accumulator.NET_COUNT_LOG2) * MAX_PIXELS < accumulator.MAX_STATISTICS
+    with pytest.raises(UserError, match="chunks of 31 entries"):
+        accumulator.Accumulator(SimpleNamespace(device=None), (2**14, 2**14), Needs(median=True, chunk=31))
+
+
 def test_the_untuned_size_is_not_stored(device, folder):
     assert pool_size.store_tuned_pool_size(device, 4096)
     assert len(list(folder.iterdir())) == 1
@@ -65,7 +113,7 @@ def test_the_untuned_size_is_not_stored(device, folder):
         '{"pool_size": 1e6}',
         '{"pool_size": 1e99}',
     ]
-    + [json.dumps({"pool_size": size}) for size in (-4096, 2**40, None, True, [4096])],
+    + [json.dumps({"pool_size": size}) for size in (-4096, 2**26, 2**40, None, True, [4096])],
 )
 def test_invalid_content_counts_as_missing(device, content):
     program_cache.store(pool_size._key(device), content.encode())

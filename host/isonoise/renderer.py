@@ -10,6 +10,7 @@ import numpy as np
 
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
+from isonoise.device.pool_size import MAX_POOL_SIZE
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
 from isonoise.errors import UserError
@@ -70,7 +71,7 @@ class Renderer:
     sampler : str or None
         `sobol`: well-distributed samples; `independent`: independent ones. None: the scene's.
     pool_size : int or None
-        Paths in flight, 1 or more. None: the device's default (`isonoise.device.pool_size`). Affects speed only, not
+        Paths in flight, 1 to 2^25. None: the device's default (`isonoise.device.pool_size`). Affects speed only, not
         the image.
     profile : bool
         Measure `device_seconds`.
@@ -117,8 +118,8 @@ class Renderer:
     ):
         if not 0 <= seed < 2**64:
             raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
-        if pool_size is not None and pool_size < 1:
-            raise UserError(f"pool_size = {pool_size} is out of range: it must be 1 or more")
+        if pool_size is not None and not 1 <= pool_size <= MAX_POOL_SIZE:
+            raise UserError(f"pool_size = {pool_size} is out of range: it goes from 1 to {MAX_POOL_SIZE}")
         if sampler not in (None, *SAMPLERS):
             raise UserError(f"sampler = {sampler!r} is not one of {', '.join(SAMPLERS)}")
         self.strategy = make_strategy(strategy)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from isonoise.benchmark.measure import Settings, ShowProgress, samples_per_run
 from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene
 from isonoise.device.opencl import Device
-from isonoise.device.pool_size import untuned_pool_size
+from isonoise.device.pool_size import MAX_POOL_SIZE, untuned_pool_size
 from isonoise.scene.compiled_scene import CompiledScene
 
 FACTORS = (0.25, 0.5, 1, 2, 4)
@@ -42,7 +42,7 @@ def _prepare_sizes(scene: CompiledScene, settings: Settings) -> dict[int, Prepar
     allocated, limit = untuned_bytes, MEMORY_SHARE * device.device.global_mem_size
     for factor in FACTORS:
         size, needed = int(factor * untuned), max(factor, 1) * untuned_bytes
-        if size not in by_size and allocated + needed <= limit:
+        if size not in by_size and size <= MAX_POOL_SIZE and allocated + needed <= limit:
             by_size[size] = PreparedScene(scene, MeasuredDevice(settings.device), samples, size)
             allocated += needed
     return dict(sorted(by_size.items()))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from isonoise.device.form import DeviceForm
+from isonoise.errors import UserError
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
 
@@ -19,6 +20,10 @@ NET_COUNT_LOG2 = 3
 
 TILE_SIZE, GRID_BINS = 16, 25
 """Pixels per side of a tile, and bins of the relative variance, over which design effects are pooled."""
+
+MAX_STATISTICS = 2**32
+"""Numbers in a buffer of per-pixel statistics: kernels index them with unsigned 32-bit numbers. Only chunk medians have
+so many planes that an image of `MAX_PIXELS` can exceed it."""
 
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and M2 over full sample blocks
 # Planes of the unfinished sample block: sums of red, green, blue; shift, the mean of x before the block; sums of
@@ -52,6 +57,13 @@ class Accumulator:
         self._shape, self._needs = shape, needs
         self.pixels = shape[0] * shape[1]
 
+        # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
+        medians = 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
+        if needs.median and medians * self.pixels > MAX_STATISTICS:
+            raise UserError(
+                f"chunks of {needs.chunk} entries of {self.pixels:,} pixels are more than {MAX_STATISTICS:,} numbers; "
+                "render a smaller image or choose a smaller chunk"
+            )
         self._planes: list[tuple] = []  # every buffer of the state and its size
 
         def planes(number: int, what: str):
@@ -60,8 +72,6 @@ class Accumulator:
 
         self.count = planes(1, "the sample counts")
         self.rejected = planes(1, "the counts of rejected samples")
-        # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
-        medians = 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
         summary = (
             6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half + 2 * needs.nets
         )  # kernels/stages/summarise.cl

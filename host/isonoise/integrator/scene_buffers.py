@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from isonoise.device.opencl import Device
+from isonoise.errors import SceneError
 from isonoise.integrator.brute_force import distinct_corners
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
 from isonoise.scene.accel.bvh import Bvh
@@ -13,6 +14,9 @@ from isonoise.scene.light import light_list
 from isonoise.scene.light.light_tree import build_light_tree
 from isonoise.scene.material import bsdfs, textures
 from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
+
+MAX_TABLE_BYTES = 2**33
+"""Size of a table of the scene: kernels index its 4-byte words with signed 32-bit numbers (`record_reader`)."""
 
 _NO_LIMIT = 0xFFFFFFFF
 _EMPTY = np.zeros(0, np.float32)
@@ -45,7 +49,15 @@ def scene_arguments(
 
 
 def _table(device: Device, array: np.ndarray, label: str):
-    """A buffer with the array, None if that is empty. `label` names it in errors and reports."""
+    """A buffer with the array, None if that is empty. `label` names it in errors and reports.
+
+    Raises SceneError above `MAX_TABLE_BYTES`.
+    """
+    if array.nbytes > MAX_TABLE_BYTES:
+        raise SceneError(
+            f"{label} need {array.nbytes / 2**30:.1f} GiB, the limit is {MAX_TABLE_BYTES >> 30} GiB; "
+            "use fewer triangles, or smaller images"
+        )
     return device.buffer(array, label) if array.size else None
 
 

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
-from isonoise.device.pool_size import default_pool_size
+from isonoise.device.pool_size import SAMPLES_PER_PATH, default_pool_size
 from isonoise.integrator import error_stage
 from isonoise.integrator.accumulator import Accumulator
 from isonoise.integrator.brute_force import use_brute_force
@@ -76,7 +76,7 @@ class Wavefront:
         self.device, self.scene = device, scene
         self.features = dict(feature_override or features(scene, needs))
         self.pool_size = pool_size or default_pool_size(device.device)
-        self.slice_samples = 16 * self.pool_size
+        self.slice_samples = SAMPLES_PER_PATH * self.pool_size
         form = device.form
         if self.features["VOLPATH"]:  # `shade_lanes` does not support it
             form = form._replace(lanes=1, shade_lanes=1)
