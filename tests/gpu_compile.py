@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+from isonoise.device.drivers import GPU_OPTIONS, ROUNDING_OPTION
 from isonoise.device.form import FORMS
 from isonoise.device.program import stage_source
 from isonoise.integrator.build_constants import build_constants
@@ -107,6 +108,7 @@ def compile_program(target: str, text: str, options: Iterable[str]) -> dict[str,
         source.write_text(text, encoding="utf-8")
         triple, target_options, library = TARGETS[target]
         command = [find_clang(), "-x", "cl", "-target", triple, *target_options, "-O3", "-Werror", *options]
+        command += [*GPU_OPTIONS, ROUNDING_OPTION]
         for argument in ("-mlink-builtin-bitcode", str(find_library(library))):
             command += ["-Xclang", argument]
         _run([*command, "-S", "-o", str(assembly), str(source)])

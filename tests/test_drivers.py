@@ -8,13 +8,17 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pyopencl
 import pytest
 
 from isonoise.cli import main
-from isonoise.device import driver_advice, drivers
+from isonoise.device import driver_advice, drivers, opencl
 from isonoise.device.drivers import (
+    GPU_OPTIONS,
+    ROUNDING_OPTION,
     Rank,
+    build_options,
     compiler_target,
     describe_driver,
     list_devices,
@@ -23,6 +27,7 @@ from isonoise.device.drivers import (
     rank_of,
     select_device,
 )
+from isonoise.device.program import flatten
 
 WHEEL_FOLDER = Path(pyopencl.__file__).parent.parent / "pocl_binary_distribution"
 CPU, GPU = pyopencl.device_type.CPU, pyopencl.device_type.GPU
@@ -209,6 +214,29 @@ def test_devices_prints_driver_target_and_reason(capsys):
 )
 def test_the_version_and_target_of_a_driver(version, text):
     assert describe_driver(SimpleNamespace(version=version, driver_version="7.1 ")) == text
+
+
+def test_only_gpus_get_build_options():
+    rounding = pyopencl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+    cpu, gpu, rounding_gpu = (
+        SimpleNamespace(type=kind, single_fp_config=config)
+        for kind, config in ((CPU, rounding), (GPU, 0), (GPU, rounding))
+    )
+    assert build_options(cpu) == ()
+    assert build_options(gpu) == GPU_OPTIONS
+    assert build_options(rounding_gpu) == (*GPU_OPTIONS, ROUNDING_OPTION)
+
+
+@pytest.mark.parametrize("options", [GPU_OPTIONS, (*GPU_OPTIONS, ROUNDING_OPTION)])
+def test_build_options_of_gpus_are_accepted(monkeypatch, options):
+    """A driver for a CPU accepts them too, and the kernel takes OpenCL's square root instead of the builtin."""
+    monkeypatch.setattr(opencl, "build_options", lambda device: options)
+    text = flatten("util/vec.h") + "\n#ifndef NO_BUILTINS\n#error\n#endif\n__kernel void root(__global float* x)"
+    text += "{ x[0] = SQRT(x[0]) + (float)lowest_set_bit(8u) + (float)leading_zeros(1u); }"
+    device = opencl.Device()
+    x = device.buffer(np.array([9.0], np.float32), "the number")
+    device.launch(device.build(text, ("-cl-std=CL1.2",))["root"], 1, (x,), local_size=1)
+    assert device.read(x, np.float32, 1).tolist() == [3.0 + 3.0 + 31.0]
 
 
 TWO_DRIVERS = """

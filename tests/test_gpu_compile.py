@@ -17,7 +17,7 @@ from gpu_compile import (
 from isonoise.integrator.kernel_table import kernel_table
 from isonoise.scene import builtin_scenes
 
-MAX_REGISTERS = {"sm_90": 128, "gfx90a": 176, "gfx1030": 176}
+MAX_REGISTERS = {"sm_90": 128, "gfx90a": 200, "gfx1030": 192}
 """Of a kernel of a built-in scene. A multiprocessor of sm_90 then runs 512 work-items at a time, a quarter of the most
 it can. AMD's compiler takes more for traversal; its work-items may have 256."""
 MAX_REGISTERS_OF_ALL_FEATURES = {

@@ -21,7 +21,7 @@
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
 
 #ifdef HAS_BUILTIN
-#elif defined(__has_builtin)
+#elif defined(__has_builtin) && !defined(NO_BUILTINS)
 #define HAS_BUILTIN(name) __has_builtin(name)
 #else
 #define HAS_BUILTIN(name) 0

@@ -148,6 +148,20 @@ def is_cpu(device) -> bool:
     return bool(device.type & load_pyopencl().device_type.CPU)
 
 
+ROUNDING_OPTION = "-cl-fp32-correctly-rounded-divide-sqrt"
+"""Else a GPU's division may be off by 2.5 units in the last place, and its square root by 3."""
+GPU_OPTIONS = ("-DNO_BUILTINS=1",)
+"""Compiler builtins (kernels/util/vec.h) replace slow calls of CPU drivers; on GPUs OpenCL's functions are native."""
+
+
+def build_options(device) -> tuple[str, ...]:
+    """Options of all programs on a device, beside those of a program. CPUs round correctly without one."""
+    if is_cpu(device):
+        return ()
+    rounds_correctly = load_pyopencl().device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT & device.single_fp_config
+    return (*GPU_OPTIONS, ROUNDING_OPTION) if rounds_correctly else GPU_OPTIONS
+
+
 def driver_identity(device) -> tuple[str, ...]:
     """Names and versions that identify a device and its driver."""
     driver = device.platform

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isonoise.device import program_cache
-from isonoise.device.drivers import driver_identity, is_cpu, is_pocl, load_pyopencl, select_device
+from isonoise.device.drivers import build_options, driver_identity, is_cpu, is_pocl, load_pyopencl, select_device
 from isonoise.device.form import DeviceForm, choose_form
 from isonoise.errors import DeviceError
 
@@ -151,6 +151,7 @@ class Device:
 
     def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
         """Build a program; return its kernels by name. Raises DeviceError with the compiler's log."""
+        options = (*options, *build_options(self.device))
         cached = _programs.get((self.context, source, options))
         if cached is None:
             cached = _programs[self.context, source, options] = self._compile(source, options)
