@@ -13,7 +13,7 @@ from isonoise.integrator.features import features
 from isonoise.scene import structs
 from isonoise.scene.light import light_list
 from isonoise.scene.light.light_list import build_light_list
-from isonoise.scene.light.light_tree import build_light_tree
+from isonoise.scene.light.light_tree import NodeRow, build_light_tree
 
 Z = 5.0
 LANES = 64
@@ -245,10 +245,11 @@ def test_as_the_node_of_a_tree():
     scene = compiled(**mixed_lights(5, beyond=False))
     bounds, tree = build_light_list(scene), build_light_tree(scene)
     assert len(tree.nodes) == 1
-    lights = ~tree.nodes[0, 11].view(np.int32)[tree.nodes[0, 4] > 0]
-    rows = {"radius": 3, "power_fraction": 4, "cos_spread": 8, "sin_spread": 9, "cos_edge": 10}
-    for name, row in rows.items():
-        np.testing.assert_allclose(bounds[name][lights], tree.nodes[0, row][tree.nodes[0, 4] > 0], atol=1e-7)
+    references = tree.nodes[0, NodeRow.CHILD].view(np.int32)
+    lights = ~references[references < 0]
+    for name in ("radius", "intensity", "max_irradiance", "cos_spread", "sin_spread", "cos_edge"):
+        of_node = tree.nodes[0, NodeRow[name.upper()]][references < 0]
+        np.testing.assert_allclose(bounds[name][lights], of_node, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 1e6, 1e15])

@@ -12,46 +12,43 @@ from many_lights import compiled, deviate, grid_of_triangles, mixed_lights, some
 from isonoise.device.opencl import Device
 from isonoise.scene import structs
 from isonoise.scene.light.light_kinds import light_bits
-from isonoise.scene.light.light_tree import BVH_WIDTH, build_light_tree
+from isonoise.scene.light.light_tree import BVH_WIDTH, NodeRow, build_light_tree
 from isonoise.scene.light.lights import compute_light_bounds
 
 Z = 5.0
-INTENSITY_SHARE = 2.0**-10  # in kernels/light/light_tree.h
+DEFENSIVE_COSINES = 2.0**-10  # in kernels/light/light_tree.h
 KERNELS = """
 #include "light/light_tree.h"
 
 #define LOAD4(i, p) vec4_from(LOAD3(0, (p) + 4 * (i)), (p)[4 * (i) + 3])
 
-__kernel void node_probabilities(__global const float8* nodes, __global const uint* places, uint lights,
-                                 __global const float* points, __global const float* normals,
+__kernel void node_probabilities(__global const float8* nodes, __global const uint* places, __global const float* cdf,
+                                 uint lights, __global const float* points, __global const float* normals,
                                  __global const uint* which, __global float8* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
     __global const float8* node = nodes + LIGHT_NODE_ROWS * which[i];
-    Float8Lanes weight;
-    weight.vector = light_node_importance(node, LOAD3(i, points), LOAD4(i, normals));
-    const float total = sum8(weight.vector);
-    for (uint k = 0u; k < 8u; ++k)
-        weight.lane[k] = child_pmf(weight.lane[k], total, ((__global const float*)(node + 4))[k]);
-    out[i] = weight.vector;
+    const LightNodeWeights w = light_node_weights(node, LOAD3(i, points), LOAD4(i, normals));
+    const float scale = inverse_weight_sum(w.weight.lane);
+    out[i] = scale * w.weight.vector;
 }
 
-__kernel void probability(__global const float8* nodes, __global const uint* places, uint lights,
-                          __global const float* points, __global const float* normals,
+__kernel void probability(__global const float8* nodes, __global const uint* places, __global const float* cdf,
+                          uint lights, __global const float* points, __global const float* normals,
                           __global const uint* which, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
-    const LightTree tree = {nodes, places, lights};
+    const LightTree tree = {nodes, places, cdf, lights};
     if (i < n) out[i] = light_tree_pmf(&tree, which[i], LOAD3(i, points), LOAD4(i, normals));
 }
 
-__kernel void pick(__global const float8* nodes, __global const uint* places, uint lights,
-                   __global const float* points, __global const float* normals,
+__kernel void pick(__global const float8* nodes, __global const uint* places, __global const float* cdf,
+                   uint lights, __global const float* points, __global const float* normals,
                    __global const uint2* u, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
-    const LightTree tree = {nodes, places, lights};
+    const LightTree tree = {nodes, places, cdf, lights};
     if (i >= n) return;
     float p, x = u[i].x * 0x1p-24f;
     const uint light = select_from_tree(&tree, LOAD3(i, points), LOAD4(i, normals), &x, u[i].y * 0x1p-24f, &p);
@@ -69,28 +66,29 @@ class TreeKernels:
         self.device = Device()
         self.kernels = build_kernels(self.device, KERNELS, ("LIGHT_TREE", "AREA_LIGHTS"))
 
-    def run(self, kernel, tree, lights, points, normals, what, row):
+    def run(self, kernel, tree, scene, points, normals, what, row):
         n = len(points)
         points, normals = points.astype(np.float32), normals.astype(np.float32)
-        given = (tree.nodes, tree.parents, np.uint32(lights), points, normals, what)
+        lights = np.uint32(len(scene.lights))
+        given = (tree.nodes, tree.parents, scene.light_cdf, lights, points, normals, what)
         out = self.device.buffer(4 * row * n, "results")
         buffers = [self.device.buffer(a, "arguments") if a.ndim else a for a in given]
         self.device.launch(self.kernels[kernel], n, (*buffers, out, np.uint32(n)))
         return self.device.read(out, np.float32, row * n).reshape(n, row)
 
-    def probability(self, tree, lights, points, normals, light_indices) -> np.ndarray:
+    def probability(self, tree, scene, points, normals, light_indices) -> np.ndarray:
         light_indices = np.asarray(light_indices, np.uint32)
-        return self.run("probability", tree, lights, points, normals, light_indices, 1)[:, 0].astype(np.float64)
+        return self.run("probability", tree, scene, points, normals, light_indices, 1)[:, 0].astype(np.float64)
 
-    def pick(self, tree, lights, point, normal, count, seed):
+    def pick(self, tree, scene, point, normal, count, seed):
         """Returns sampled lights and their stated probabilities, for one point."""
         u = np.random.default_rng(seed).integers(0, 2**24, (count, 2))
-        return self.pick_by(tree, lights, point, normal, u)[:2]
+        return self.pick_by(tree, scene, point, normal, u)[:2]
 
-    def pick_by(self, tree, lights, point, normal, u):
+    def pick_by(self, tree, scene, point, normal, u):
         """The same and the rescaled random numbers, for random numbers (n, 2) of 24 bits."""
         points, normals = (np.tile(v, (len(u), 1)) for v in (point, normal))
-        out = self.run("pick", tree, lights, points, normals, u.astype(np.uint32), 3)
+        out = self.run("pick", tree, scene, points, normals, u.astype(np.uint32), 3)
         return out[:, 0].copy().view(np.uint32), *out[:, 1:].T.astype(np.float64)
 
 
@@ -99,31 +97,30 @@ def device():
     return TreeKernels()
 
 
-def reference_weights(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Returns importances in float64: the paper's, with the mean of bound and centre for each cosine."""
+def reference_irradiance(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines and the rest of the irradiance in float64: the paper's, with the mean of bound and centre as cosine."""
     node = node.astype(np.float64)
-    arm = node[0:3] - point.astype(np.float64)[:, None]
-    distance2 = (arm**2).sum(axis=0)
-    distance, radius = np.sqrt(distance2), node[3]
-    apparent = radius / distance
-    theta = np.arccos(np.clip(-(node[5:8] * arm).sum(axis=0) / distance, -1, 1))
-    spread = np.arctan2(node[9], node[8])
-    emission_cosine = np.cos(np.maximum(theta - spread, 0))
+    arm = node[NodeRow.CENTER : NodeRow.CENTER + 3] - point.astype(np.float64)[:, None]
+    distance = np.linalg.norm(arm, axis=0)
+    theta = np.arccos(np.clip(-(node[NodeRow.AXIS : NodeRow.AXIS + 3] * arm).sum(axis=0) / distance, -1, 1))
+    spread = np.arctan2(node[NodeRow.SIN_SPREAD], node[NodeRow.COS_SPREAD])
+    emission = np.cos(np.maximum(theta - spread, 0))
+    max_emission = emission + node[NodeRow.EMISSION_RADIUS] / distance
     incidence = (normal[:3, None] * arm).sum(axis=0) / distance + normal[3]
+    max_incidence = incidence + node[NodeRow.RADIUS] / distance
 
-    def mean_cosine(cosine):
-        return 0.5 * (np.clip(cosine + apparent, 0, 1) + np.clip(cosine, 0, 1))
+    def twice_mean(cosine, max_cosine):
+        return np.clip(max_cosine, 0, 1) + np.clip(cosine, 0, 1)
 
-    is_lit = emission_cosine + apparent > node[10]
-    return (
-        is_lit * node[4] * mean_cosine(emission_cosine) * mean_cosine(incidence) / np.maximum(distance2, radius**2 / 4)
-    )
+    is_lit = max_emission > node[NodeRow.COS_EDGE]
+    irradiance = np.minimum(node[NodeRow.INTENSITY] / distance**2, node[NodeRow.MAX_IRRADIANCE])
+    return is_lit * twice_mean(emission, max_emission) * twice_mean(incidence, max_incidence), irradiance
 
 
 def reference_probabilities(node: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    weights = reference_weights(node, point, normal)
-    share, total = node[4].astype(np.float64), weights.sum()
-    return share if total == 0 else (1 - INTENSITY_SHARE) * weights / total + INTENSITY_SHARE * share
+    cosines, irradiance = reference_irradiance(node, point, normal)
+    weights = (cosines + DEFENSIVE_COSINES) * irradiance
+    return weights / weights.sum()
 
 
 # The tree.
@@ -134,9 +131,8 @@ def reference_probabilities(node: np.ndarray, point: np.ndarray, normal: np.ndar
 def test_every_light_with_power_has_one_place(count, beyond):
     scene = compiled(**mixed_lights(count, beyond=beyond))
     tree, lights = build_light_tree(scene), len(scene.lights)
-    references = tree.nodes[:, 11].view(np.int32)
-    used = tree.nodes[:, 4] > 0
-    np.testing.assert_allclose(tree.nodes[:, 4].sum(axis=1), 1.0, atol=1e-6)
+    references = tree.nodes[:, NodeRow.CHILD].view(np.int32)
+    used = tree.nodes[:, NodeRow.LAST_LIGHT].view(np.int32) >= 0
     leaves = ~references[used & (references < 0)]
     assert sorted(leaves) == np.flatnonzero(scene.lights["power_pmf"] > 0).tolist()
     inner = references[used & (references >= 0)]
@@ -162,9 +158,11 @@ def test_children_are_in_spatial_order():
 
 
 def _lights_below_node(tree, node: int) -> list[int]:
-    references = tree.nodes[node, 11].view(np.int32)
+    references = tree.nodes[node, NodeRow.CHILD].view(np.int32)
     return [
-        light for slot in np.flatnonzero(tree.nodes[node, 4] > 0) for light in _lights_below(tree, references[slot])
+        light
+        for slot in np.flatnonzero(tree.nodes[node, NodeRow.LAST_LIGHT].view(np.int32) >= 0)
+        for light in _lights_below(tree, references[slot])
     ]
 
 
@@ -211,9 +209,9 @@ def test_bounds_miss_no_light_that_arrives():
     scene = compiled(**mixed_lights(64, beyond=False))
     tree = build_light_tree(scene)
     points, normals = some_points(rng, 150)
-    references = tree.nodes[:, 11].view(np.int32)
+    references = tree.nodes[:, NodeRow.CHILD].view(np.int32)
     checked = 0
-    for node, slot in zip(*np.nonzero(tree.nodes[:, 4] > 0), strict=True):
+    for node, slot in zip(*np.nonzero(tree.nodes[:, NodeRow.LAST_LIGHT].view(np.int32) >= 0), strict=True):
         below = rng.permutation(_lights_below(tree, references[node, slot]))[:4]
         for light in below:
             on, emission_normals, min_cosine = _emission_of(scene, scene.lights[light], rng, len(points))
@@ -225,7 +223,7 @@ def test_bounds_miss_no_light_that_arrives():
             )
             arrives = ((normals[:, :3] * arm).sum(axis=1) > 1e-4 * distance) | (normals[:, 3] == 1)
             for index in np.flatnonzero(leaves & arrives):
-                assert reference_weights(tree.nodes[node], points[index], normals[index])[slot] > 0
+                assert reference_irradiance(tree.nodes[node], points[index], normals[index])[0][slot] > 0
                 checked += 1
     assert checked > 5000
 
@@ -262,7 +260,7 @@ def test_probabilities_of_a_node_are_those_of_float64(device):
     tree = build_light_tree(scene)
     points, normals = some_points(rng, 4000)
     node_indices = rng.integers(0, len(tree.nodes), len(points)).astype(np.uint32)
-    computed = device.run("node_probabilities", tree, len(scene.lights), points, normals, node_indices, 8)
+    computed = device.run("node_probabilities", tree, scene, points, normals, node_indices, 8)
     expected = np.stack(
         [reference_probabilities(tree.nodes[w], p, n) for w, p, n in zip(node_indices, points, normals, strict=True)]
     )
@@ -276,7 +274,7 @@ def test_probabilities_of_all_lights_sum_to_one(device):
     tree, lights = build_light_tree(scene), len(scene.lights)
     points, normals = some_points(rng, 64)
     computed = device.probability(
-        tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), 64)
+        tree, scene, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), 64)
     ).reshape(64, lights)
     np.testing.assert_allclose(computed.sum(axis=1), 1.0, atol=1e-5)
     power = scene.lights["power_pmf"]
@@ -290,10 +288,8 @@ def test_picks_have_the_stated_probabilities(device, seed):
     tree, lights, count = build_light_tree(scene), len(scene.lights), 1 << 18
     points, normals = some_points(rng, 2)
     point, normal = points[seed % 2], normals[seed % 2]
-    sampled, stated = device.pick(tree, lights, point, normal, count, seed)
-    expected = device.probability(
-        tree, lights, np.tile(point, (lights, 1)), np.tile(normal, (lights, 1)), range(lights)
-    )
+    sampled, stated = device.pick(tree, scene, point, normal, count, seed)
+    expected = device.probability(tree, scene, np.tile(point, (lights, 1)), np.tile(normal, (lights, 1)), range(lights))
     np.testing.assert_allclose(stated, expected[sampled], rtol=1e-6)
     assert abs(deviate(np.bincount(sampled, minlength=lights), count * expected)) < Z
 
@@ -302,26 +298,23 @@ def test_picks_have_the_stated_probabilities(device, seed):
 def test_stratified_numbers_stay_stratified(device, seed):
     """One number in each of 2^18 strata: as many as expected select a light, and the rescaled ones are stratified.
 
-    A light's part of [0, 1) is one interval, and one more for each of its ancestors, of 2^-10 of all. Each interval
-    is off by one stratum at each end.
+    A light's part of [0, 1) is one interval, which is off by one stratum at each end.
     """
     scene, count = compiled(**mixed_lights(90)), 2**18
-    tree, lights = build_light_tree(scene), len(scene.lights)
+    tree = build_light_tree(scene)
     rng = np.random.default_rng(seed)
     points, normals = some_points(rng, 1)
     u = np.stack([64 * np.arange(count) + rng.integers(0, 64, count), rng.integers(0, 2**24, count)], axis=1)
-    picked, stated, rescaled = device.pick_by(tree, lights, points[0], normals[0], u)
+    picked, stated, rescaled = device.pick_by(tree, scene, points[0], normals[0], u)
     assert rescaled.min() >= 0
     assert rescaled.max() < 1
-    depth = 4
     for light in np.unique(picked):
         chosen = picked == light
         expected = count * stated[chosen][0]
-        assert abs(chosen.sum() - expected) <= 2 * (depth + 1) + 1e-5 * expected
+        assert abs(chosen.sum() - expected) <= 2 + 1e-5 * expected
         in_order = np.sort(rescaled[chosen])
         ideal = (np.arange(len(in_order)) + 0.5) / len(in_order)
-        # the numbers of the smaller intervals are spread as evenly as those of the large one, each on its own
-        assert np.abs(in_order - ideal).max() <= 2 * (depth + 1) / len(in_order) + 1e-5
+        assert np.abs(in_order - ideal).max() <= 2 / len(in_order) + 1e-5
 
 
 def test_a_hundred_thousand_lights_are_picked_evenly(device):
@@ -329,7 +322,7 @@ def test_a_hundred_thousand_lights_are_picked_evenly(device):
     scene = compiled(lamp=grid_of_triangles(256))
     tree, lights, count = build_light_tree(scene), len(scene.lights), 1 << 21
     point, normal = np.array([0.0, 0.0, 1e4]), np.array([0, 0, -1.0, 0])
-    sampled, stated = device.pick(tree, lights, point, normal, count, seed=1)
+    sampled, stated = device.pick(tree, scene, point, normal, count, seed=1)
     assert lights == 131072
     np.testing.assert_allclose(stated * lights, 1.0, rtol=0.01)
     assert abs(deviate(np.bincount(sampled, minlength=lights), np.full(lights, count / lights))) < Z
@@ -339,17 +332,15 @@ def test_a_hundred_thousand_lights_are_picked_evenly(device):
 def test_scale_and_place_change_no_probability(device, scale):
     scene = compiled(**mixed_lights(40, beyond=False))
     tree, lights = build_light_tree(scene), len(scene.lights)
-    used = tree.nodes[:, 4] > 0
-    for row in range(4):
-        tree.nodes[:, row][used] *= np.float32(scale)
     points, normals = some_points(np.random.default_rng(8), 32)
     of = (np.repeat(normals, lights, 0), np.tile(np.arange(lights), 32))
-    scaled = device.probability(tree, lights, np.repeat(points * np.float32(scale), lights, 0), *of)
-    for row in range(4):
-        tree.nodes[:, row][used] /= np.float32(scale)
-    np.testing.assert_allclose(
-        scaled, device.probability(tree, lights, np.repeat(points, lights, 0), *of), rtol=2e-4, atol=1e-6
-    )
+    expected = device.probability(tree, scene, np.repeat(points, lights, 0), *of)
+    lengths = (*range(NodeRow.CENTER, NodeRow.CENTER + 3), NodeRow.RADIUS, NodeRow.EMISSION_RADIUS, NodeRow.MIN_UNIFORM)
+    for row in lengths:
+        tree.nodes[:, row] *= np.float32(scale)
+    tree.nodes[:, NodeRow.INTENSITY] *= np.float32(scale**2)
+    scaled = device.probability(tree, scene, np.repeat(points * np.float32(scale), lights, 0), *of)
+    np.testing.assert_allclose(scaled, expected, rtol=2e-4, atol=1e-6)
 
 
 def test_points_on_and_in_lights_and_behind_all(device):
@@ -364,7 +355,7 @@ def test_points_on_and_in_lights_and_behind_all(device):
     normals = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, -1, 0], [0, 0, -1, 0], [0, 0, 1, 0], [-1, 0, 0, 0]])
     count = len(points)
     computed = device.probability(
-        tree, lights, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), count)
+        tree, scene, np.repeat(points, lights, 0), np.repeat(normals, lights, 0), np.tile(np.arange(lights), count)
     ).reshape(count, lights)
     assert np.isfinite(computed).all()
     assert (computed > 0).all()

@@ -2,6 +2,7 @@
 // a row of host/isonoise/scene/light/light_kinds.py and a header; the generated header includes those and defines
 // FOR_LIGHTS_WITHOUT_SURFACE over the kinds without a surface that the scene has.
 #pragma once
+#include "light/cdf_search.h"
 #include "light/light_sample.h"
 #include "generated/light_kinds.h"
 
@@ -47,14 +48,6 @@ INLINE uint advance_cdf_light(const SceneView* scene, uint light, uint step, flo
     return light + step == next && light_cdf_remainder(scene, next, u, u_low) >= 0.0f ? next : light;
 }
 
-// The first step of that search: the largest power of two below the number of lights.
-INLINE uint first_cdf_step(const SceneView* scene)
-{
-    uint step = 1u;
-    while (2u * step < scene->light_count) step *= 2u;
-    return step;
-}
-
 INLINE LightSelection selection_by_power(const SceneView* scene, uint light, float u, float u_low)
 {
     LightSelection selected;
@@ -72,7 +65,7 @@ INLINE LightSelection selection_by_power(const SceneView* scene, uint light, flo
 INLINE void select_lights_by_power(const SceneView* scene, float* random, float* selections, uint count)
 {
     FOR_LANES(k, count) store_lane(as_float(0u), selections, 0u, k);
-    for (uint step = first_cdf_step(scene); step > 0u; step /= 2u) {
+    for (uint step = first_search_step(scene->light_count); step > 0u; step /= 2u) {
         FOR_LANES(k, count) {
             if (k >= count) continue;
             const uint light = as_uint(load_lane(selections, 0u, k));
@@ -98,7 +91,7 @@ INLINE LightSelection select_light(const SceneView* scene, Vec3 reference, Vec4 
 {
 #if FEATURE_MANY_LIGHTS && !HAS_LIGHT_IMPORTANCE
     uint light = 0u;
-    for (uint step = first_cdf_step(scene); step > 0u; step /= 2u)
+    for (uint step = first_search_step(scene->light_count); step > 0u; step /= 2u)
         light = advance_cdf_light(scene, light, step, u, u_low);
     return selection_by_power(scene, light, u, u_low);
 #else

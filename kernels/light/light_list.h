@@ -3,6 +3,7 @@
 // few of them this is cheaper than the traversal of a tree (light/light_tree.h).
 // host/isonoise/scene/light/light_list.py makes the bounds.
 #pragma once
+#include "light/cdf_search.h"
 #include "path/path_state.h"
 #include "util/math.h"
 
@@ -81,45 +82,6 @@ INLINE float mixture_pmf(ImportanceMixture m, float importance, float power_frac
     return m.importance_scale * importance + m.power_scale * power_fraction;
 }
 
-// Inversion of the discrete CDF, light by light: subtracts the pmf of each light from the random number until it is
-// negative. The random number has 48 bits, as a double-float, so a pmf far below the last bit of the others is still
-// sampled correctly, and what is left of the number has 24 bits.
-typedef struct {
-    float u, u_low;  // what is left of the random number is their sum
-    uint light;      // the selected one; before that, or if rounding leaves u >= 0 to the end, the most probable so far
-    float pmf;       // of `light`
-    float remainder;  // what was left of the random number at `light`
-} CdfSearch;
-
-INLINE CdfSearch begin_cdf_search(float u, float u_low)
-{
-    CdfSearch s;
-    s.u = u;
-    s.u_low = 0x1p-24f * u_low;
-    s.light = 0u;
-    s.pmf = s.remainder = 0.0f;
-    return s;
-}
-
-INLINE void advance_cdf_search(CdfSearch* s, uint light, float pmf)
-{
-    const float remainder = s->u;
-    const bool is_searching = remainder >= 0.0f;
-    const float difference = s->u - pmf, rounding = (s->u - difference) - pmf, low = s->u_low + rounding;
-    s->u = difference + low;
-    s->u_low = low - (s->u - difference);
-    const bool selects = is_searching && (s->u < 0.0f || pmf > s->pmf);
-    s->light = selects ? light : s->light;
-    s->pmf = selects ? pmf : s->pmf;
-    s->remainder = selects ? remainder : s->remainder;
-}
-
-// The random number rescaled to [0, 1) within the selected light.
-INLINE float rescaled_random(float remainder, float pmf)
-{
-    return pmf > 0.0f ? MIN(remainder / pmf, 0x1.fffffep-1f) : 0.0f;
-}
-
 #if FEATURE_AREA_LIGHTS || FEATURE_CONSTANT_LIGHT || FEATURE_ENVIRONMENT_MAP
 // Probability of selecting a light for a point, for MIS.
 INLINE float light_list_pmf(const LightList* list, uint light, Vec3 point, Vec4 normal)
@@ -143,14 +105,14 @@ INLINE uint select_from_list(const LightList* list, Vec3 point, Vec4 normal, flo
     for (uint light = 0u; light < list->light_count; ++light)
         total += light_importance(bounds + light, true, point, normal);
     const ImportanceMixture m = make_importance_mixture(total);
-    CdfSearch search = begin_cdf_search(*random, u_low);
+    CdfSearch search = begin_cdf_search(*random, 0x1p-24f * u_low);
     for (uint light = 0u; light < list->light_count; ++light) {
         const float importance = light_importance(bounds + light, true, point, normal);
         advance_cdf_search(&search, light, mixture_pmf(m, importance, bounds[light].power_fraction));
     }
     *pmf = search.pmf;
     *random = rescaled_random(search.remainder, search.pmf);
-    return search.light;
+    return search.item;
 }
 
 #if LANES > 1
@@ -217,13 +179,13 @@ INLINE void select_lights_from_list(const LightList* list, const float* points, 
         add_light_importance(list->bounds + light, points, normals, importances + light * LANES, totals, count);
     FOR_LANES(k, count) {
         const ImportanceMixture m = make_importance_mixture(totals[k]);
-        const CdfSearch search = begin_cdf_search(load_lane(random, 0u, k), load_lane(random, 1u, k));
+        const CdfSearch search = begin_cdf_search(load_lane(random, 0u, k), 0x1p-24f * load_lane(random, 1u, k));
         importance_scale[k] = m.importance_scale;
         power_scale[k] = m.power_scale;
         u[k] = search.u;
         u_low[k] = search.u_low;
         store_lane(search.remainder, random, 0u, k);
-        store_lane(as_float(search.light), selections, 0u, k);
+        store_lane(as_float(search.item), selections, 0u, k);
         store_lane(search.pmf, selections, 1u, k);
     }
     for (uint light = 0u; light < list->light_count; ++light) {
@@ -234,14 +196,14 @@ INLINE void select_lights_from_list(const LightList* list, const float* points, 
             CdfSearch search;
             search.u = u[k];
             search.u_low = u_low[k];
-            search.light = as_uint(load_lane(selections, 0u, k));
+            search.item = as_uint(load_lane(selections, 0u, k));
             search.pmf = load_lane(selections, 1u, k);
             search.remainder = load_lane(random, 0u, k);
             const float pmf = mixture_pmf(m, importances[light * LANES + k], list->bounds[light].power_fraction);
             advance_cdf_search(&search, light, pmf);
             u[k] = search.u;
             u_low[k] = search.u_low;
-            store_lane(as_float(search.light), selections, 0u, k);
+            store_lane(as_float(search.item), selections, 0u, k);
             store_lane(search.pmf, selections, 1u, k);
             store_lane(search.remainder, random, 0u, k);
         }

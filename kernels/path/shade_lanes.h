@@ -1,7 +1,6 @@
 // The steps of `shade_lanes` (stages/shade.cl) that scatter the paths: next-event estimation, textures, BSDFs, the
 // next rays. Each is a loop over the lanes that need it, short enough to be vectorised. Lanes are compacted by the kind
-// of the selected light and by the kind of BSDF. Checkerboards and the light tree cannot be vectorised and run lane by
-// lane.
+// of the selected light and by the kind of BSDF. Checkerboards cannot be vectorised and run lane by lane.
 #pragma once
 #include "path/hit_lanes.h"
 
@@ -38,14 +37,11 @@ INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* l
 #elif FEATURE_LIGHT_TREE
 INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)
 {
-    for (uint k = 0u; k < hits->count; ++k) {
-        LightSelection selection = {0u, 0.0f, 0.0f};
-        if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k))
-            selection = select_light(scene, load_lane3(lane_state, LANE_POSITION, k),
-                                     load_lane4(lane_state, LANE_MIS_NORMAL, k), load_lane(lane_state, LANE_LIGHT_U, k),
-                                     load_lane(lane_state, LANE_LIGHT_U_LOW, k));
-        store_light_selection_lane(selection, lane_state, k);
-    }
+    int list[LANES + 1];
+    COMPACT_LANES(list, list_count, k, hits->count, has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k))
+    select_lights_from_tree(&scene->light_tree, lane_state + LANE_POSITION * LANES,
+                            lane_state + LANE_MIS_NORMAL * LANES, list, list_count, lane_state + LANE_LIGHT_U * LANES,
+                            lane_state + LANE_SELECTED_LIGHT * LANES, hits->count);
 }
 #elif FEATURE_MANY_LIGHTS
 INLINE void select_lights(const SceneView* scene, const HitLanes* hits, float* lane_state)

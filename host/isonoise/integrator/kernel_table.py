@@ -324,6 +324,7 @@ SCENE_VIEW = {
     "light_list.light_count": "light_count",
     "light_tree.nodes": "light_nodes",
     "light_tree.parents": "light_parents",
+    "light_tree.cdf": "light_cdf",
     "light_tree.light_count": "light_count",
 }
 """Member of the struct `SceneView` (kernels/geometry/surface.h) -> kernel argument."""

@@ -98,11 +98,21 @@ def _spread_bits(x: np.ndarray) -> np.ndarray:
 
 def build_binary_tree(lower: np.ndarray, upper: np.ndarray) -> BinaryTree:
     """Cluster n >= 1 boxes, corners (3, n) float32 and finite."""
+    return _cluster(lower, upper, morton_order(lower, upper), SEARCH_RADIUS)
+
+
+def build_ordered_tree(lower: np.ndarray, upper: np.ndarray) -> BinaryTree:
+    """The same for boxes along a Morton curve: keeps their order, because only neighbours merge."""
+    return _cluster(lower, upper, np.arange(lower.shape[1], dtype=np.int32), 1)
+
+
+def _cluster(lower: np.ndarray, upper: np.ndarray, nodes: np.ndarray, search_radius: int) -> BinaryTree:
+    """Merge the boxes, in the order `nodes`, until one cluster is left."""
     builder = BinaryTreeBuilder(lower, upper)
-    nodes = morton_order(lower, upper)  # the current clusters, in Morton order, and their boxes
+    nodes = nodes.copy()  # the current clusters, in order, and their boxes
     lower, upper = lower.take(nodes, axis=1), upper.take(nodes, axis=1)
     while len(nodes) > 1:
-        neighbour = _best_neighbours(lower, upper)
+        neighbour = _best_neighbours(lower, upper, search_radius)
         index = np.arange(len(nodes), dtype=np.int32)
         first = np.flatnonzero((neighbour[neighbour] == index) & (index < neighbour))
         second = neighbour[first]
@@ -130,7 +140,7 @@ def build_balanced_tree(lower: np.ndarray, upper: np.ndarray) -> BinaryTree:
     return builder.tree()
 
 
-def _best_neighbours(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def _best_neighbours(lower: np.ndarray, upper: np.ndarray, search_radius: int) -> np.ndarray:
     """For each cluster the index of the neighbour with the least surface area of their union.
 
     Of equal costs the first one tried wins, and the pairs (0, 1), (2, 3), ... are tried first. So identical boxes halve
@@ -143,7 +153,7 @@ def _best_neighbours(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     index = np.arange(n, dtype=np.int32)
     for begin in range(0, n, CHUNK_CLUSTERS):
         end = min(begin + CHUNK_CLUSTERS, n)
-        for distance in range(1, min(SEARCH_RADIUS, n - 1) + 1):
+        for distance in range(1, min(search_radius, n - 1) + 1):
             stop = min(end, n - distance)
             if stop <= begin:
                 continue

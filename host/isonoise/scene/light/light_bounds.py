@@ -28,6 +28,11 @@ class LightBounds:
     edge: np.ndarray  # (n,): largest angle between a normal and emitted light, pi / 2 at most
     intensity: np.ndarray  # (n,): upper bound, along the normals
     radius: np.ndarray  # (n,): of the sphere around the center of the box
+    thickness: np.ndarray | None = None  # (n,): largest distance from the plane through the center across the axis
+
+    def __post_init__(self):
+        if self.thickness is None:
+            self.thickness = self.radius.copy()
 
     @property
     def center(self) -> np.ndarray:
@@ -35,7 +40,15 @@ class LightBounds:
 
     def padded_radius(self) -> np.ndarray:
         """The radius, padded by the rounding of the center to float32."""
-        return self.radius + 2.0**-22 * np.abs(self.center).max(axis=0)
+        return self.radius + self._padding()
+
+    def padded_emission_radius(self) -> np.ndarray:
+        """How far points of the lights reach along any normal in the cone: the radius, less if the lights are flat."""
+        across = self.thickness + np.sin(np.minimum(self.spread, np.pi / 2)) * self.radius
+        return np.minimum(across, self.radius) + self._padding()
+
+    def _padding(self) -> np.ndarray:
+        return 2.0**-22 * np.abs(self.center).max(axis=0)
 
     def __setitem__(self, index, other: "LightBounds") -> None:
         for name, values in vars(self).items():
@@ -127,7 +140,7 @@ def disk_bounds(scene: CompiledScene, lights: np.ndarray, power: np.ndarray) -> 
     records = scene.analytics[lights["primitive"]]
     is_flipped = scene.shapes["flags"][records["shape"]] & structs.SHAPE_FLIP_NORMALS
     bounds.axis = np.where(is_flipped, -1.0, 1.0) * _unit(records["to_object"].reshape(-1, 3, 4)[:, 2, :3].T)
-    bounds.spread = np.zeros(len(lights))
+    bounds.spread, bounds.thickness = np.zeros(len(lights)), np.zeros(len(lights))
     bounds.intensity *= 4
     return bounds
 
@@ -163,7 +176,8 @@ def _mesh_bounds(scene: CompiledScene, lights: np.ndarray, vertices: np.ndarray,
         # within a hemisphere, interpolated normals stay in the cone around the vertex normals
         spread[is_smooth] = np.where(angle < np.pi / 2, angle + 1e-6, np.pi)
     edge = np.full(len(lights), np.pi / 2)
-    return LightBounds(centroid - half, centroid + half, axis, spread, edge, power / np.pi, radius)
+    thickness = np.abs(((corners - centroid) * axis).sum(axis=1)).max(axis=0)
+    return LightBounds(centroid - half, centroid + half, axis, spread, edge, power / np.pi, radius, thickness)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
@@ -181,8 +195,17 @@ def bound_tree_nodes(tree: BinaryTree, leaves: LightBounds) -> LightBounds:
         lower, upper = np.minimum(a.lower, b.lower), np.maximum(a.upper, b.upper)
         axis, spread = _cone_union(a, b)
         edge, radius = np.maximum(a.edge, b.edge), 0.5 * np.linalg.norm(upper - lower, axis=0)
-        bounds[begin:end] = LightBounds(lower, upper, axis, spread, edge, a.intensity + b.intensity, radius)
+        merged = LightBounds(lower, upper, axis, spread, edge, a.intensity + b.intensity, radius)
+        merged.thickness = np.minimum(radius, np.maximum(_thickness_across(merged, a), _thickness_across(merged, b)))
+        bounds[begin:end] = merged
     return bounds
+
+
+def _thickness_across(parent: LightBounds, child: LightBounds) -> np.ndarray:
+    """Largest distance (n,) of the lights of a child from the parent's plane."""
+    offset = np.abs((parent.axis * (child.center - parent.center)).sum(axis=0))
+    tilt = np.linalg.norm(np.cross(parent.axis, child.axis, axis=0), axis=0)
+    return offset + np.minimum(child.thickness + tilt * child.radius, child.radius)
 
 
 def _cone_union(a: LightBounds, b: LightBounds) -> tuple[np.ndarray, np.ndarray]:
