@@ -10,8 +10,10 @@ from small_scene import assert_same_bits, lamp_over_floor
 from isonoise.benchmark import tune
 from isonoise.benchmark.measure import Settings
 from isonoise.cli import main
-from isonoise.device import drivers, pool_size, program_cache
-from isonoise.errors import SceneError, UserError
+from isonoise.device import drivers, form, pool_size, program_cache, tuned
+from isonoise.device.form import FORM_VARIABLE, FORMS
+from isonoise.device.opencl import Device
+from isonoise.errors import DeviceError, SceneError, UserError
 from isonoise.integrator import accumulator, scene_buffers
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.kernel_table import path_bytes
@@ -116,7 +118,7 @@ def test_the_untuned_size_is_not_stored(device, folder):
     + [json.dumps({"pool_size": size}) for size in (-4096, 2**26, 2**40, None, True, [4096])],
 )
 def test_invalid_content_counts_as_missing(device, content):
-    program_cache.store(pool_size._key(device), content.encode())
+    program_cache.store(tuned._key(device, "pool_size"), content.encode())
     assert pool_size.tuned_pool_size(device) is None
     assert pool_of()[0] == pool_size.untuned_pool_size(device)
 
@@ -130,7 +132,7 @@ def test_a_damaged_file_counts_as_missing(device, folder):
 
 def test_sizes_are_stored_per_driver(device, monkeypatch):
     pool_size.store_tuned_pool_size(device, 4096)
-    monkeypatch.setattr(pool_size, "driver_identity", lambda device: ("another",))
+    monkeypatch.setattr(tuned, "driver_identity", lambda device: ("another",))
     assert pool_size.tuned_pool_size(device) is None
 
 
@@ -145,14 +147,16 @@ def test_sizes_are_stored_per_driver(device, monkeypatch):
     ],
 )
 def test_another_size_is_chosen_only_if_faster_in_every_turn(speeds, chosen):
-    assert tune.choose_pool_size(speeds, UNTUNED) == chosen
+    assert tune.choose_fastest(speeds, UNTUNED) == chosen
 
 
 def test_pools_are_measured_in_turn(monkeypatch):
     monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
     scene = compile_scene(load(lamp_over_floor()))
     progress = []
-    speeds = tune.measure_pools([scene, scene], Settings(repeat=2, spp=4.0), lambda done, what: progress.append(done))
+    speeds = tune.measure_pools(
+        [scene, scene], Settings(repeat=2, spp=4.0), lambda done, what: progress.append(done), FORMS["lanes"]
+    )
     assert list(speeds) == [64, 128, 256, 512, 1024]
     assert all(len(turns) == 2 and min(turns) > 0 for turns in speeds.values())
     assert progress == sorted(progress)
@@ -160,16 +164,44 @@ def test_pools_are_measured_in_turn(monkeypatch):
     assert progress[-1] < 1
 
 
+def test_forms_are_measured_on_cpus(device, monkeypatch):
+    monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
+    scene = compile_scene(load(lamp_over_floor()))
+    speeds = tune.measure_forms([scene], Settings(repeat=2, spp=4.0), lambda *_: None)
+    assert list(speeds) == (["lanes", "cpu"] if drivers.is_cpu(device) else [])
+    monkeypatch.setattr(Device, "is_cpu", False)
+    assert tune.measure_forms([scene], Settings(repeat=2, spp=4.0), lambda *_: None) == {}
+
+
+def test_a_tuned_form_is_used(device, monkeypatch, folder):
+    monkeypatch.delenv(FORM_VARIABLE, raising=False)
+    default = form.default_form(device)
+    other = FORMS["lanes" if default.name == "cpu" else "cpu"]
+    assert Device().form == default
+    assert form.store_tuned_form(device, other.name)
+    assert Device().form == other
+    program_cache.store(tuned._key(device, "form"), b'{"form": "wide"}')
+    assert Device().form == default
+    monkeypatch.setenv(FORM_VARIABLE, "gpu")
+    assert Device().form == FORMS["gpu"]
+    monkeypatch.setenv(FORM_VARIABLE, "wide")
+    with pytest.raises(DeviceError, match="choose one of lanes, cpu, gpu"):
+        _ = Device().form
+    assert form.store_tuned_form(device, default.name)
+    assert not list(folder.iterdir())
+
+
 def test_pools_that_do_not_fit_in_memory_are_skipped(monkeypatch):
     monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
     monkeypatch.setattr(tune, "MEMORY_SHARE", 0.0)
     scene = compile_scene(load(lamp_over_floor()))
-    assert list(tune.measure_pools([scene], Settings(repeat=1, spp=1.0), lambda *_: None)) == [256]
+    assert list(tune.measure_pools([scene], Settings(repeat=1, spp=1.0), lambda *_: None, FORMS["cpu"])) == [256]
 
 
 def test_bench_tune_stores_the_size_and_devices_shows_it(device, monkeypatch, capsys):
     untuned = pool_size.untuned_pool_size(device)
     speeds = {untuned // 2: [1e6, 1e6], untuned: [2e6, 2e6], 2 * untuned: [3e6, 2.5e6]}
+    monkeypatch.setattr(tune, "measure_forms", lambda *arguments: {})
     monkeypatch.setattr(tune, "measure_pools", lambda *arguments: speeds)
     assert main(["bench", "--tune", "cornell"]) == 0
     out = capsys.readouterr().out
@@ -186,6 +218,7 @@ def test_bench_tune_stores_the_size_and_devices_shows_it(device, monkeypatch, ca
 
 def test_bench_tune_fails_without_a_cache(device, monkeypatch, capsys):
     untuned = pool_size.untuned_pool_size(device)
+    monkeypatch.setattr(tune, "measure_forms", lambda *arguments: {})
     monkeypatch.setattr(tune, "measure_pools", lambda *arguments: {untuned: [1.0], 2 * untuned: [2.0]})
     monkeypatch.setenv(program_cache.FOLDER_VARIABLE, "off")
     assert main(["bench", "--tune", "cornell"]) == 2

@@ -202,7 +202,7 @@ def _add_bench(commands) -> None:
     modes.add_argument(
         "--tune",
         action="store_true",
-        help="instead, find the fastest number of paths in flight and use it in all later renders on the device",
+        help="instead, find the fastest device form and number of paths in flight, for all later renders on the device",
     )
     modes.add_argument(
         "--specialisation",

@@ -1,6 +1,6 @@
 """Measurements as text for a terminal; every function takes the content of a JSON file, or a part of it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 
 from isonoise.benchmark.baseline import Comparison, SpeedRatio
 from isonoise.benchmark.specialisation import SPECIALISED
@@ -91,17 +91,18 @@ def comparison_text(comparison: Comparison, threshold: float) -> str:
     return f"\nspeed over the earlier speed; below {threshold:g} is slower\n{table}"
 
 
-def pool_sizes_text(speeds: Mapping[int, Sequence[float]], untuned: int, chosen: int) -> str:
-    """Samples per second by pool size, the gain over the untuned one per turn, and the choice."""
+def tuning_text(heading: str, speeds: Mapping[Hashable, Sequence[float]], default: Hashable, chosen: Hashable) -> str:
+    """Samples per second of forms or pool sizes, the gain over the default per turn, and the choice."""
     rows = []
-    for size, turns in speeds.items():
-        gain = spread(speed / reference for speed, reference in zip(turns, speeds[untuned], strict=True))
+    for choice, turns in speeds.items():
+        gain = spread(speed / reference for speed, reference in zip(turns, speeds[default], strict=True))
         note = ", ".join(
-            word for word, applies in (("default", size == untuned), ("chosen", size == chosen)) if applies
+            word for word, applies in (("default", choice == default), ("chosen", choice == chosen)) if applies
         )
-        gain_text = "" if size == untuned else _spread(gain, _two_decimals)
-        rows.append((f"{size:,}", _spread(spread(turns), format_count), gain_text, note))
-    return text_table(Table(columns("paths in flight", "samples/s", "over the default", "", left=(3,)), rows))
+        gain_text = "" if choice == default else _spread(gain, _two_decimals)
+        choice_text = f"{choice:,}" if isinstance(choice, int) else str(choice)
+        rows.append((choice_text, _spread(spread(turns), format_count), gain_text, note))
+    return text_table(Table(columns(heading, "samples/s", "over the default", "", left=(3,)), rows))
 
 
 def peers_text(result: Mapping) -> str:

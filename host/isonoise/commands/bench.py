@@ -28,14 +28,14 @@ from isonoise.benchmark.report_text import (
     comparison_text,
     header_text,
     peers_text,
-    pool_sizes_text,
     scene_text,
     specialisation_text,
     summary_text,
+    tuning_text,
     versus_text,
 )
 from isonoise.commands import EXIT_DONE
-from isonoise.device import pool_size, program_cache
+from isonoise.device import form, pool_size, program_cache
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
@@ -117,21 +117,29 @@ def _bench(options: argparse.Namespace, settings: Settings, sources: Mapping[str
 
 
 def _tune(settings: Settings, sources: Mapping[str, str]) -> int:
-    """Measure pool sizes and store the fastest one for the device."""
-    from isonoise.benchmark.tune import choose_pool_size, measure_pools
+    """Measure forms and pool sizes, and store the fastest ones for the device."""
+    from isonoise.benchmark.tune import choose_fastest, measure_forms, measure_pools
 
     measured = Device(settings.device)
     device = measured.device
     _print(f"{measured.name}, {describe_driver(device)}")
     scenes = [load_scene(source, settings) for source in sources.values()]
+    chosen_form = default_form = form.default_form(device).name
     with ProgressBar() as bar:
-        speeds = measure_pools(scenes, settings, lambda done, activity: bar.show(done, 1, activity))
+        forms = measure_forms(scenes, settings, lambda done, activity: bar.show(done, 1, activity))
+    if forms:
+        chosen_form = choose_fastest(forms, default_form)
+        _print(tuning_text("device form", forms, default_form, chosen_form) + "\n")
+    with ProgressBar() as bar:
+        chosen = form.FORMS[chosen_form]
+        sizes = measure_pools(scenes, settings, lambda done, activity: bar.show(done, 1, activity), chosen)
     untuned = pool_size.untuned_pool_size(device)
-    chosen = choose_pool_size(speeds, untuned)
-    _print(pool_sizes_text(speeds, untuned, chosen))
-    if not pool_size.store_tuned_pool_size(device, chosen):
+    chosen_size = choose_fastest(sizes, untuned)
+    _print(tuning_text("paths in flight", sizes, untuned, chosen_size))
+    stored = form.store_tuned_form(device, chosen_form), pool_size.store_tuned_pool_size(device, chosen_size)
+    if not all(stored):
         raise UserError(
-            f"the pool size cannot be stored: {program_cache.FOLDER_VARIABLE} is off, or its folder is not writable"
+            f"the choice cannot be stored: {program_cache.FOLDER_VARIABLE} is off, or its folder is not writable"
         )
     return EXIT_DONE
 

@@ -1,10 +1,12 @@
 """`isonoise devices`: lists the OpenCL devices, the default one and why, and what would be faster."""
 
 import argparse
+import os
 
 from isonoise.commands import EXIT_DONE
 from isonoise.device.driver_advice import default_reason, faster_driver, known_fault, unused_instructions
 from isonoise.device.drivers import compiler_target, driver_advice, list_devices
+from isonoise.device.form import FORM_VARIABLE, choose_form, tuned_form
 from isonoise.device.pool_size import default_pool_size, tuned_pool_size
 from isonoise.errors import DeviceError
 
@@ -21,12 +23,20 @@ def run(options: argparse.Namespace) -> int:
             f"{size / 2**30:.1f} GiB" for size in (device.global_mem_size, device.max_mem_alloc_size)
         )
         print(f"   {device.max_compute_units} compute units, {memory} memory, {largest_buffer} in one buffer")
-        source = "found by `isonoise bench --tune`" if tuned_pool_size(device) else "the default"
-        print(f"   {default_pool_size(device):,} paths in flight, {source}")
+        print(f"   {default_pool_size(device):,} paths in flight, {_source(tuned_pool_size(device))}")
+        print(f"   device form {choose_form(device).name}, {_form_source(device)}")
     print(f"default: device 0, {default_reason(devices)}")
     if advice := faster_driver(devices):
         print(f"faster: {advice}")
     return EXIT_DONE
+
+
+def _source(tuned: object) -> str:
+    return "the default" if tuned is None else "found by `isonoise bench --tune`"
+
+
+def _form_source(device) -> str:
+    return f"from {FORM_VARIABLE}" if os.environ.get(FORM_VARIABLE) else _source(tuned_form(device))
 
 
 def _print_driver(device) -> None:

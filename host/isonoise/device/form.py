@@ -6,10 +6,13 @@ The form changes the speed, never a bit of a result. `Device.form` chooses it; t
 import os
 from typing import NamedTuple
 
+from isonoise.device.drivers import is_cpu, is_pocl
+from isonoise.device.tuned import load_tuned, store_tuned
 from isonoise.errors import DeviceError
 
 FORM_VARIABLE = "ISONOISE_DEVICE_FORM"
 """Environment variable with the name of the form for all devices, for tests and measurements."""
+_NAME = "form"
 
 MAX_STACK_SIZE = 258
 """Entries of a traversal stack: `build_scene_bvh` rejects trees that need more than 256; two more hold end markers."""
@@ -100,11 +103,37 @@ FORMS = {
 }
 
 
-def choose_form(is_cpu: bool, is_pocl: bool) -> DeviceForm:
-    """The form of a device: that of `FORM_VARIABLE`, if set. Raises DeviceError for a name that does not exist."""
+CPU_FORMS = ("lanes", "cpu")
+"""Forms that a CPU may be fastest with: which one depends on its compiler."""
+
+
+def choose_form(device) -> DeviceForm:
+    """The form of an OpenCL device: that of `FORM_VARIABLE`, if set, else the tuned one, else the default.
+
+    Raises DeviceError for a name that does not exist.
+    """
     chosen = os.environ.get(FORM_VARIABLE)
     if not chosen:
-        chosen = ("lanes" if is_pocl else "cpu") if is_cpu else "gpu"
+        return tuned_form(device) or default_form(device)
     if chosen not in FORMS:
         raise DeviceError(f"{FORM_VARIABLE} is '{chosen}'; choose one of {', '.join(FORMS)}, or remove it")
     return FORMS[chosen]
+
+
+def default_form(device) -> DeviceForm:
+    """The form of a device that was never tuned."""
+    if not is_cpu(device):
+        return FORMS["gpu"]
+    return FORMS["lanes" if is_pocl(device) else "cpu"]
+
+
+def tuned_form(device) -> DeviceForm | None:
+    """The form that `isonoise bench --tune` found to be faster than the default; None if there is none."""
+    name = load_tuned(device, _NAME)
+    return FORMS.get(name) if isinstance(name, str) else None
+
+
+def store_tuned_form(device, name: str) -> bool:
+    """Store the form of a device; return whether that succeeded."""
+    store_tuned(device, _NAME, None if FORMS[name] == default_form(device) else name)
+    return (tuned_form(device) or default_form(device)).name == name

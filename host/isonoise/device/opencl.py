@@ -130,7 +130,7 @@ class Device:
     @functools.cached_property
     def form(self) -> DeviceForm:
         """How kernels divide their work among work-items."""
-        return choose_form(self.is_cpu, self.is_pocl)
+        return choose_form(self.device)
 
     @property
     def is_pocl(self) -> bool:

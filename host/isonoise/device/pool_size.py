@@ -1,12 +1,9 @@
-"""How many paths are in flight on a device: a default, or the size that `isonoise bench --tune` found to be faster.
+"""How many paths are in flight on a device: a default, or the size that `isonoise bench --tune` found to be faster."""
 
-A tuned size is stored in the program cache, per device and driver.
-"""
+from isonoise.device.drivers import is_cpu
+from isonoise.device.tuned import load_tuned, store_tuned
 
-import json
-
-from isonoise.device import program_cache
-from isonoise.device.drivers import driver_identity, is_cpu
+_NAME = "pool_size"
 
 SAMPLES_PER_PATH = 16
 """Samples of a slice for each path of the pool. When a path ends, that of a further sample takes its place; the pool
@@ -49,22 +46,12 @@ def untuned_pool_size(device) -> int:
 
 def tuned_pool_size(device) -> int | None:
     """The stored size; None if there is none or it is invalid."""
-    content = program_cache.load(_key(device))
-    try:
-        size = json.loads(content or b"{}")["pool_size"]
-    except (ValueError, LookupError, TypeError):
-        return None
-    return size if isinstance(size, int) and MIN_POOL_SIZE <= size <= MAX_POOL_SIZE else None
+    size = load_tuned(device, _NAME)
+    is_number = isinstance(size, int) and not isinstance(size, bool)
+    return size if is_number and MIN_POOL_SIZE <= size <= MAX_POOL_SIZE else None
 
 
 def store_tuned_pool_size(device, size: int) -> bool:
     """Store the device's pool size; return whether that succeeded."""
-    if size == untuned_pool_size(device):
-        program_cache.remove(_key(device))
-    else:
-        program_cache.store(_key(device), json.dumps({"pool_size": size}).encode())
+    store_tuned(device, _NAME, None if size == untuned_pool_size(device) else size)
     return default_pool_size(device) == size
-
-
-def _key(device) -> str:
-    return program_cache.program_key("pool size", (), driver_identity(device))
