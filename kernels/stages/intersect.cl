@@ -85,7 +85,7 @@ __kernel void intersect(
 #if FEATURE_TRIANGLES
             if (leaf < first_analytic) {
                 NO_UNROLL
-                for (uint part = 0u; part < BVH_PARTS; ++part)
+                for (uint part = 0u; part < USED_PARTS(triangle_blocks + leaf); ++part)
                     update_from_triangles(&closest, &traversal, triangle_blocks + leaf, part);
             }
 #endif

@@ -11,7 +11,7 @@ INLINE bool is_occluded(Traversal* traversal, ulong* stack, __global const float
 #if FEATURE_TRIANGLES
         if (leaf < first_analytic) {
             NO_UNROLL
-            for (uint part = 0u; part < BVH_PARTS; ++part) {
+            for (uint part = 0u; part < USED_PARTS(triangle_blocks + leaf); ++part) {
                 FloatLanes t, u, v;
                 if (intersect_triangles(triangle_blocks + leaf, part, &traversal->ray, traversal->skip, t_max, &t, &u,
                                         &v))

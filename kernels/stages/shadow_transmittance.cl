@@ -176,7 +176,7 @@ __kernel void shadow_transmittance(
 #if FEATURE_TRIANGLES
         if (leaf < first_analytic) {
             NO_UNROLL
-            for (uint part = 0u; part < BVH_PARTS; ++part)
+            for (uint part = 0u; part < USED_PARTS(triangle_blocks + leaf); ++part)
                 if (!attenuate_triangles(&shadow, &scene, &traversal, triangle_blocks + leaf, part, origin, direction,
                                          t_max))
                     return;
