@@ -42,7 +42,11 @@ class FakeEmbree(embree.IntersectStage):
     def trace(self):
         seconds = super().trace()
         self.triangles = self.hits()[1].view(np.int32)
+        self.seconds = seconds
         return seconds
+
+    def call_overhead(self):
+        return self.seconds / 4
 
 
 def test_peers_report(monkeypatch, capsys):
@@ -64,6 +68,9 @@ def test_peers_report(monkeypatch, capsys):
     assert incoherent["rays"] == 1024
     assert 0.5 < incoherent["hit_share"] < 1
     assert coherent["same_triangle_share"] == incoherent["same_triangle_share"] == 1
+    assert coherent["embree_overhead_share"]["median"] == pytest.approx(0.25)
+    cores = result["device"]["compute_units"]
+    assert coherent["speedup_per_core"]["max"] == pytest.approx(0.75 * coherent["speedup"]["max"] / cores)
     out = capsys.readouterr().out
     assert "DRJIT_LIBLLVM_PATH" in out  # because the variant is scalar
     assert peers_text(result) in out

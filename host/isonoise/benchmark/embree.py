@@ -90,6 +90,7 @@ class EmbreeMesh:
             np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)
         )  # Embree builds its BVH with the first ray
         self.build_s = time.perf_counter() - start
+        self._outside = scene.bounds.astype(float).max(axis=0) + np.ptp(scene.bounds.astype(float), axis=0)
 
     def upload(self, origins: np.ndarray, directions: np.ndarray) -> None:
         self._rays = [np.ascontiguousarray(xyz, np.float32) for xyz in (origins, directions)]
@@ -97,6 +98,14 @@ class EmbreeMesh:
     def trace(self) -> float:
         start = time.perf_counter()
         self.triangles = self._scene.run(*self._rays)
+        return time.perf_counter() - start
+
+    def call_overhead(self) -> float:
+        """Seconds for as many rays that start outside and leave: mostly those of embreex, which Embree does not need."""
+        origins = np.broadcast_to(self._outside.astype(np.float32), self._rays[0].shape).copy()
+        directions = np.ones_like(origins)
+        start = time.perf_counter()
+        self._scene.run(origins, directions)
         return time.perf_counter() - start
 
 
@@ -107,12 +116,19 @@ def measure_rays(
     show(0.0, "BVHs")
     isonoise, embree = IntersectStage(device, scene), EmbreeMesh(scene)
     origins, directions = camera_rays(scene)
-    rows = [_row("coherent", isonoise, embree, (origins, directions), repeat)]
+    rows = [_row("coherent", isonoise, embree, (origins, directions), repeat, device.compute_units)]
     show(0.5, "incoherent rays")
     isonoise.upload(origins, directions)
     isonoise.trace()
     rows.append(
-        _row("incoherent", isonoise, embree, bounced_rays(scene, origins, directions, *isonoise.hits()), repeat)
+        _row(
+            "incoherent",
+            isonoise,
+            embree,
+            bounced_rays(scene, origins, directions, *isonoise.hits()),
+            repeat,
+            device.compute_units,
+        )
     )
     return {
         "scene": name,
@@ -124,21 +140,25 @@ def measure_rays(
     }
 
 
-def _row(kind: str, isonoise: IntersectStage, embree: EmbreeMesh, rays: tuple, repeat: int) -> Mapping[str, object]:
+def _row(
+    kind: str, isonoise: IntersectStage, embree: EmbreeMesh, rays: tuple, repeat: int, cores: int
+) -> Mapping[str, object]:
     for program in (isonoise, embree):
         program.upload(*rays)
         program.trace()  # warm-up
     triangles = isonoise.hits()[1]
     mrays = 1e-6 * len(rays[0])
-    times = [(isonoise.trace(), embree.trace()) for _ in range(repeat)]
+    times = [(isonoise.trace(), embree.trace(), embree.call_overhead()) for _ in range(repeat)]
     return {
         "kind": kind,
         "rays": len(rays[0]),
         "hit_share": float(np.mean(triangles != NONE)),
         "same_triangle_share": float(np.mean(triangles.view(np.int32) == embree.triangles)),
-        "mrays_per_s": spread(mrays / mine for mine, _ in times),
-        "embree_mrays_per_s": spread(mrays / theirs for _, theirs in times),
-        "speedup": spread(theirs / mine for mine, theirs in times),
+        "mrays_per_s": spread(mrays / mine for mine, _, _ in times),
+        "embree_mrays_per_s": spread(mrays / theirs for _, theirs, _ in times),
+        "speedup": spread(theirs / mine for mine, theirs, _ in times),
+        "embree_overhead_share": spread(overhead / theirs for _, theirs, overhead in times),
+        "speedup_per_core": spread((theirs - overhead) / mine / cores for mine, theirs, overhead in times),
     }
 
 

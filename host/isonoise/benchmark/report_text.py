@@ -151,12 +151,25 @@ def _embree_table(meshes: Sequence[Mapping]) -> str:
             _spread(row["mrays_per_s"], _two_decimals),
             _spread(row["embree_mrays_per_s"], _two_decimals),
             _spread(row["speedup"], _two_decimals),
+            f"{100 * row['embree_overhead_share']['median']:.0f} %",
+            _spread(row["speedup_per_core"], _two_decimals),
             f"{100 * row['same_triangle_share']:.3f} %",
         )
         for mesh in meshes
         for row in mesh["rays"]
     ]
-    heads = ("Mrays/s", "triangles", "rays", "hits", "isonoise", "Embree", "ratio", "same triangle")
+    heads = (
+        "Mrays/s",
+        "triangles",
+        "rays",
+        "hits",
+        "isonoise",
+        "Embree",
+        "ratio",
+        "embreex",
+        "ratio per core",
+        "same triangle",
+    )
     return text_table(Table(columns(*heads, left=(0, 2)), rows))
 
 
