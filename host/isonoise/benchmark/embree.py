@@ -101,7 +101,7 @@ class EmbreeMesh:
         return time.perf_counter() - start
 
     def call_overhead(self) -> float:
-        """Seconds for as many rays that start outside and leave: mostly those of embreex, which Embree does not need."""
+        """Seconds for as many rays that start outside and leave: those of embreex, which Embree does not need."""
         origins = np.broadcast_to(self._outside.astype(np.float32), self._rays[0].shape).copy()
         directions = np.ones_like(origins)
         start = time.perf_counter()
