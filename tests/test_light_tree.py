@@ -228,6 +228,26 @@ def test_bounds_miss_no_light_that_arrives():
     assert checked > 5000
 
 
+def test_lights_stay_within_the_emission_radius():
+    """No point of a light is farther along the light's normal than its node says; a panel across an axis is flat."""
+    rng = np.random.default_rng(12)
+    tilt = np.eye(4)
+    tilt[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    panel, tilted = compiled(lamp=grid_of_triangles(16)), compiled(lamp=grid_of_triangles(16) | {"to_world": tilt})
+    for scene in (compiled(**mixed_lights(64, beyond=False)), panel, tilted):
+        nodes = build_light_tree(scene).nodes.astype(np.float64)
+        first, last = (
+            nodes[:, row].astype(np.float32).view(np.int32) for row in (NodeRow.FIRST_LIGHT, NodeRow.LAST_LIGHT)
+        )
+        for node, slot in zip(*np.nonzero(last >= 0), strict=True):
+            center, radius = nodes[node, NodeRow.CENTER : NodeRow.CENTER + 3, slot], nodes[node, :, slot]
+            for light in scene.lights[first[node, slot] : last[node, slot] + 1][:20]:
+                on, normals, _ = _emission_of(scene, light, rng, 8)
+                reach = np.abs(((on - center) * normals).sum(axis=1)).max()
+                assert light["power_pmf"] == 0 or reach <= radius[NodeRow.EMISSION_RADIUS] + 1e-5
+    assert build_light_tree(panel).nodes[:, NodeRow.EMISSION_RADIUS].max() < 1e-5
+
+
 def test_intensity_is_the_largest_that_a_light_has():
     """Closed forms: A L for flat shapes, pi r^2 L for a sphere, 2 r h L for a cylinder, the intensity of points."""
     scene = compiled(

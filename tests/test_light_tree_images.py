@@ -91,11 +91,9 @@ def test_few_lights_are_selected_by_power():
 
 
 @pytest.mark.long
-def test_ten_thousand_triangles_are_as_good_as_a_rectangle():
-    """RMS relative error at equal CPU time (2 s, median of 3 alternating runs).
-
-    With independent samples, whose error is that of the selection; `sobol` favours the rectangle.
-    """
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+def test_ten_thousand_triangles_are_as_good_as_a_rectangle(sampler):
+    """RMS relative error at equal CPU time (2 s, median of 3 alternating runs)."""
     large = np.diag([4.0, 4.0, 1.0, 1.0])
     scene = lamp_over_floor(width=48, height=48) | {"floor": {"type": "rectangle", "to_world": large}}
     facing_down = np.diag([0.5, -0.5, -0.5, 1.0])
@@ -107,7 +105,7 @@ def test_ten_thousand_triangles_are_as_good_as_a_rectangle():
     for seed in range(3):
         for name, lamp in (("whole", whole), ("tiled", tiled)):
             renderer = isonoise.Renderer(
-                scene | {"lamp": lamp}, strategy="uniform:wave_spp=4", seed=seed, sampler="independent"
+                scene | {"lamp": lamp}, strategy="uniform:wave_spp=4", seed=seed, sampler=sampler
             )
             begun = time.process_time()
             while time.process_time() < begun + 2.0:
@@ -116,7 +114,7 @@ def test_ten_thousand_triangles_are_as_good_as_a_rectangle():
             lit = statistics.mean > 0
             relative = statistics.variance_of_mean()[lit] / statistics.mean[lit] ** 2
             errors[name].append(np.sqrt(relative.mean()))
-    assert np.median(errors["tiled"]) <= 1.5 * np.median(errors["whole"])
+    assert np.median(errors["tiled"]) <= 1.3 * np.median(errors["whole"])
 
 
 @pytest.mark.long
