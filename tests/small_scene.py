@@ -31,6 +31,14 @@ def lamp_over_floor(radiance: float = 5.0, width: int = WIDTH, height: int = HEI
     }
 
 
+def nested_triangles() -> dict:
+    """`lamp_over_floor` with a BVH so deep that no form takes its smallest traversal stack."""
+    corners = np.random.default_rng(9).uniform(-1, 1, (1, 3, 3)) * np.geomspace(1e-4, 1.0, 3000)[:, None, None]
+    faces = np.arange(9000).reshape(-1, 3)
+    mesh = {"type": "mesh", "vertices": corners.reshape(-1, 3), "faces": faces, "face_normals": True}
+    return lamp_over_floor() | {"nested": {**mesh, "bsdf": {"type": "diffuse"}}}
+
+
 def without(scene: dict, *names: str) -> dict:
     return {name: value for name, value in scene.items() if name not in names}
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_scene import assert_same_bits, lamp_over_floor
+from small_scene import assert_same_bits, lamp_over_floor, nested_triangles
 
 from isonoise.cli import main
 from isonoise.device import program, program_cache
@@ -139,13 +139,16 @@ def test_without_a_program_cache_it_is_checked_once_per_process(calls, monkeypat
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("pool_size", [None, 150, 1])
-def test_the_check_compiles_nothing_and_changes_nothing(calls, monkeypatch, pool_size):
+@pytest.mark.parametrize(
+    ("scene", "pool_size"),
+    [(lamp_over_floor, None), (lamp_over_floor, 150), (lamp_over_floor, 1), (nested_triangles, None)],
+)
+def test_the_check_compiles_nothing_and_changes_nothing(calls, monkeypatch, scene, pool_size):
     jobs, renderers = [], []
     monkeypatch.setattr(stages, "precompile", lambda device, wanted: jobs.append(wanted))
     for check in (lambda *_: None, driver_check.check_driver):
         monkeypatch.setattr("isonoise.renderer.check_driver", check)
-        renderers.append(Renderer(lamp_over_floor(), strategy="relative-mean", pool_size=pool_size, profile=True))
+        renderers.append(Renderer(scene(), strategy="relative-mean", pool_size=pool_size, profile=True))
         monkeypatch.setattr(Device, "_compile", lambda self, source, options: pytest.fail("a program is compiled"))
     assert calls == ["reduce_fault", "bounce_fault"]
     assert len(jobs) == 3

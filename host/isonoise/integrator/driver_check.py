@@ -5,6 +5,8 @@ program may be wrong about another, so the check launches the programs of the re
 pass is noted in the program cache.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from isonoise.device import program_cache
@@ -116,9 +118,10 @@ def bounce_fault(wavefront: Wavefront, needs: Needs) -> str | None:
             break
     else:
         return None
-    # kernels are compiled for the sizes of this pool
-    pool_size = min(wavefront.pool_size, MAX_COMPILED_ITEMS)
-    tracer = Wavefront(device, scene, build_scene_bvh(scene), needs, 1, pool_size, feature_override=on)
+    # kernels are compiled for the sizes of this pool, and for this stack
+    pool_size, bvh = min(wavefront.pool_size, MAX_COMPILED_ITEMS), build_scene_bvh(scene)
+    bvh = replace(bvh, stack=max(bvh.stack, wavefront.bvh_stack))
+    tracer = Wavefront(device, scene, bvh, needs, 1, pool_size, feature_override=on)
     allocation = np.zeros((SIDE, SIDE), np.uint32)
     traced = min(SIDE * SIDE, pool_size)  # a small pool takes many launches
     allocation.flat[:traced] = _SPP

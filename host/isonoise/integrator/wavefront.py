@@ -75,6 +75,7 @@ class Wavefront:
     ):
         self.device, self.scene = device, scene
         self.features = dict(feature_override or features(scene, needs))
+        self.bvh_stack = bvh.stack
         self.pool_size = pool_size or default_pool_size(device.device)
         self.slice_samples = SAMPLES_PER_PATH * self.pool_size
         form = device.form
