@@ -11,15 +11,11 @@
 #define BVH_PARTS (8u / BVH_LANES)
 #if BVH_LANES == 8
 typedef float8 FloatLanes;
-typedef int8 IntLanes;
-typedef uint8 UintLanes;
 #define AS_UINT_LANES as_uint8
 #define MAD_LANES MAD8
 #define LANE_BITS mask_bits
 #else
 typedef float4 FloatLanes;
-typedef int4 IntLanes;
-typedef uint4 UintLanes;
 #define AS_UINT_LANES as_uint4
 #define MAD_LANES MAD4
 #define LANE_BITS mask_bits4
@@ -29,11 +25,6 @@ typedef union {
     FloatLanes part[BVH_PARTS];
     float lane[8];
 } ChildDistances;
-
-typedef union {
-    FloatLanes vector;
-    float lane[BVH_LANES];
-} LaneNumbers;
 
 // Traversal is not vectorised across rays, so it uses OpenCL vectors. They have 4 components, all initialised.
 INLINE float4 to_float4(Vec3 v)
@@ -146,6 +137,19 @@ INLINE uint intersect_node(__global const float8* node, const Ray* ray, float t_
 }
 
 #if FEATURE_TRIANGLES
+#if BVH_LANES == 8
+typedef int8 IntLanes;
+typedef uint8 UintLanes;
+#else
+typedef int4 IntLanes;
+typedef uint4 UintLanes;
+#endif
+
+typedef union {
+    FloatLanes vector;
+    float lane[BVH_LANES];
+} LaneNumbers;
+
 // Parts of a triangle block that hold triangles; they fill its vector lanes in order. Half of the blocks of a mesh of
 // 82,000 triangles hold up to 4.
 #if BVH_LANES == 8
