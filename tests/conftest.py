@@ -20,6 +20,13 @@ def program_cache_of_session(tmp_path_factory):
         patch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("programs")))
         patch.setattr(precompile, "worker_limit", lambda: 1)
         yield
+
+
+@pytest.fixture(autouse=True)
+def unchecked_driver(request, monkeypatch):
+    """Renders do not check the driver, which would take longer than most of them. test_driver_check.py tests it."""
+    if request.path.name != "test_driver_check.py":
+        monkeypatch.setattr("isonoise.renderer.check_driver", lambda *_: None)
     os.environ[program_cache.FOLDER_VARIABLE] = "off"  # nothing is stored at exit
 
 

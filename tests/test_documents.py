@@ -180,7 +180,6 @@ def test_bytes_of_a_path_and_of_a_pixel(monkeypatch, foggy, instanced, lit, need
     # this is about buffers alone: no kernel is built
     monkeypatch.setattr(stages, "stage_source", lambda *arguments: ("", ()))
     monkeypatch.setattr(Device, "build", lambda self, text, options: {})
-    monkeypatch.setattr("isonoise.renderer.check_driver", lambda *_: None)
 
     def allocated(pool: int, size: tuple[int, int]) -> int:
         total = []

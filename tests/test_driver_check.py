@@ -49,6 +49,9 @@ FAULTS = {
 }
 
 
+LONG_FAULTS = {"wrong squares", "rejected samples", "a wrong distance", "a dead vector lane"}
+
+
 @pytest.fixture
 def unchecked(monkeypatch, tmp_path):
     """No check has been made: the notes of this process and of the program cache are empty."""
@@ -93,7 +96,9 @@ def test_check_scenes_have_their_closed_form(number):
 
 
 @pytest.mark.usefixtures("unchecked", "one_lane")
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    "fault", [pytest.param(name, marks=pytest.mark.long) if name in LONG_FAULTS else name for name in FAULTS]
+)
 def test_broken_kernels_are_refused(monkeypatch, fault):
     break_kernels(monkeypatch, fault)
     with pytest.raises(DeviceError) as caught:

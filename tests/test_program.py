@@ -200,7 +200,6 @@ def test_no_shadow_stage_without_lights(monkeypatch, lit):
     """Neither its program nor its buffers."""
     texts, buffers, buffer = [], [], Device.buffer
     monkeypatch.setattr(Device, "build", lambda self, text, options: texts.append(text) or {})  # builds nothing
-    monkeypatch.setattr("isonoise.renderer.check_driver", lambda *_: None)
     monkeypatch.setattr(Device, "buffer", lambda self, size, what: (buffers.append(what), buffer(self, size, what))[1])
     scene = {
         "type": "scene",
