@@ -83,7 +83,7 @@ FAULTS = {
     "outside": (
         "stages/generate.cl",
         "STORE3(splat3(0.0f), sample,",
-        "STORE3(splat3(0.0f), sample + 4000u,",
+        "STORE3(splat3(0.0f), sample + 40000u,",
         "Invalid write",
     ),
 }
