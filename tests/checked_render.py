@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import scene_generator
+from kernel_faults import source_with_fault
 from small_scene import lamp_over_floor
 
 import isonoise.renderer
@@ -151,15 +152,7 @@ def render(case: Case) -> Renderer:
 
 def inject_fault(fault: str) -> None:
     """Build all further kernels with one of `FAULTS`."""
-    file, before, after, _ = FAULTS[fault]
-    original = program.kernel_source
-
-    def read(name: str) -> str:
-        text = original(name)
-        assert name != file or before in text
-        return text.replace(before, after) if name == file else text
-
-    program.kernel_source = read
+    program.kernel_source = source_with_fault(*FAULTS[fault][:3])
 
 
 def fault_reports(log: str) -> list[str]:

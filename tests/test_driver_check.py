@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kernel_faults import source_with_fault
 from small_scene import assert_same_bits, lamp_over_floor, nested_triangles
 
 from isonoise.cli import main
@@ -70,15 +71,7 @@ def calls(monkeypatch):
 
 
 def break_kernels(monkeypatch, fault: str) -> None:
-    file, before, after, _ = FAULTS[fault]
-    original = program.kernel_source
-
-    def read(name: str) -> str:
-        text = original(name)
-        assert name != file or before in text
-        return text.replace(before, after) if name == file else text
-
-    monkeypatch.setattr(program, "kernel_source", read)
+    monkeypatch.setattr(program, "kernel_source", source_with_fault(*FAULTS[fault][:3]))
 
 
 @pytest.mark.usefixtures("one_lane")
