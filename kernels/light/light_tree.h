@@ -10,21 +10,8 @@
 #include "util/math.h"
 
 #if FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST
-// Rows of a node, each a float8 with one vector lane a child.
-#define LIGHT_NODE_ROWS 17
-#define NODE_CHILD 0        // int bits: > 0 a node, else ~light
-#define NODE_FIRST_LIGHT 1  // int bits, as the next one: the lights below the child
-#define NODE_LAST_LIGHT 2
-#define NODE_CENTER 3  // 3 rows: of the bounding sphere
-#define NODE_RADIUS 6
-#define NODE_AXIS 7         // 3 rows: of the cone of normals
-#define NODE_COS_SPREAD 10  // of the half angle of that cone
-#define NODE_SIN_SPREAD 11
-#define NODE_COS_EDGE 12  // cosine of the angle to a normal up to which light is emitted
-#define NODE_INTENSITY 13
-#define NODE_MAX_IRRADIANCE 14
-#define NODE_EMISSION_RADIUS 15     // how far points of the lights reach along a normal
-#define NODE_MIN_UNIFORM 16         // cosine times distance above which the lights below the child differ little
+// Nodes have LIGHT_NODE_ROWS rows, each a float8 with one vector lane a child. NODE_<name> is the first row of a
+// quantity: host/isonoise/scene/light/light_tree.py, `NodeRow`.
 #define MIN_TOTAL_WEIGHT 1e-37f     // its inverse is finite
 #define DEFENSIVE_COSINES 0x1p-10f  // added to the product of the cosines, in case rounding makes it 0
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isonoise.scene import structs
-from isonoise.scene.light import envmap
+from isonoise.scene.light import envmap, light_tree
 from isonoise.scene.light.light_kinds import light_macros
 from isonoise.scene.material import bsdf_kinds, textures
 
@@ -33,6 +33,7 @@ CONSTANTS: dict[str, int | str] = {
     **textures.CONSTANTS,
     **bsdf_kinds.bsdf_macros(),
     **light_macros(),
+    **light_tree.CONSTANTS,
 }
 """Macros of the kernels that no scene changes."""
 

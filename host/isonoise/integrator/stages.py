@@ -33,8 +33,8 @@ class Stages:
     file_constants : macros of one file alone
     local_sizes : work-items per work-group of kernels that do not run with `LOCAL_SIZE`
     items_per_work_item : of kernels whose work-items process more than one
-    precompiled_items : compile the kernels now, on all cores, for launches over that many items. None: the driver
-        compiles them when it likes.
+    compiled_items : compile the kernels now, on all cores, for launches over that many items, which `warm_up` makes.
+        None: the driver compiles them when it likes.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Stages:
         local_sizes: Mapping[str, int] = _NOTHING,
         items_per_work_item: Mapping[str, int] = _NOTHING,
         file_constants: Mapping[str, Mapping[str, int]] = MappingProxyType({}),
-        precompiled_items: int | None = None,
+        compiled_items: int | None = None,
     ):
         self.device = device
         self.arguments: dict[str, object] = {}
@@ -58,8 +58,9 @@ class Stages:
         for files in programs(row.file for row in table.values()):
             own = {**constants, **file_constants.get(files[0], {})}
             texts[tuple(files)] = stage_source(files, structs, own, features, generated_headers())
-        if precompiled_items is not None:
-            precompile(device, [self._job(table, *item, precompiled_items) for item in texts.items()])
+        self._compiled_items = compiled_items
+        if compiled_items is not None:
+            precompile(device, [self._job(table, *item, compiled_items) for item in texts.items()])
         self.texts: tuple[tuple[str, tuple[str, ...]], ...] = tuple(texts.values())
         for text in self.texts:
             self._kernels.update(device.build(*text))
@@ -86,15 +87,15 @@ class Stages:
         per_work_item = per_work_item or self._items_per_work_item.get(kernel, 1)
         self.device.launch(self._kernels[kernel], items, arguments, per_work_item, self._local_size(kernel))
 
-    def warm_up(self, items: int) -> None:
+    def warm_up(self) -> None:
         """Launch every kernel on nothing, because some drivers compile only now, for a local and a global size.
 
         PoCL compiles a kernel separately for global sizes below 2^16. What it compiles for larger ones also runs small
-        ones, so the launches over `items` come first.
+        ones, so the launches over `compiled_items` come first.
         """
-        for count in (items, 1):
+        for items in (self._compiled_items, 1):
             for name in self:
-                self.launch(name, count, **NO_WORK)
+                self.launch(name, items, **NO_WORK)
         self.device.finish()
         self.device.reset_profile()
 

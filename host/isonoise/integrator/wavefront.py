@@ -100,7 +100,7 @@ class Wavefront:
             file_constants={"stages/shade.cl": {"LANES": form.shade_lanes}},
             local_sizes=local_sizes | {"relative_errors": form.tile_work_items},
             items_per_work_item=dict.fromkeys(lane_kernels, form.lanes) | {"shade": form.shade_lanes},
-            precompiled_items=min(self.pool_size, MAX_COMPILED_ITEMS),
+            compiled_items=min(self.pool_size, MAX_COMPILED_ITEMS),
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
@@ -139,7 +139,7 @@ class Wavefront:
 
     def warm_up(self) -> None:
         """Launch every kernel on nothing, because some drivers compile only now."""
-        self._stages.warm_up(min(self.pool_size, MAX_COMPILED_ITEMS))
+        self._stages.warm_up()
 
     def trace(self, allocation: np.ndarray, should_continue: Callable[[int], bool] = lambda traced: True) -> int:
         """Trace the samples of an allocation map and reduce them.

@@ -21,8 +21,6 @@ from isonoise.scene.light.lights import compute_light_bounds
 MIN_TREE_LIGHTS = 4
 """From this number of lights on, selection depends on the shading point. Four separate lamps: half the variance at
 equal time. One panel of four triangles, and a room with 21 lights near each other: as good as selection by power."""
-LIGHT_NODE_ROWS = 17
-"""Rows (float8) of a node: `NodeRow`."""
 MIN_POWER_SHARE = 1e-30
 """Lower bound of a light's share of the intensity: its selection probability stays above 0 in 32-bit floats."""
 MAX_VARIATION = 1 / 16
@@ -35,7 +33,7 @@ _MIN_SQUARED_DISTANCE = 1e-30
 
 
 class NodeRow(IntEnum):
-    """First row of every quantity of a node's children."""
+    """First row (float8) of every quantity of a node's children; in kernels NODE_<name>."""
 
     CHILD = 0  # int32 bits: a node if above 0, else ~light
     FIRST_LIGHT = 1  # int32 bits, as LAST_LIGHT: all lights below the child; 0 and -1 in an unused slot
@@ -50,6 +48,14 @@ class NodeRow(IntEnum):
     MAX_IRRADIANCE = 14  # upper bound of the intensity over the squared distance
     EMISSION_RADIUS = 15  # how far points of the lights reach along a normal: LightBounds.padded_emission_radius
     MIN_UNIFORM = 16  # the smaller cosine times the distance above which the lights below differ little
+
+
+LIGHT_NODE_ROWS = max(NodeRow) + 1
+CONSTANTS = {
+    "LIGHT_NODE_ROWS": str(LIGHT_NODE_ROWS),
+    **{f"NODE_{row.name}": str(int(row)) for row in NodeRow},
+}
+"""Macros of the kernels; as text they are signed, so that compilers gather with signed indices."""
 
 
 @dataclass(frozen=True)
