@@ -2,6 +2,7 @@
 
 import os
 import stat
+import tempfile
 import threading
 
 import numpy as np
@@ -213,7 +214,8 @@ def test_a_driver_without_binaries_is_no_error(folder, compiled, monkeypatch):
     assert [file.name for file in folder.iterdir()] == ["b"]
 
 
-def test_a_compiler_error_is_reported_and_not_cached(folder):
+def test_a_compiler_error_is_reported_and_not_cached(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # the log is saved there
     with pytest.raises(DeviceError, match="refused"):
         Device().build("__kernel void wrong( {}", OPTIONS)
     assert not opencl._programs_to_store

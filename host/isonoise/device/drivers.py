@@ -11,6 +11,7 @@ import tempfile
 from enum import IntEnum
 from pathlib import Path
 
+from isonoise.device.failures import note_driver_use, refuse_after_fork
 from isonoise.errors import DeviceError
 
 _POCL_TARGET = re.compile(r"HSTR: \w+-(?:\w+-\w+-linux-\w+|\w+-apple-[\w.]+|\w+-\w+-windows-\w+)-(?P<cpu>.+)")
@@ -81,6 +82,8 @@ def driver_advice() -> str:
 def list_devices() -> list:
     """All OpenCL devices in the order of `preference`; the first is the default. Empty if there is none."""
     cl = load_pyopencl()
+    refuse_after_fork()
+    note_driver_use()
     try:
         platforms = cl.get_platforms()
     except cl.Error:

@@ -13,6 +13,7 @@ import numpy as np
 
 from isonoise.device import program_cache
 from isonoise.device.drivers import build_options, driver_identity, is_cpu, is_pocl, load_pyopencl, select_device
+from isonoise.device.failures import build_failure, device_failure, is_forked, refuse_after_fork, reports_failures
 from isonoise.device.form import DeviceForm, choose_form
 from isonoise.errors import DeviceError
 
@@ -45,13 +46,20 @@ def _store_programs() -> None:
 
     By then the binaries include what some drivers compile at a kernel's first launch.
     """
-    if program_cache.cache_folder() is None:
+    if program_cache.cache_folder() is None or is_forked():
         return
     with contextlib.suppress(KeyboardInterrupt):
         while _programs_to_store:
             key, program = _programs_to_store.popitem()
             with contextlib.suppress(load_pyopencl().Error):  # the driver offers no binaries
                 program_cache.store(key, program.get_info(load_pyopencl().program_info.BINARIES)[0])
+
+
+def _finish(queue) -> None:
+    """Wait for a queue whose device may be lost, or not be there at all in a forked process."""
+    if not is_forked():
+        with contextlib.suppress(load_pyopencl().Error):
+            queue.finish()
 
 
 def _aligned_zeros(size_bytes: int) -> np.ndarray:
@@ -98,8 +106,8 @@ class Device:
 
     def __init__(self, choice: str | int | None = None, profile: bool = False):
         self._cl = load_pyopencl()
+        self.driver_error = self._cl.Error
         self.device = select_device(choice)
-        self.context = _context(self.device)
         self.allocated = 0
         self.on_launch: Callable[[Launch], None] | None = None
         self._pending_launches: list[tuple] = []  # kernel, items and event since the last wait
@@ -107,15 +115,20 @@ class Device:
         # since the last wait. They are collected without Python code, in which Ctrl-C would be lost.
         self._memory: dict[int, tuple[weakref.ref, np.ndarray]] = {}
         self._dead_references: list[weakref.ref] = []
-        self._open_queue(profile)
+        self._open_context(profile)
         self.reset_profile()
+
+    @reports_failures("opening the device")
+    def _open_context(self, profile: bool) -> None:
+        self.context = _context(self.device)
+        self._open_queue(profile)
 
     def _open_queue(self, profile: bool) -> None:
         self.profile = profile
         properties = self._cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self.queue = self._cl.CommandQueue(self.context, properties=properties)
         # launches must not outlive the memory that is freed with this object
-        self._finalizer = weakref.finalize(self, self.queue.finish)
+        self._finalizer = weakref.finalize(self, _finish, self.queue)
 
     def set_profiling(self, on: bool) -> None:
         """Continue with a queue that measures launches, or with one that does not. Waits for the device."""
@@ -151,6 +164,7 @@ class Device:
 
     def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
         """Build a program; return its kernels by name. Raises DeviceError with the compiler's log."""
+        refuse_after_fork()
         options = (*options, *build_options(self.device))
         cached = _programs.get((self.context, source, options))
         if cached is None:
@@ -174,7 +188,7 @@ class Device:
         try:
             program = self._build_program(self._cl.Program(self.context, source), options)
         except self._cl.Error as error:
-            raise DeviceError(f"the OpenCL compiler of {self.name} refused a kernel:\n{error}") from error
+            raise build_failure(self.name, source, options, error) from error
         if use_cache:
             _programs_to_store[key] = program
         return program
@@ -189,6 +203,7 @@ class Device:
         """What a compiled program depends on besides its source and options."""
         return (*driver_identity(self.device), f"{LOCAL_SIZE} {SMALL_LOCAL_SIZE}")
 
+    @reports_failures("creating a buffer")
     def buffer(self, content: int | np.ndarray, label: str):
         """A buffer of `content` bytes of zeros, or a copy of the array `content`. `label` names it in errors."""
         flags = self._cl.mem_flags
@@ -222,15 +237,21 @@ class Device:
         self, kernel, items: int, arguments: tuple, per_work_item: int = 1, local_size: int = LOCAL_SIZE
     ) -> None:
         """Run a kernel over at least `items` items; kernels return early beyond their own bound."""
+        refuse_after_fork()
         size = global_size(items, per_work_item, local_size)
-        event = kernel(self.queue, (size,), (local_size,), *arguments)
+        try:
+            event = kernel(self.queue, (size,), (local_size,), *arguments)
+        except self.driver_error as error:
+            raise device_failure(self.name, f"launching `{kernel.function_name}`", error) from error
         if self.profile:
             self._pending_launches.append((kernel, items, event))
 
+    @reports_failures("writing a buffer")
     def write(self, buffer, array: np.ndarray, offset: int = 0) -> None:
         """Copy the array into the buffer at `offset` bytes."""
         self._cl.enqueue_copy(self.queue, buffer, np.ascontiguousarray(array), dst_offset=offset)
 
+    @reports_failures("reading a buffer")
     def read(self, buffer, dtype, count: int, offset: int = 0) -> np.ndarray:
         """Elements `offset` to `offset` + `count` of the buffer. Waits for the device."""
         dtype = np.dtype(dtype)
@@ -240,13 +261,17 @@ class Device:
             self._after_wait()
         return array
 
+    @reports_failures("reading a buffer")
     def begin_read(self, buffer, dtype, count: int) -> Callable[[], np.ndarray]:
         """Enqueue a read of the first elements. The returned function waits for them, but not for later launches."""
         array = np.empty(count, np.dtype(dtype))
         event = self._cl.enqueue_copy(self.queue, array, buffer, is_blocking=False)
 
         def end_read() -> np.ndarray:
-            event.wait()
+            try:
+                event.wait()
+            except self.driver_error as error:
+                raise device_failure(self.name, "reading a buffer", error) from error
             return array
 
         return end_read
@@ -257,17 +282,24 @@ class Device:
 
         Nothing is copied if host and device share their memory.
         """
-        array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, self._cl.map_flags.READ, 0, (count,), dtype)
-        self._after_wait()
+        array = self._map(buffer, dtype, count)
         try:
             yield array
         finally:
             array.base.release(self.queue)
 
+    @reports_failures("reading a buffer")
+    def _map(self, buffer, dtype, count: int) -> np.ndarray:
+        array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, self._cl.map_flags.READ, 0, (count,), dtype)
+        self._after_wait()
+        return array
+
+    @reports_failures("starting its work")
     def flush(self) -> None:
         """Let the device begin with what has been enqueued."""
         self.queue.flush()
 
+    @reports_failures("finishing its work")
     def finish(self) -> None:
         """Wait for the device."""
         self.queue.finish()
