@@ -16,7 +16,7 @@ from isonoise.device.opencl import Device
 from isonoise.errors import DeviceError
 
 SOURCE = (
-    '#line 1 "stages/shade.cl"\n__kernel void a(__global float* x)\n{\n#line 41 "util/vec.h"\n    x[0] = nothing;\n}\n'
+    '#line 1 "stages/shade.cl"\n__kernel void a(__global float* x) {\n#line 41 "util/vec.h"\n    x[0] = nothing;\n}\n'
 )
 
 

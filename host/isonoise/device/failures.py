@@ -44,7 +44,7 @@ def refuse_after_fork() -> None:
     """Raise DeviceError in a forked process, where a driver would wait for ever for its threads."""
     if is_forked():
         raise DeviceError(
-            f"OpenCL drivers do not work in a process forked after their first use (here in process {_driver_process}); "
+            f"OpenCL drivers do not work in a process forked after their first use (by process {_driver_process}); "
             "start processes with multiprocessing's method 'spawn', or fork before the first use of isonoise"
         )
 
