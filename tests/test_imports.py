@@ -18,6 +18,7 @@ SHARED = {
     for name in (
         "base",
         "measures",
+        "planner",
         "parameters",
         "registry",
         "schedule",

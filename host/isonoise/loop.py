@@ -6,20 +6,23 @@ use.
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from isonoise.error.energy_loss import EnergyLoss
-from isonoise.error.stated_error import relative_standard_error
 from isonoise.error.stopping import ErrorStop
 from isonoise.error.true_error import true_error
 from isonoise.errors import UserError
-from isonoise.film.log import LogRow
+from isonoise.film.log import LogRow, row_from_values, row_values
 from isonoise.luminance import luminance
+from isonoise.outcome import Outcome
 from isonoise.renderer import Renderer, WaveRecord
+from isonoise.state.state import State
 from isonoise.statistics import Statistics
+from isonoise.stops import Stops
 from isonoise.strategies.measures import image_floor
 
 LOG_QUANTILES = (0.5, 0.95, 0.99)
@@ -38,90 +41,6 @@ MIN_WAVE_SHARE = 1 / 16
 """The stated error cuts no wave below this share of the samples so far."""
 MIN_REMAINING_PIXEL_SAMPLES = 2**20
 """A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
-
-
-@dataclass(frozen=True)
-class Stops:
-    """Limits of a render; the first one reached ends it. At least one of spp, time and error is required.
-
-    Parameters
-    ----------
-    spp : float or None
-        Mean samples per pixel.
-    time : float or None
-        Seconds of rendering, without set-up.
-    error : float or None
-        Relative error at `quantile`, such as 0.02. The render ends when the true error is below it with `confidence`.
-    quantile : float
-        Quantile over the pixels, between 0 and 1.
-    confidence : float
-        Probability, at least 0.5 and below 1, that the true error is below `error` when the render ends because of it.
-        It holds for all waves together, and as far as the limits of the stated error allow.
-
-    Raises
-    ------
-    UserError
-        If a value is out of range or all limits are missing.
-    """
-
-    spp: float | None = None
-    time: float | None = None
-    error: float | None = None
-    quantile: float = 0.99
-    confidence: float = 0.95
-
-    def __post_init__(self):
-        for name in ("spp", "time", "error"):
-            value = getattr(self, name)
-            if value is not None and not (value > 0 and math.isfinite(value)):
-                raise UserError(f"{name} has to be a number above 0, not {value}")
-        if not 0 < self.quantile < 1:
-            raise UserError(f"quantile has to lie between 0 and 1, not {self.quantile}")
-        if not 0.5 <= self.confidence < 1:
-            raise UserError(f"confidence has to be at least 0.5 and below 1, not {self.confidence}")
-        if self.spp is None and self.time is None and self.error is None:
-            raise UserError("a render needs a limit: spp, time or error")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """A finished render.
-
-    Attributes
-    ----------
-    reason : str
-        Why it ended: 'spp', 'time', 'error', 'interrupted', or 'full' (a pixel's 32-bit sample count is nearly full).
-    rows : list of LogRow
-        The log, one row per wave.
-    elapsed_s : float
-        Seconds of rendering, without set-up, callbacks and true errors.
-    statistics : Statistics
-        Statistics of all samples.
-    floor : float
-        Relative errors divide by max(luminance, floor).
-    stated_error : float
-        At the quantile of `Stops`; inf without waves.
-    error_bound : float or None
-        Upper confidence bound of the true error at this quantile. None without `Stops.error` or waves.
-    """
-
-    reason: str
-    rows: list[LogRow]
-    elapsed_s: float
-    statistics: Statistics
-    floor: float
-    stated_error: float
-    error_bound: float | None = None
-
-    @property
-    def rgb(self) -> np.ndarray:
-        """Mean linear RGB, (height, width, 3) float32."""
-        return self.statistics.rgb
-
-    @property
-    def error(self) -> np.ndarray:
-        """Relative standard error of every pixel's luminance, (height, width) float32."""
-        return relative_standard_error(self.statistics, self.floor)
 
 
 def render(
@@ -166,16 +85,24 @@ def render(
     return render_loop(renderer, Stops(spp, time, error, quantile, confidence))
 
 
-def render_loop(
-    renderer: Renderer,
-    stops: Stops,
-    *,
-    on_wave: Callable[[LogRow, Statistics], None] | None = None,
-    on_progress: Callable[[float, int, float | None, float | None], None] | None = None,
-    reference: tuple[np.ndarray, np.ndarray | None] | None = None,
-    should_stop: Callable[[], bool] | None = None,
-) -> Outcome:
-    """Run waves until a limit is reached.
+def render_loop(renderer: Renderer, stops: Stops, **options) -> Outcome:
+    """Run waves until a limit is reached: `RenderLoop(renderer, stops, **options).run()`."""
+    return RenderLoop(renderer, stops, **options).run()
+
+
+class Periodic(NamedTuple):
+    """Something to do during a render, at intervals of `interval_s` seconds.
+
+    `action` is called with the `RenderLoop`, whose `state` and `outcome_so_far` work then. A wave stops for it and then
+    goes on, which does not change the image. The clock of the render stands still meanwhile.
+    """
+
+    interval_s: float
+    action: "Callable[[RenderLoop], None]"
+
+
+class RenderLoop:
+    """Runs waves until a limit is reached.
 
     Parameters
     ----------
@@ -194,84 +121,178 @@ def render_loop(
     should_stop : callable or None
         Called between waves, and within a wave as `Renderer.step` calls `should_continue`. Once it returns True, the
         render ends after the paths in flight.
+    periodic : sequence of Periodic
+        What to do at intervals.
+    on_end : callable or None
+        Called with the loop when the render ends, before the rest of an unfinished wave is dropped: the last moment at
+        which `state` can be continued bit by bit.
+    state : State or None
+        What `state` of another loop has returned, to continue that render. Limits count from its beginning.
 
-    Returns
-    -------
-    Outcome
-        Image, statistics and log.
+    Attributes
+    ----------
+    rows : list of LogRow
+        The log, one row per wave.
+
+    Raises
+    ------
+    UserError
+        If `state` is that of a render with other settings; the message names the difference.
     """
-    return _RenderLoop(renderer, stops, on_wave, on_progress, reference, should_stop).run()
 
-
-class _RenderLoop:
-    def __init__(self, renderer, stops, on_wave, on_progress, reference, should_stop):
+    def __init__(
+        self,
+        renderer: Renderer,
+        stops: Stops,
+        *,
+        on_wave: Callable[[LogRow, Statistics], None] | None = None,
+        on_progress: Callable[[float, int, float | None, float | None], None] | None = None,
+        reference: tuple[np.ndarray, np.ndarray | None] | None = None,
+        should_stop: Callable[[], bool] | None = None,
+        periodic: Sequence[Periodic] = (),
+        on_end: "Callable[[RenderLoop], None] | None" = None,
+        state: State | None = None,
+    ):
         self.renderer, self.stops = renderer, stops
-        self.on_wave = on_wave or (lambda row, statistics: None)
-        self.on_progress = on_progress or (lambda *state: None)
-        self.should_stop = should_stop or (lambda: False)
-        self.reference = reference
-        self.reference_floor = None if reference is None else image_floor(luminance(reference[0]))
-        self.pixels = renderer.scene.width * renderer.scene.height
-        self.max_samples = None if stops.spp is None else max(1, round(stops.spp * self.pixels))
+        self._on_wave = on_wave or (lambda row, statistics: None)
+        self._on_progress = on_progress or (lambda *progress: None)
+        self._should_stop = should_stop or (lambda: False)
+        self._periodic, self._on_end = periodic, on_end or (lambda loop: None)
+        self._reference = reference
+        self._reference_floor = None if reference is None else image_floor(luminance(reference[0]))
+        self._pixels = renderer.scene.width * renderer.scene.height
+        self._max_samples = None if stops.spp is None else max(1, round(stops.spp * self._pixels))
         self.rows: list[LogRow] = []
-        self.energy_loss = EnergyLoss()
-        self.samples = 0
-        self.samples_per_s: float | None = None  # of the last wave, host work included
-        self.error: float | None = None  # stated, at the quantile of `stops`
-        self.error_stop = None if stops.error is None else ErrorStop(stops.error, stops.quantile, stops.confidence)
-        self.clock_start = time.perf_counter()
-        self.last_progress_s = 0.0
+        self._energy_loss = EnergyLoss()
+        self._samples_per_s: float | None = None  # of the last wave, host work included
+        self._error: float | None = None  # stated, at the quantile of `stops`
+        self._error_stop = None if stops.error is None else ErrorStop(stops.error, stops.quantile, stops.confidence)
+        self.statistics: Statistics | None = None  # after the last wave
+        self._last_progress_s = 0.0
+        self._clock_start = time.perf_counter()
+        self._due_at = [self._clock_start + each.interval_s for each in periodic]
+        if state is not None:
+            self._restore(state)
 
     def run(self) -> Outcome:
-        statistics = None
+        """Run waves until a limit is reached; return image, statistics and log.
+
+        After an exception `outcome_so_far` still works, and so does `state` unless the device has failed.
+        """
         while (reason := self._stop_reason()) is None:
-            last_elapsed = self.rows[-1].elapsed_s if self.rows else 0.0
-            record = self._render_wave()
+            if self.renderer.wave_kind is None:
+                self._begin_wave()
+            if not self._trace_wave():
+                self._on_end(self)
+                self._end_wave()
+                return self.outcome_so_far(self._stop_reason() or "interrupted")
+            self._end_wave()
+            self._run_periodic()
+        self._on_end(self)
+        return self.outcome_so_far(reason)
+
+    def outcome_so_far(self, reason: str) -> Outcome:
+        """Return what has been rendered so far, as if the render ended now because of `reason`.
+
+        In the middle of a wave the samples of the wave are part of the image, but not of the log. If the device has
+        failed, the statistics are those after the last wave.
+        """
+        try:
             statistics = self.renderer.statistics()
-            row = self._add_row(record, statistics)
-            self.samples_per_s = max(record.samples, 1) / max(row.elapsed_s - last_elapsed, 1e-6)
-            self.on_wave(row, statistics)
-            self.clock_start += self._elapsed() - row.elapsed_s  # true errors and `on_wave` do not count
-        if statistics is None:
-            statistics = self.renderer.statistics()
-        bound = None if self.error_stop is None else self.error_stop.bound
-        error = math.inf if self.error is None else self.error
+        except UserError:
+            if self.statistics is None:
+                raise
+            statistics = self.statistics
+        bound = None if self._error_stop is None else self._error_stop.bound
+        error = math.inf if self._error is None else self._error
         return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics), error, bound)
 
+    def state(self) -> State:
+        """Return all that the render is, to continue it later. Waits for the device. Raises as `Renderer.state`."""
+        state = self.renderer.state()
+        values = {
+            "rows": [row_values(row) for row in self.rows],
+            "elapsed_s": self._elapsed(),
+            "samples_per_s": self._samples_per_s,
+            "error": self._error,
+            "error_stop": self._error_stop and vars(self._error_stop),
+            "energy_loss_control": self._energy_loss.control,
+            "reference_floor": self._reference_floor,
+            "stops": asdict(self.stops),
+        }
+        arrays = {} if self._energy_loss.uniform is None else {"energy_loss/uniform": self._energy_loss.uniform.copy()}
+        return replace(state, values=state.values | {"loop": values}, arrays=state.arrays | arrays)
+
+    def _restore(self, state: State) -> None:
+        values = state.values["loop"]
+        if values["reference_floor"] != self._reference_floor:
+            raise UserError("the render cannot be continued: it had another --reference, or one of both has none")
+        self.renderer.restore(state)
+        self.rows = [row_from_values(row) for row in values["rows"]]
+        self._clock_start -= values["elapsed_s"]
+        self._samples_per_s, self._error = values["samples_per_s"], values["error"]
+        if self._error_stop is not None and values["error_stop"] is not None:
+            self._error_stop.restore(**values["error_stop"])
+        self._energy_loss.control = values["energy_loss_control"]
+        if "energy_loss/uniform" in state.arrays:
+            self._energy_loss.uniform = state.arrays["energy_loss/uniform"].copy()
+
     def _elapsed(self) -> float:
-        return time.perf_counter() - self.clock_start
+        return time.perf_counter() - self._clock_start
 
     def _time_left(self) -> float:
         return self.stops.time - self._elapsed()
 
     def _floor(self, statistics: Statistics) -> float:
         """The reference's floor if there is one, so that stated and true errors can be compared; else the image's."""
-        return image_floor(statistics.mean) if self.reference_floor is None else self.reference_floor
+        return image_floor(statistics.mean) if self._reference_floor is None else self._reference_floor
 
     def _stop_reason(self) -> str | None:
-        if self.should_stop():
+        if self._should_stop():
             return "interrupted"
-        if self.error_stop is not None and self.error_stop.passed:
+        if self._error_stop is not None and self._error_stop.passed:
             return "error"
         if self.renderer.remaining_pixel_samples < MIN_REMAINING_PIXEL_SAMPLES:
             return "full"
-        if self.max_samples is not None and self.samples >= self.max_samples:
+        if self._max_samples is not None and self.renderer.samples >= self._max_samples:
             return "spp"
-        if self.stops.time is not None and self.samples and self._time_left() < TIME_TOLERANCE * self.stops.time:
-            return "time"
-        return None
+        has_time_left = self.stops.time is None or self._time_left() >= TIME_TOLERANCE * self.stops.time
+        return None if has_time_left or not self.renderer.samples else "time"
 
-    def _render_wave(self) -> WaveRecord:
-        samples_before = self.samples
+    def _begin_wave(self) -> None:
+        self.renderer.begin_wave(self._wave_limit())
+        self._energy_loss.begin_wave(self.renderer.wave_kind, self.renderer.statistics)
 
-        def should_continue(wave_samples: int) -> bool:
-            self.samples = samples_before + wave_samples
-            self._report_progress()
-            return not self.should_stop() and not self._deadline_passed()
+    def _trace_wave(self) -> bool:
+        """Trace the wave; return False if it ends early because of a signal or the deadline."""
+        while not self.renderer.continue_wave(self._should_continue):
+            if self._should_stop() or self._deadline_passed():
+                return False
+            self._run_periodic()
+        return True
 
-        record = self.renderer.step(self._wave_limit(), should_continue)
-        self.samples = samples_before + record.samples
-        return record
+    def _should_continue(self, wave_samples: int) -> bool:
+        self._report_progress()
+        is_due = bool(self._due_at) and time.perf_counter() >= min(self._due_at)
+        return not (is_due or self._should_stop() or self._deadline_passed())
+
+    def _run_periodic(self) -> None:
+        for index, each in enumerate(self._periodic):
+            start = time.perf_counter()
+            if start >= self._due_at[index]:
+                each.action(self)
+                end = time.perf_counter()
+                self._clock_start += end - start
+                self._due_at[index] = end + each.interval_s
+
+    def _end_wave(self) -> None:
+        last_elapsed = self.rows[-1].elapsed_s if self.rows else 0.0
+        record = self.renderer.end_wave()
+        self.statistics = self.renderer.statistics()
+        row = self._add_row(record)
+        self._samples_per_s = max(record.samples, 1) / max(row.elapsed_s - last_elapsed, 1e-6)
+        self._on_wave(row, self.statistics)
+        self._clock_start += self._elapsed() - row.elapsed_s  # true errors and `on_wave` do not count
 
     def _deadline_passed(self) -> bool:
         """Whether the wave has to end. The first one may finish: it makes the image complete."""
@@ -280,72 +301,73 @@ class _RenderLoop:
     def _wave_limit(self) -> int:
         """Upper limit for the samples of the next wave."""
         limits = [self.renderer.remaining_pixel_samples]  # even if all went to one pixel, its count cannot overflow
-        if self.max_samples is not None:
-            limits.append(self.max_samples - self.samples)
+        if self._max_samples is not None:
+            limits.append(self._max_samples - self.renderer.samples)
         if self.stops.time is not None:
             limits.append(self._samples_in_time_left())
         missing = self._samples_to_error()
         if missing is not None:
-            limits.append(max(int(ERROR_MARGIN * missing), int(MIN_WAVE_SHARE * self.samples), 1))
+            limits.append(max(int(ERROR_MARGIN * missing), int(MIN_WAVE_SHARE * self.renderer.samples), 1))
         return min(limits)
 
     def _samples_in_time_left(self) -> int:
-        if self.samples_per_s is None:
-            return self.pixels  # one sample per pixel, to measure the speed
+        if self._samples_per_s is None:
+            return self._pixels  # one sample per pixel, to measure the speed
         left = self._time_left()
         share = MAX_SHARE_OF_TIME_LEFT if left > LAST_WAVE_SHARE * self.stops.time else 1.0
-        return max(int(share * self.samples_per_s * left), 1)
+        return max(int(share * self._samples_per_s * left), 1)
 
     def _samples_to_error(self) -> float | None:
         """Samples missing to `stops.error`, if the error's bound falls with the square root of the sample count."""
-        bound = None if self.error_stop is None else self.error_stop.bound
+        bound = None if self._error_stop is None else self._error_stop.bound
         if bound is None or not math.isfinite(bound):
             return None
-        return self.samples * max((bound / self.stops.error) ** 2 - 1, 0)
+        return self.renderer.samples * max((bound / self.stops.error) ** 2 - 1, 0)
 
     def _report_progress(self) -> None:
         elapsed = self._elapsed()
-        if elapsed - self.last_progress_s >= PROGRESS_INTERVAL_S:
-            self.last_progress_s = elapsed
-            self.on_progress(elapsed, self.samples, self.error, self._remaining_s(elapsed))
+        if elapsed - self._last_progress_s >= PROGRESS_INTERVAL_S:
+            self._last_progress_s = elapsed
+            self._on_progress(elapsed, self.renderer.samples, self._error, self._remaining_s(elapsed))
 
     def _remaining_s(self, elapsed: float) -> float | None:
         """Estimated seconds to the first limit."""
-        samples_per_s = self.samples / elapsed
+        samples_per_s = self.renderer.samples / elapsed
         estimates = []
         if self.stops.time is not None:
             estimates.append(max(self.stops.time - elapsed, 0.0))
-        if self.max_samples is not None and samples_per_s > 0:
-            estimates.append((self.max_samples - self.samples) / samples_per_s)
+        if self._max_samples is not None and samples_per_s > 0:
+            estimates.append((self._max_samples - self.renderer.samples) / samples_per_s)
         missing = self._samples_to_error()
         if missing is not None and samples_per_s > 0:
             estimates.append(missing / samples_per_s)
         return min(estimates, default=None)
 
-    def _add_row(self, record: WaveRecord, statistics: Statistics) -> LogRow:
+    def _add_row(self, record: WaveRecord) -> LogRow:
+        statistics = self.statistics
         errors = self.renderer.error_distribution(self._floor(statistics))
-        p50, p95, p99, self.error = errors.quantiles((*LOG_QUANTILES, self.stops.quantile)).tolist()
-        if self.error_stop is not None:
-            self.error_stop.update(errors)
-        self.energy_loss.add_wave(record.kind, statistics)
-        energy_loss, energy_loss_se = self.energy_loss.estimate(statistics)
+        p50, p95, p99, self._error = errors.quantiles((*LOG_QUANTILES, self.stops.quantile)).tolist()
+        if self._error_stop is not None:
+            self._error_stop.update(errors)
+        self._energy_loss.end_wave(record.kind, statistics)
+        energy_loss, energy_loss_se = self._energy_loss.estimate(statistics)
         elapsed = self._elapsed()
         true = None
-        if self.reference is not None:
-            image, standard_error = self.reference
+        if self._reference is not None:
+            image, standard_error = self._reference
             true = true_error(statistics.rgb, image, standard_error, statistics)
         row = LogRow(
             elapsed_s=elapsed,
             wave=len(self.rows) + 1,
             kind=record.kind,
             samples=statistics.samples,
-            spp=statistics.samples / self.pixels,
+            spp=statistics.samples / self._pixels,
             stated_p50=p50,
             stated_p95=p95,
             stated_p99=p99,
             true=true,
             rejected=int(statistics.rejected.sum(dtype=np.int64)),
-            error_bound=math.nan if self.error_stop is None else self.error_stop.bound,
+            error_bound=math.nan if self._error_stop is None else self._error_stop.bound,
             energy_loss=energy_loss,
             energy_loss_se=energy_loss_se,
         )

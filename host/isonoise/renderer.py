@@ -1,10 +1,12 @@
 """A render in progress: a scene on a device, and the strategy that distributes the samples wave by wave."""
 
-import math
+import functools
+import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from isonoise.device.opencl import Device
 from isonoise.device.pool_size import MAX_POOL_SIZE
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
-from isonoise.errors import UserError
+from isonoise.errors import DeviceError, UserError
 from isonoise.integrator.driver_check import check_driver
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.samplers import SAMPLERS
@@ -21,9 +23,11 @@ from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load
+from isonoise.state.settings import check_settings, render_settings
+from isonoise.state.state import State, split_strategy_state, with_group
 from isonoise.statistics import Statistics, UniformSamples
-from isonoise.strategies import DEFAULT_STRATEGY, Strategy, Wave, make_strategy
-from isonoise.strategies.uniform_allocation import MAX_COUNT, uniform_allocation
+from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
+from isonoise.strategies.planner import WavePlanner
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,18 @@ class WaveRecord:
     samples: int
     planned: int
     seconds: float
+
+
+_WAVE_VALUES = ("kind", "planned", "traced", "seconds")
+
+
+@dataclass
+class _WaveInProgress:
+    kind: str
+    allocation: np.ndarray  # all samples of the wave
+    planned: int
+    traced: int = 0  # the first ones in pixel order
+    seconds: float = 0.0
 
 
 class Renderer:
@@ -86,6 +102,10 @@ class Renderer:
         Name of the OpenCL device and its platform.
     driver : str
         Version of its driver, and the CPU that the driver's compiler emits code for, if that is known.
+    seed : int
+        The seed in use.
+    samples : int
+        Samples traced so far, rejected ones included.
     setup_times : dict of str to float
         Seconds to `load` the scene, `build` its BVH and `compile` the kernels.
 
@@ -122,7 +142,10 @@ class Renderer:
             raise UserError(f"pool_size = {pool_size} is out of range: it goes from 1 to {MAX_POOL_SIZE}")
         if sampler not in (None, *SAMPLERS):
             raise UserError(f"sampler = {sampler!r} is not one of {', '.join(SAMPLERS)}")
-        self.strategy = make_strategy(strategy)
+        self.strategy, self.seed = make_strategy(strategy), seed
+        self.source_name = "a scene in Python" if isinstance(scene, Mapping) else os.fspath(scene)
+        self.parameters = parameters or {}
+        self.files: tuple[Path, ...] = ()
         self.setup_times: dict[str, float] = {}
         with self._measured("load"):
             self.scene: CompiledScene = compile_scene(load(scene, parameters), size, max_depth, sampler)
@@ -135,13 +158,12 @@ class Renderer:
             self._wavefront = Wavefront(opencl_device, self.scene, bvh, needs, seed, pool_size)
             self._wavefront.warm_up()
             check_driver(self._wavefront, needs)
-        self._schedule = self.strategy.waves()
-        self._unfinished_wave: Wave | None = None  # the rest of a shortened uniform wave
+        self._planner = WavePlanner(self.strategy, (self.scene.height, self.scene.width))
+        self._wave: _WaveInProgress | None = None
+        self.samples = 0
         self._statistics: Statistics | None = None  # None: out of date
         needs_uniform = self.strategy.needs.uniform
         self._uniform = UniformSamples((self.scene.height, self.scene.width)) if needs_uniform else None
-        self._wave_index = 0
-        self._max_pixel_samples = 0  # upper bound of the samples that any pixel has
 
     @contextmanager
     def _measured(self, name: str) -> Iterator[None]:
@@ -157,7 +179,7 @@ class Renderer:
     @property
     def remaining_pixel_samples(self) -> int:
         """Samples that one pixel can still take: the device counts them in 32 bits."""
-        return MAX_COUNT - self._max_pixel_samples
+        return self._planner.remaining_pixel_samples
 
     @property
     def device_seconds(self) -> float | None:
@@ -187,26 +209,94 @@ class Renderer:
         UserError
             If the strategy returns an invalid wave or allocation map.
         """
+        self.begin_wave(samples)
+        self.continue_wave(should_continue)
+        return self.end_wave()
+
+    @property
+    def wave_kind(self) -> str | None:
+        """'uniform' or 'adaptive' during a wave, else None."""
+        return None if self._wave is None else self._wave.kind
+
+    def begin_wave(self, samples: int | None = None) -> None:
+        """Plan the strategy's next wave, of at most `samples`, for `continue_wave`. Raises UserError as `step` does."""
         start = time.perf_counter()
-        wave = self._unfinished_wave or self._next_wave()
-        self._unfinished_wave = None
-        allocation = self._allocate(wave, samples)
+        kind, allocation = self._planner.plan(self.statistics, samples)
+        if self._uniform is not None and kind == "uniform":
+            self._uniform.begin_wave(self.statistics())
         planned = int(allocation.sum(dtype=np.int64))
-        max_allocation = int(allocation.max())
-        if max_allocation > self.remaining_pixel_samples:
-            raise UserError(
-                f"strategy '{self.strategy.name}' asks for {max_allocation} samples in one pixel, "
-                f"which can take only {self.remaining_pixel_samples} more"
-            )
-        self._max_pixel_samples += max_allocation
-        self._wave_index += 1
-        before = self.statistics() if self._uniform and wave.kind == "uniform" else None
+        self._wave = _WaveInProgress(kind, allocation, planned, seconds=time.perf_counter() - start)
+
+    def continue_wave(self, should_continue: Callable[[int], bool] | None = None) -> bool:
+        """Trace samples of the wave until `should_continue`, as in `step`, returns False; whether all are traced."""
+        start, wave = time.perf_counter(), self._wave
+        samples_before = self.samples - wave.traced
+
+        def on_reduced(traced: int) -> None:
+            wave.traced, self.samples = traced, samples_before + traced
+
         self._statistics = None
-        traced = self._wavefront.trace(allocation, should_continue or (lambda samples_so_far: True))
-        if before:
-            self._uniform.add_wave(before, self.statistics())
-            self._statistics = self._with_uniform(self.statistics())
-        return WaveRecord(wave.kind, traced, planned, time.perf_counter() - start)
+        try:
+            self._wavefront.trace(wave.allocation, should_continue or (lambda samples: True), wave.traced, on_reduced)
+        finally:
+            wave.seconds += time.perf_counter() - start
+        return wave.traced == wave.planned
+
+    def end_wave(self) -> WaveRecord:
+        """End the wave. The rest of it, if there is one, is dropped."""
+        start, wave = time.perf_counter(), self._wave
+        if self._uniform is not None and wave.kind == "uniform":
+            self._uniform.end_wave(self.statistics())
+        self._wave = None
+        self._statistics = self._with_uniform(self.statistics())
+        return WaveRecord(wave.kind, wave.traced, wave.planned, wave.seconds + time.perf_counter() - start)
+
+    @functools.cached_property
+    def settings(self) -> dict[str, object]:
+        """What the image depends on, as plain values: the settings of a `State`."""
+        return render_settings(self)
+
+    def state(self) -> State:
+        """Return all that the render is, also in the middle of a wave. Waits for the device.
+
+        Raises
+        ------
+        DeviceError
+            If the device has lost samples, so that the render cannot be continued.
+        UserError
+            If the strategy keeps something that cannot be stored.
+        """
+        reduction = self._wavefront.accumulator.state()
+        samples = sum(int(reduction[name].sum(dtype=np.int64)) for name in ("count", "rejected"))
+        if samples != self.samples:
+            raise DeviceError(f"the device holds {samples} samples of {self.samples}: the render cannot be continued")
+        values, arrays = split_strategy_state(self.strategy.name, self.strategy.state())
+        arrays = with_group("reduction", reduction) | with_group("strategy", arrays)
+        wave = self._wave and {name: getattr(self._wave, name) for name in _WAVE_VALUES}
+        renderer = {"samples": self.samples, "planner": self._planner.state(), "wave": wave}
+        if self._wave is not None:
+            arrays["wave/allocation"] = self._wave.allocation
+        if self._uniform is not None:
+            arrays["uniform/sums"] = self._uniform.sums.copy()
+        return State(self.settings, {"renderer": renderer, "strategy": values}, arrays)
+
+    def restore(self, state: State) -> None:
+        """Continue from a state of a render with the same settings. Only for a renderer that has not rendered yet.
+
+        Raises
+        ------
+        UserError
+            If the settings differ; the message names the difference.
+        """
+        check_settings(state.settings, self.settings)
+        values, wave = state.values["renderer"], state.values["renderer"]["wave"]
+        self._wavefront.accumulator.set_state(state.group("reduction"))
+        self._planner.set_state(values["planner"])
+        self.strategy.set_state(state.values["strategy"] | state.group("strategy"))
+        self._wave = None if wave is None else _WaveInProgress(allocation=state.arrays["wave/allocation"], **wave)
+        if self._uniform is not None:
+            self._uniform.sums = state.arrays["uniform/sums"].copy()
+        self.samples, self._statistics = values["samples"], None
 
     def statistics(self) -> Statistics:
         """Return the statistics of all samples so far, in the scene's units. Waits for the device."""
@@ -226,59 +316,11 @@ class Renderer:
         return self._wavefront.errors.distribution(floor * self.scene.radiance_scale)
 
     def _with_uniform(self, statistics: Statistics) -> Statistics:
-        """The statistics with those of uniform waves, if the strategy needs them."""
-        return replace(statistics, uniform=self._uniform.statistics(statistics)) if self._uniform else statistics
+        """The statistics with those of uniform waves, if the strategy needs them. They are not known during one."""
+        if self._uniform is None or self.wave_kind == "uniform":
+            return statistics
+        return replace(statistics, uniform=self._uniform.statistics(statistics))
 
     def image(self) -> np.ndarray:
         """Return the mean linear RGB, (height, width, 3) float32. Waits for the device."""
         return self.statistics().rgb
-
-    def _next_wave(self) -> Wave:
-        """The schedule's next wave, checked: strategies may be third-party code."""
-        wave = next(self._schedule, None)
-        if wave is None:
-            raise UserError(f"strategy '{self.strategy.name}' plans no more waves; its schedule has to be endless")
-        unlimited = wave.kind == "adaptive" and wave.spp is None
-        if wave.kind not in ("uniform", "adaptive") or not (unlimited or (wave.spp and 0 < wave.spp < math.inf)):
-            raise UserError(
-                f"strategy '{self.strategy.name}' planned {wave}; "
-                "kind must be 'uniform' or 'adaptive', spp a finite number above 0 (or None if adaptive)"
-            )
-        return wave
-
-    def _allocate(self, wave: Wave, max_samples: int | None) -> np.ndarray:
-        """The wave's allocation map, limited to `max_samples`."""
-        shape = (self.scene.height, self.scene.width)
-        if wave.spp is None:
-            return self._limit(self._checked(self.strategy.allocate(self.statistics(), None), None), max_samples)
-        pixels = self.scene.width * self.scene.height
-        budget = max(1, round(wave.spp * pixels))
-        if max_samples is not None and max_samples < budget:
-            if wave.kind == "uniform":
-                self._unfinished_wave = replace(wave, spp=wave.spp - max_samples / pixels)
-            budget = max_samples
-        if wave.kind == "uniform":
-            return uniform_allocation(shape, budget, self._wave_index)
-        return self._checked(self.strategy.allocate(self.statistics(), budget), budget)
-
-    def _limit(self, allocation: np.ndarray, max_samples: int | None) -> np.ndarray:
-        """The map, scaled down in proportion to at most `max_samples`."""
-        if max_samples is None or int(allocation.sum(dtype=np.int64)) <= max_samples:
-            return allocation
-        from isonoise.strategies.allocation import distribute_in_proportion  # uniform renders never need it
-
-        return distribute_in_proportion(allocation, max_samples, self._wave_index)
-
-    def _checked(self, allocation: np.ndarray, budget: int | None) -> np.ndarray:
-        """The map of a strategy, after checking type, shape and sum."""
-        allocation = np.asarray(allocation)
-        shape = (self.scene.height, self.scene.width)
-        total = int(allocation.sum(dtype=np.int64)) if allocation.shape == shape else None
-        valid = allocation.dtype == np.uint32 and total is not None
-        if not valid or (total < 1 if budget is None else total != budget):
-            raise UserError(
-                f"strategy '{self.strategy.name}' returned an allocation map of {allocation.dtype}, "
-                f"shape {allocation.shape}, sum {total}; it has to be uint32, shape {shape}, "
-                f"sum {'1 or more' if budget is None else budget}"
-            )
-        return allocation

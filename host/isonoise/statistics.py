@@ -144,19 +144,28 @@ class Statistics:
 
 
 class UniformSamples:
-    """Sums over every pixel's samples that came in uniform waves, from the statistics before and after each wave."""
+    """Sums over every pixel's samples that came in uniform waves, from the statistics before and after each wave.
+
+    Attributes
+    ----------
+    sums : (3, height, width) float64
+        Count, sum of x and sum of x^2; during a uniform wave without the samples before it.
+    """
 
     def __init__(self, shape: tuple[int, int]):
-        self._sums = np.zeros((3, *shape))  # count, x, x^2
+        self.sums = np.zeros((3, *shape))
 
-    def add_wave(self, before: Statistics, after: Statistics) -> None:
-        """Add the samples of a uniform wave."""
-        self._sums += _sums(after)
-        self._sums -= _sums(before)
+    def begin_wave(self, before: Statistics) -> None:
+        """Begin a uniform wave; `before` are the statistics before it."""
+        self.sums -= _sums(before)
+
+    def end_wave(self, after: Statistics) -> None:
+        """Add the samples of the uniform wave; `after` are the statistics after it."""
+        self.sums += _sums(after)
 
     def statistics(self, statistics: Statistics) -> Statistics:
         """Count, mean and variance of the samples so far; what else `statistics` has is left out."""
-        count, total, squares = self._sums
+        count, total, squares = self.sums
         mean = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
         variance = np.zeros_like(mean)
         np.divide(squares - total * mean, count - 1, out=variance, where=count >= 2)

@@ -61,12 +61,14 @@ def measure_wave_costs(source: str, repeat: int, **options) -> dict[str, object]
 
 def _time_wave(renderer: Renderer, strategy: _TimedStrategy, energy_loss: EnergyLoss) -> dict[str, float]:
     """Seconds of the parts of a wave, as in the render loop."""
+    before = renderer.statistics()
     record = renderer.step()
     start = time.perf_counter()
+    energy_loss.begin_wave(record.kind, lambda: before)
     statistics = renderer.statistics()
     after_statistics = time.perf_counter()
     renderer.error_distribution(image_floor(statistics.mean)).quantiles(LOG_QUANTILES)
-    energy_loss.add_wave(record.kind, statistics)
+    energy_loss.end_wave(record.kind, statistics)
     energy_loss.estimate(statistics)
     end = time.perf_counter()
     return {

@@ -5,6 +5,8 @@ Arvo, "Unbiased sampling techniques for image synthesis", 1991). The samples of 
 bias, and their mean over the image is the control.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from isonoise.statistics import Statistics
@@ -15,37 +17,51 @@ STRIP_PIXELS = 2**14
 
 
 class EnergyLoss:
-    """Estimates the loss of a render from the statistics after each of its waves."""
+    """Estimates the loss of a render from the statistics before and after each of its waves.
+
+    Attributes
+    ----------
+    uniform : (2, height, width) float64 or None
+        Count and sum of x of every pixel's samples of uniform waves; during a uniform wave without all samples before
+        it. None until the first adaptive wave, because until then all samples are of uniform waves.
+    control : float
+        Sum over the pixels of the means of these samples; nan if a pixel has none.
+    """
 
     def __init__(self):
-        self._last: Statistics | None = None
-        # Count and sum of x of every pixel's samples of uniform waves; until the first adaptive wave those of `_last`.
-        self._uniform: np.ndarray | None = None
-        self._control = np.nan  # sum over the pixels of the means of these samples
+        self.uniform: np.ndarray | None = None
+        self.control = np.nan
 
-    def add_wave(self, kind: str, statistics: Statistics) -> None:
-        """Add a wave, 'uniform' or 'adaptive'; `statistics` are those after it."""
-        if kind == "adaptive" and self._uniform is None:
-            self._uniform = np.zeros((2, *statistics.shape))
-            if self._last is not None:
-                self._add(self._last, None)
-        elif kind == "uniform" and self._uniform is not None:
-            self._add(statistics, self._last)
-        self._last = statistics
+    def begin_wave(self, kind: str, statistics: Callable[[], Statistics]) -> None:
+        """Begin a wave, 'uniform' or 'adaptive'; `statistics`, called if needed, returns those before it."""
+        if kind == "adaptive" and self.uniform is None:
+            self.uniform = np.zeros((2, *statistics().shape))
+            self._add(statistics(), 1)
+            self._update_control()
+        elif kind == "uniform" and self.uniform is not None:
+            self._add(statistics(), -1)
 
-    def _add(self, after: Statistics, before: Statistics | None) -> None:
-        """Add the samples between two statistics to those of the uniform waves."""
-        control, has_all = 0.0, True
-        for strip in row_strips(after.shape, STRIP_PIXELS):
-            count, total = self._uniform[:, strip]
-            count += after.count[strip]
-            total += after.count[strip] * after.mean[strip]
-            if before is not None:
-                count -= before.count[strip]
-                total -= before.count[strip] * before.mean[strip]
-            has_all = has_all and bool(count.min() > 0)
-            control += float(np.divide(total, count, where=count > 0, out=np.zeros(count.shape)).sum())
-        self._control = control if has_all else np.nan
+    def end_wave(self, kind: str, after: Statistics) -> None:
+        """End the wave; `after` are the statistics after it."""
+        if kind == "uniform" and self.uniform is not None:
+            self._add(after, 1)
+            self._update_control()
+
+    def _add(self, statistics: Statistics, sign: int) -> None:
+        for strip in row_strips(statistics.shape, STRIP_PIXELS):
+            count, total = self.uniform[:, strip]
+            signed = sign * statistics.count[strip].astype(np.float64)
+            count += signed
+            total += signed * statistics.mean[strip]
+
+    def _update_control(self) -> None:
+        self.control = 0.0
+        for strip in row_strips(self.uniform.shape[1:], STRIP_PIXELS):
+            count, total = self.uniform[:, strip]
+            if not count.min() > 0:
+                self.control = np.nan
+                return
+            self.control += float((total / count).sum())
 
     def estimate(self, statistics: Statistics) -> tuple[float, float]:
         """Relative loss of the image's mean luminance, and its standard error.
@@ -55,14 +71,14 @@ class EnergyLoss:
         its n samples u are from uniform waves, and d is the design effect. Both are 0 without adaptive waves, and nan
         if a pixel has no sample of a uniform wave or the image is black.
         """
-        if self._uniform is None:
+        if self.uniform is None:
             return 0.0, 0.0
-        if not self._control > 0:
+        if not self.control > 0:
             return np.nan, np.nan
         square = 0.0
         for strip in row_strips(statistics.shape, STRIP_PIXELS):
             variance = statistics.variance_per_sample(strip)
-            square += float((variance / self._uniform[0, strip]).sum())
+            square += float((variance / self.uniform[0, strip]).sum())
             square -= float((variance / statistics.count[strip]).sum())
-        loss = 1 - float(statistics.mean.sum()) / self._control
-        return loss, float(np.sqrt(max(square, 0))) / self._control
+        loss = 1 - float(statistics.mean.sum()) / self.control
+        return loss, float(np.sqrt(max(square, 0))) / self.control

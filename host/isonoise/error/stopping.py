@@ -42,6 +42,16 @@ class ErrorStop:
         self.bound: float | None = None
         self.passed = False
 
+    def restore(self, looks: int, stated: float | None, bound: float | None, quantile: float, **settings) -> None:
+        """Continue the test of a stopped render, from the attributes of its `ErrorStop`; limits may differ.
+
+        Looks stay spent. The last errors count if the quantile is the same; else the next wave shows them.
+        """
+        self.looks = looks
+        if quantile == self.quantile and settings["confidence"] == self.confidence:
+            self.stated, self.bound = stated, bound
+            self.passed = bound is not None and bound < self.limit
+
     def update(self, distribution: ErrorDistribution) -> None:
         """Test an image with this distribution of errors."""
         look = self.looks + 1

@@ -105,5 +105,16 @@ def row_values(row: LogRow) -> dict[str, float | int | str]:
     return values
 
 
+def row_from_values(values: dict[str, float | int | str]) -> LogRow:
+    """The row with these `row_values`."""
+    own = {name: value for name, value in values.items() if not name.startswith("true_")}
+    true = {name.removeprefix("true_"): value for name, value in values.items() if name not in own}
+    if true:
+        from isonoise.error.true_error import TrueError
+
+        return LogRow(**own, true=TrueError(**true))
+    return LogRow(**own, true=None)
+
+
 def _text(value: float | int | str) -> str:
     return format(value, ".9g") if isinstance(value, float) else str(value)

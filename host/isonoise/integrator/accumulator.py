@@ -1,6 +1,7 @@
 """The per-pixel statistics on the device: the planes that the stage `reduce` updates, and reading them on the host."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +47,14 @@ def build_constants(needs: Needs, form: DeviceForm) -> dict[str, int]:
     }
 
 
+class _Planes(NamedTuple):
+    """A buffer of `number` planes, each with one value of this type per pixel."""
+
+    buffer: object
+    number: int
+    dtype: type
+
+
 class Accumulator:
     """State of the stage `reduce` for an image of shape (height, width), read through the stage `summarise`.
 
@@ -64,14 +73,15 @@ class Accumulator:
                 f"chunks of {needs.chunk} entries of {self.pixels:,} pixels are more than {MAX_STATISTICS:,} numbers; "
                 "render a smaller image or choose a smaller chunk"
             )
-        self._planes: list[tuple] = []  # every buffer of the state and its size
+        self._planes: dict[str, _Planes] = {}  # every buffer of the state
 
-        def planes(number: int, what: str):
-            self._planes.append((self._device.buffer(4 * number * self.pixels, what), number * self.pixels))
-            return self._planes[-1][0]
+        def planes(name: str, number: int, what: str, dtype: type = np.float32):
+            buffer = self._device.buffer(4 * number * self.pixels, what)
+            self._planes[name] = _Planes(buffer, number, dtype)
+            return buffer
 
-        self.count = planes(1, "the sample counts")
-        self.rejected = planes(1, "the counts of rejected samples")
+        self.count = planes("count", 1, "the sample counts", np.uint32)
+        self.rejected = planes("rejected", 1, "the counts of rejected samples", np.uint32)
         summary = (
             6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half + 2 * needs.nets
         )  # kernels/stages/summarise.cl
@@ -84,26 +94,26 @@ class Accumulator:
             total_pixels=np.uint32(self.pixels),
             count=self.count,
             rejected=self.rejected,
-            sums=planes(_SUMS, "the statistics"),
-            sample_block_sums=planes(_BLOCK_SUMS, "the statistics of unfinished sample blocks"),
+            sums=planes("sums", _SUMS, "the statistics"),
+            sample_block_sums=planes("sample_block_sums", _BLOCK_SUMS, "the statistics of unfinished sample blocks"),
             summary=self._summaries[0],
             luminance=self._device.buffer(8 * self.pixels, "the luminance"),
             image_width=np.uint32(shape[1]),
             stride=np.uint32(SUMMARY_STRIP_PIXELS),
         )
         if needs.median:
-            stages.arguments["medians"] = planes(medians, "the chunk medians")
+            stages.arguments["medians"] = planes("medians", medians, "the chunk medians")
         if needs.power is not None:
-            stages.arguments["powers"] = planes(2, "the sums of powers")
+            stages.arguments["powers"] = planes("powers", 2, "the sums of powers")
             stages.arguments["power"] = np.float32(needs.power)
         if needs.half:
-            stages.arguments["halves"] = planes(6, "the sums of every second sample")
+            stages.arguments["halves"] = planes("halves", 6, "the sums of every second sample")
 
         if needs.neighbours:
             stages.arguments["neighbours"] = self._device.buffer(8 * self.pixels, "the averages of the neighbours")
             stages.arguments["neighbour_radius"] = np.uint32(needs.neighbours // 2)
         if needs.nets:
-            stages.arguments["net_means"] = planes(2 + 2**NET_COUNT_LOG2, "the means over nets")
+            stages.arguments["net_means"] = planes("net_means", 2 + 2**NET_COUNT_LOG2, "the means over nets")
             self._make_design_effect_buffers()
 
     def _make_design_effect_buffers(self) -> None:
@@ -130,8 +140,32 @@ class Accumulator:
 
     def reset(self) -> None:
         """Forget all samples."""
-        for buffer, size in self._planes:
-            self._device.write(buffer, np.zeros(size, np.uint32))
+        for planes in self._planes.values():
+            self._device.write(planes.buffer, np.zeros(planes.number * self.pixels, np.uint32))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Read the state of `reduce`: name -> (planes, height, width) float32 or uint32. Waits for the device.
+
+        With it and the sample counts, later samples have the same effect as without a stop.
+        """
+        return {
+            name: self._device.read(planes.buffer, planes.dtype, planes.number * self.pixels).reshape(
+                planes.number, *self._shape
+            )
+            for name, planes in self._planes.items()
+        }
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Write what `state` has returned. Raises ValueError if it is that of other statistics or another size."""
+        for name, planes in self._planes.items():
+            array = state.get(name)
+            expected = (planes.number, *self._shape)
+            if array is None or array.shape != expected or array.dtype != planes.dtype:
+                raise ValueError(
+                    f"the state has no array '{name}' of shape {expected} and type {planes.dtype.__name__}"
+                )
+            self._device.write(planes.buffer, array)
+        self._device.finish()
 
     def statistics(self, scale: float = 1.0) -> Statistics:
         """Read the statistics as read-only arrays, in the scene's units. Waits for the device.

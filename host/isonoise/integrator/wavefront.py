@@ -141,7 +141,13 @@ class Wavefront:
         """Launch every kernel on nothing, because some drivers compile only now."""
         self._stages.warm_up()
 
-    def trace(self, allocation: np.ndarray, should_continue: Callable[[int], bool] = lambda traced: True) -> int:
+    def trace(
+        self,
+        allocation: np.ndarray,
+        should_continue: Callable[[int], bool] = lambda traced: True,
+        begin: int = 0,
+        on_reduced: Callable[[int], None] = lambda traced: None,
+    ) -> int:
         """Trace the samples of an allocation map and reduce them.
 
         Parameters
@@ -149,19 +155,22 @@ class Wavefront:
         allocation : uint32 (height, width), samples per pixel
         should_continue : called before every slice, and after every bounce while paths of the slice are left to start,
             with the samples reduced so far; once it returns False no new path starts, and the paths in flight finish
+        begin : samples of the map that were traced before, always the first ones in pixel order
+        on_reduced : called after every slice with the samples reduced so far
 
         Returns
         -------
-        The number of samples that were traced: always the first ones of the map in pixel order
+        The number of samples that were traced, with those before `begin`: the first ones of the map in pixel order
         """
         ends = np.cumsum(allocation.ravel(), dtype=np.int64)
-        total, traced = int(ends[-1]), 0
+        total, traced = int(ends[-1]), begin
         while traced < total and should_continue(traced):
             end = min(traced + self.slice_samples, total)
             first, last = np.searchsorted(ends, [traced, end - 1], side="right")
             starts = ends[first : last + 1] - allocation.ravel()[first : last + 1]
             offsets = np.maximum(starts - traced, 0).astype(np.uint32)
             traced += self._trace_slice(int(first), offsets, end - traced, partial(should_continue, traced))
+            on_reduced(traced)
             if traced < end:
                 break
         return traced

@@ -1,5 +1,6 @@
 """The interface of all strategies: a schedule of waves, the statistics they read, and allocation maps."""
 
+import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -63,6 +64,19 @@ class Strategy:
 
     def __post_init__(self):
         check_ranges(self)  # of dataclasses
+
+    def state(self) -> dict[str, object]:
+        """Return what the strategy remembers from wave to wave, by name, so that a stopped render can be continued.
+
+        Values are arrays, numbers, texts or None. By default all attributes of the object but its parameters. Override
+        this and `set_state` if an attribute has another type, or can be computed again.
+        """
+        parameters = inspect.signature(type(self)).parameters
+        return {name: value for name, value in vars(self).items() if name not in parameters}
+
+    def set_state(self, state: dict[str, object]) -> None:
+        """Continue from what `state` has returned. Called after as many waves as then have been taken from `waves`."""
+        vars(self).update(state)
 
     def waves(self) -> Iterator[Wave]:
         """Return the schedule, an endless iterator. The renderer takes from it until the render ends."""

@@ -1,6 +1,6 @@
 """The strategy `dammertz`: blocks of pixels that split and stop."""
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
@@ -56,6 +56,14 @@ class Dammertz(StoppingStrategy):
     @property
     def first_test_spp(self) -> int:
         return self.step
+
+    def state(self) -> dict[str, object]:
+        blocks = [astuple(block) for block in self._active_blocks]
+        return super().state() | {"_active_blocks": np.array(blocks, np.int64).reshape(-1, 4)}
+
+    def set_state(self, state: dict[str, object]) -> None:
+        blocks = [Block(*block) for block in state["_active_blocks"].tolist()]
+        super().set_state(state | {"_active_blocks": blocks})
 
     def pixel_error(self, statistics: Statistics) -> np.ndarray:
         error = half_buffer(statistics)

@@ -1,0 +1,50 @@
+"""A finished render: image, statistics and log."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from isonoise.error.stated_error import relative_standard_error
+from isonoise.film.log import LogRow
+from isonoise.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A finished render.
+
+    Attributes
+    ----------
+    reason : str
+        Why it ended: 'spp', 'time', 'error', 'interrupted', or 'full' (a pixel's 32-bit sample count is nearly full).
+    rows : list of LogRow
+        The log, one row per wave.
+    elapsed_s : float
+        Seconds of rendering, without set-up, callbacks and true errors.
+    statistics : Statistics
+        Statistics of all samples.
+    floor : float
+        Relative errors divide by max(luminance, floor).
+    stated_error : float
+        At the quantile of `Stops`; inf without waves.
+    error_bound : float or None
+        Upper confidence bound of the true error at this quantile. None without `Stops.error` or waves.
+    """
+
+    reason: str
+    rows: list[LogRow]
+    elapsed_s: float
+    statistics: Statistics
+    floor: float
+    stated_error: float
+    error_bound: float | None = None
+
+    @property
+    def rgb(self) -> np.ndarray:
+        """Mean linear RGB, (height, width, 3) float32."""
+        return self.statistics.rgb
+
+    @property
+    def error(self) -> np.ndarray:
+        """Relative standard error of every pixel's luminance, (height, width) float32."""
+        return relative_standard_error(self.statistics, self.floor)

@@ -1,0 +1,117 @@
+"""What the image of a render depends on, as plain values, and how the settings of two renders differ.
+
+Called by `Renderer`, which is continued only with equal settings, and by merging.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from isonoise import __version__
+from isonoise.errors import UserError
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.strategies import describe
+
+NAMES = {
+    "version": "version of isonoise",
+    "size": "image size",
+    "strategy": "strategy",
+    "sampler": "sampler",
+    "seed": "seed",
+    "max_depth": "max_depth",
+    "parameters": "scene parameters (-D)",
+}
+"""Settings with a value of their own -> name in messages. The others are compared as `scene_differences` says."""
+
+
+def render_settings(renderer) -> dict[str, object]:
+    """The settings of a `Renderer`: values as in `NAMES`, and
+
+    - `scene`: the file or built-in scene; `scene_hash`: of all that the scene compiles to;
+    - `scene_parts`: name of an array or setting of `CompiledScene` -> hash;
+    - `files`: name of a file that the scene was read from, relative to the scene's folder -> sha256 of its content;
+    - `device`, which may change while a render goes on.
+    """
+    scene: CompiledScene = renderer.scene
+    return {
+        "version": __version__,
+        "scene": renderer.source_name,
+        "size": [scene.width, scene.height],
+        "strategy": describe(renderer.strategy),
+        "sampler": scene.sampler,
+        "seed": renderer.seed,
+        "max_depth": scene.max_depth,
+        "parameters": dict(sorted(renderer.parameters.items())),
+        "scene_hash": scene.hash,
+        "scene_parts": {field.name: _part_hash(getattr(scene, field.name)) for field in fields(scene)},
+        "files": file_hashes(renderer.files),
+        "radiance_scale": scene.radiance_scale,
+        "device": renderer.device_name,
+    }
+
+
+def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
+    """Name -> sha256 of the files, in hexadecimal digits; names are relative to the folder of the first file."""
+    hashes, base = {}, None
+    for path in paths:
+        base = base or path.parent
+        with open(path, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        hashes[os.path.relpath(path, base) if path.is_relative_to(base) else str(path)] = digest
+    return hashes
+
+
+def check_settings(stored: Mapping[str, object], current: Mapping[str, object]) -> None:
+    """Raise UserError, which names all differences, unless a render with these settings can be continued."""
+    differences = [
+        f"the {name} was {_text(stored[key])} and is now {_text(current[key])}"
+        for key, name in NAMES.items()
+        if stored[key] != current[key]
+    ]
+    differences += scene_differences(stored, current)
+    if differences:
+        raise UserError(f"the render cannot be continued: {'; '.join(differences)}")
+
+
+def scene_differences(stored: Mapping[str, object], current: Mapping[str, object]) -> list[str]:
+    """How the scenes differ, as clauses: their files if one has changed, else the compiled arrays and settings.
+
+    Another size, sampler or depth is no difference of the scene. Files that changed without effect do not count.
+    """
+    parts, now = (dict(settings["scene_parts"]) for settings in (stored, current))
+    for name in ("camera", "max_depth", "sampler", "sample_count", "hash"):
+        if name != "camera" or stored["size"] != current["size"]:
+            parts.pop(name, None), now.pop(name, None)
+    changed_parts = [name for name in parts.keys() | now.keys() if parts.get(name) != now.get(name)]
+    if not changed_parts:
+        return []
+    files, files_now = stored["files"], current["files"]
+    clauses = [f"'{name}' has changed" for name in files if name in files_now and files[name] != files_now[name]]
+    clauses += [f"'{name}' was read and is no longer" for name in files if name not in files_now]
+    clauses += [f"'{name}' was not read before" for name in files_now if name not in files]
+    if clauses and len(clauses) < 2 * len(files):
+        return clauses
+    described = ", ".join(sorted(changed_parts))
+    return [f"the scene '{stored['scene']}' differs from '{current['scene']}' in: {described}"]
+
+
+def _text(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name}={text}" for name, text in value.items()) or "none"
+    return "x".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+def _part_hash(value: object) -> str:
+    """Hex digest of an array, of a number or text, or of an environment map with its arrays."""
+    digest = hashlib.blake2b(digest_size=8)
+    for part in vars(value).values() if hasattr(value, "__dataclass_fields__") else [value]:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).data.cast("B") if part.size else b"")
+        else:
+            digest.update(repr(part).encode())
+    return digest.hexdigest()
