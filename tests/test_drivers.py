@@ -25,9 +25,9 @@ from isonoise.device.drivers import (
     pocl_version,
     preference,
     rank_of,
-    select_device,
 )
 from isonoise.device.program import flatten
+from isonoise.device.selection import select_device
 
 WHEEL_FOLDER = Path(pyopencl.__file__).parent.parent / "pocl_binary_distribution"
 CPU, GPU = pyopencl.device_type.CPU, pyopencl.device_type.GPU

@@ -13,6 +13,7 @@ from isonoise.cli import main
 from isonoise.device import drivers, form, pool_size, program_cache, tuned
 from isonoise.device.form import FORM_VARIABLE, FORMS
 from isonoise.device.opencl import Device
+from isonoise.device.selection import select_device
 from isonoise.errors import DeviceError, SceneError, UserError
 from isonoise.integrator import accumulator, scene_buffers
 from isonoise.integrator.features import FEATURES
@@ -34,7 +35,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def device():
-    return drivers.select_device()
+    return select_device()
 
 
 def pool_of(**options) -> tuple[int, Renderer]:

@@ -309,7 +309,12 @@ def _add_scene_parameters(parser) -> None:
 
 
 def _add_device(parser) -> None:
-    parser.add_argument("--device", metavar="D", help="number or part of the name of a device of `isonoise devices`")
+    parser.add_argument(
+        "--device",
+        metavar="D",
+        help="number or part of the name of a device of `isonoise devices`, or its type: gpu, cpu, accelerator "
+        "(default: PYOPENCL_CTX if set, else the first)",
+    )
 
 
 class _CommandParser(argparse.ArgumentParser):

@@ -1,6 +1,6 @@
-"""OpenCL drivers and their devices: lists devices in the order of preference, selects one, reads version strings.
+"""OpenCL drivers and their devices: lists devices in the order of preference, reads version strings.
 
-Used by `device.opencl`, the benchmarks and `isonoise devices`.
+Used by `device.opencl`, `device.selection`, the benchmarks and `isonoise devices`.
 """
 
 import functools
@@ -125,26 +125,6 @@ def pocl_version(device) -> tuple[int, int, int] | None:
     """Major and minor version, and 0 for a prerelease such as 3.0-rc2, else 1. None for other drivers than PoCL."""
     match = _POCL_VERSION.match(device.driver_version.strip()) if is_pocl(device) else None
     return match and (int(match["major"]), int(match["minor"]), int(match["prerelease"] is None))
-
-
-def select_device(choice: str | int | None = None):
-    """The OpenCL device with the number `choice`, or the first whose name or platform contains it; None: the default.
-
-    Raises DeviceError, with the list of devices, if there is none.
-    """
-    devices = list_devices()
-    if not devices:
-        raise DeviceError(f"no OpenCL device found; {driver_advice()}")
-    if choice is None:
-        return devices[0]
-    text = str(choice).strip()
-    if text.isdigit() and int(text) < len(devices):
-        return devices[int(text)]
-    for device in devices:
-        if text and text.lower() in f"{device.platform.name} {device.name}".lower() and not text.isdigit():
-            return device
-    names = "\n".join(f"  {number}: {device.name} ({device.platform.name})" for number, device in enumerate(devices))
-    raise DeviceError(f"no OpenCL device matches '{choice}'; choose a number or a part of a name from:\n{names}")
 
 
 def is_cpu(device) -> bool:

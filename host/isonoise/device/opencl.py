@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from isonoise.device import program_cache
-from isonoise.device.drivers import build_options, driver_identity, is_cpu, is_pocl, load_pyopencl, select_device
+from isonoise.device.drivers import build_options, driver_identity, is_cpu, is_pocl, load_pyopencl
 from isonoise.device.failures import build_failure, device_failure, is_forked, refuse_after_fork, reports_failures
 from isonoise.device.form import DeviceForm, choose_form
+from isonoise.device.selection import select_device
 from isonoise.errors import DeviceError
 
 LOCAL_SIZE = 64
