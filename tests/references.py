@@ -64,7 +64,7 @@ def from_batches(batches: np.ndarray) -> Estimate:
     return Estimate(batches.mean(axis=0), batches.std(axis=0, ddof=1) / np.sqrt(count), count - 1)
 
 
-def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
+def wave_batches(scene, spp: int, batches: int, seed: int = 0, allow_outside: bool = False) -> np.ndarray:
     """Independent images of a scene, (batches, height, width, 3) float64, with a seed each. No sample may be rejected.
 
     Waves of one render would not do: samples of `sobol` complement each other. Programs are built for small pools only:
@@ -73,7 +73,7 @@ def wave_batches(scene, spp: int, batches: int, seed: int = 0) -> np.ndarray:
     images = []
     for batch in range(batches):
         options = {"strategy": f"uniform:wave_spp={spp}", "seed": seed * batches + batch, "pool_size": 1 << 15}
-        renderer = isonoise.Renderer(scene, **options)
+        renderer = isonoise.Renderer(scene, allow_outside=allow_outside, **options)
         renderer.step()
         statistics = renderer.statistics()
         assert (statistics.count == spp).all()

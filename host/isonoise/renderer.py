@@ -22,6 +22,7 @@ from isonoise.samplers import SAMPLERS
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.files import record_files
 from isonoise.scene.load import load
 from isonoise.state.settings import check_settings, render_settings
 from isonoise.state.state import State, split_strategy_state, with_group
@@ -91,11 +92,15 @@ class Renderer:
         the image.
     profile : bool
         Measure `device_seconds`.
+    allow_outside : bool
+        Whether the files that a scene file names may be outside its folder (`isonoise.load`).
 
     Attributes
     ----------
     scene : CompiledScene
         The scene as arrays.
+    files : tuple of Path
+        Every file that the scene was read from, with symbolic links resolved: scene file, includes, meshes, images.
     strategy : Strategy
         The strategy in use.
     device_name : str
@@ -135,6 +140,7 @@ class Renderer:
         sampler: str | None = None,
         pool_size: int | None = None,
         profile: bool = False,
+        allow_outside: bool = False,
     ):
         if not 0 <= seed < 2**64:
             raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
@@ -147,8 +153,10 @@ class Renderer:
         self.parameters = parameters or {}
         self.files: tuple[Path, ...] = ()
         self.setup_times: dict[str, float] = {}
-        with self._measured("load"):
-            self.scene: CompiledScene = compile_scene(load(scene, parameters), size, max_depth, sampler)
+        with self._measured("load"), record_files() as files:
+            description = load(scene, parameters, allow_outside)
+            self.scene: CompiledScene = compile_scene(description, size, max_depth, sampler)
+        self.files: tuple[Path, ...] = tuple(files)
         with self._measured("build"):
             bvh = build_scene_bvh(self.scene)
         with self._measured("compile"):

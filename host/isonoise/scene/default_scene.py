@@ -10,6 +10,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import transforms
+from isonoise.scene.files import is_inside, outside_message
 from isonoise.scene.mesh.mesh import Mesh, MeshPart, used_vertices
 from isonoise.scene.mesh.obj import read_mtl, read_obj
 from isonoise.scene.mesh.ply import read_ply
@@ -24,9 +25,12 @@ _MAX_MTL_FILES = 100  # of one OBJ
 _MAX_DEPTH, _SAMPLE_COUNT = 8, 64
 
 
-def default_scene(path: Path) -> dict:
-    """A scene dict for an OBJ, PLY, STL or GLB file. Raises SceneError where it cannot be read."""
-    parts = _read_parts(path)
+def default_scene(path: Path, folder: Path | None = None) -> dict:
+    """A scene dict for an OBJ, PLY, STL or GLB file.
+
+    Files that it names have to be inside `folder`, unless that is None. Raises SceneError where a file cannot be read.
+    """
+    parts = _read_parts(path, folder)
     points = np.concatenate([used_vertices(part.mesh.vertices, part.mesh.faces) for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
     with np.errstate(over="ignore"):
@@ -47,18 +51,18 @@ def default_scene(path: Path) -> dict:
     return scene
 
 
-def _read_parts(path: Path) -> list[MeshPart]:
+def _read_parts(path: Path, folder: Path | None) -> list[MeshPart]:
     suffix = path.suffix.lower()
     if suffix == ".obj":
-        return _obj_parts(path)
+        return _obj_parts(path, folder)
     if suffix == ".ply":
         return [MeshPart(read_ply(path))]
     from isonoise.scene.mesh.trimesh_import import read_parts
 
-    return read_parts(path)
+    return read_parts(path, folder)
 
 
-def _obj_parts(path: Path) -> list[MeshPart]:
+def _obj_parts(path: Path, folder: Path | None) -> list[MeshPart]:
     """One part for each material that the file uses, with the MTL file's diffuse colour and emission."""
     obj = read_obj(path)
     mtl: dict[str, dict] = {}
@@ -66,8 +70,8 @@ def _obj_parts(path: Path) -> list[MeshPart]:
     if len(libraries) > _MAX_MTL_FILES:
         raise SceneError(f"{path}: it names more than {_MAX_MTL_FILES} MTL files")
     for library in libraries:
-        candidates = [path.parent / library, path.parent / Path(library).name]
-        mtl |= next((read_mtl(f) for f in candidates if library and path_exists(f) and not f.is_dir()), {})
+        file = _find_library(path, library, folder)
+        mtl |= read_mtl(file) if file else {}
     parts = []
     order = np.argsort(obj.face_material, kind="stable")
     used, first = np.unique(obj.face_material[order], return_index=True)
@@ -78,6 +82,16 @@ def _obj_parts(path: Path) -> list[MeshPart]:
         radiance = tuple(emission) if emission and max(emission) > 0 else None
         parts.append(MeshPart(select_faces(obj.mesh, faces), reflectance, radiance))
     return parts
+
+
+def _find_library(path: Path, name: str, folder: Path | None) -> Path | None:
+    """The MTL file of this name, or one without the name's folders beside the OBJ file; None if there is neither."""
+    candidates = [path.parent / name, path.parent / Path(name).name]
+    existing = [file for file in candidates if path_exists(file) and not file.is_dir()]
+    found = next((file for file in existing if is_inside(file, folder)), None)
+    if existing and not found:
+        raise SceneError(f"{path}: {outside_message(existing[0], folder)}")
+    return found
 
 
 def select_faces(mesh: Mesh, face_indices: np.ndarray) -> Mesh:

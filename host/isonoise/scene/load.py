@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from isonoise.errors import SceneError
 from isonoise.scene.builtin import find_scene
+from isonoise.scene.files import scene_folder
 from isonoise.scene.parse.dict_reader import read_dict
 from isonoise.scene.parse.validate import normalise
 from isonoise.scene.parse.xml_reader import read_xml
@@ -12,7 +13,9 @@ from isonoise.scene.parse.xml_reader import read_xml
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 
 
-def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None) -> dict:
+def load(
+    source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None, allow_outside: bool = False
+) -> dict:
     """Read a scene and return its normalised description.
 
     Parameters
@@ -22,6 +25,9 @@ def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None 
         `load_dict`.
     parameters : dict or None
         Values for the `$name` placeholders of an XML file.
+    allow_outside : bool
+        Whether the files that a scene file names may be anywhere. Otherwise they have to be in its folder or below it,
+        with symbolic links resolved. A dict may name any file.
 
     Returns
     -------
@@ -32,7 +38,7 @@ def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None 
     Raises
     ------
     SceneError
-        If the scene cannot be read or uses something unsupported.
+        If the scene cannot be read, names a file outside its folder or uses something unsupported.
 
     Examples
     --------
@@ -45,10 +51,11 @@ def load(source: str | os.PathLike | Mapping, parameters: dict[str, str] | None 
             raise SceneError("parameters belong to XML scenes; change the dict itself")
         return normalise(read_dict(source))
     path = find_scene(source)
+    folder = scene_folder(path, allow_outside)
     if path.suffix.lower() in MESH_SUFFIXES:
         from isonoise.scene.default_scene import default_scene
 
         if parameters:
             raise SceneError(f"{path}: parameters belong to XML scenes, this is a mesh")
-        return normalise(read_dict(default_scene(path)))
-    return normalise(read_xml(path, parameters))
+        return normalise(read_dict(default_scene(path, folder)))
+    return normalise(read_xml(path, parameters, folder))

@@ -13,6 +13,7 @@ from typing import NoReturn
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.input_files import size_bytes
 from isonoise.scene.files import open_regular_file
 from isonoise.scene.image.rgbe import is_rgbe, read_rgbe, rgbe_size
 from isonoise.scene.parse.elements import SourceLocation
@@ -43,9 +44,9 @@ def read_image(path: str | os.PathLike) -> Image:
     location = SourceLocation(str(path))
     try:
         with open_regular_file(Path(path)) as file:
-            data = file.read()
-    except (OSError, ValueError) as error:
-        _raise_unreadable(location, getattr(error, "strerror", None) or error)
+            data = file.read(size_bytes(file))
+    except OSError as error:
+        _raise_unreadable(location, error.strerror)
     if is_rgbe(data):
         width, height = rgbe_size(data, location)
         _check_size(width, height, 12, len(data), location)

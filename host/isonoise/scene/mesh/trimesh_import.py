@@ -1,7 +1,7 @@
 """Reads STL and GLB with trimesh: triangles and base colour of every part. Called by `scene/default_scene.py`."""
 
 import contextlib
-import json
+import io
 import logging
 import math
 import struct
@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.input_files import parse_json
 from isonoise.scene import transforms
-from isonoise.scene.files import read_bytes
+from isonoise.scene.files import is_inside, outside_message, read_bytes
 from isonoise.scene.mesh.mesh import Mesh, MeshPart
+from isonoise.scene.parse.elements import path_exists
 from isonoise.scene.spectra import srgb_to_linear
 
 _MAX_TEXELS = 1 << 26  # of a texture; only its mean is used
@@ -22,22 +24,58 @@ _MIN_ACCESSOR_BYTES, _MAX_ACCESSOR_RATIO = 1 << 20, 16
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
-def read_parts(path: Path) -> list[MeshPart]:
-    """The parts of a file in world space. Raises SceneError if trimesh cannot read it or it has no triangles."""
+def read_parts(path: Path, folder: Path | None = None) -> list[MeshPart]:
+    """The parts of a file in world space.
+
+    Files that it names have to be inside `folder`, unless that is None. Raises SceneError if trimesh cannot read it or
+    it has no triangles.
+    """
     import trimesh
 
-    if path.suffix.lower() == ".glb":
-        _check_accessors(path)
+    data, file_type = read_bytes(path), path.suffix[1:].lower()
+    if file_type == "glb":
+        _check_accessors(path, data)
+    named_files = _NamedFiles(path, folder)
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # without a handler it prints tracebacks
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # _parts checks what matters
-            return _parts(path, trimesh.load_scene(str(path), process=False, maintain_order=True))
+            options = {"resolver": named_files, "process": False, "maintain_order": True}
+            loaded = trimesh.load_scene(io.BytesIO(data), file_type=file_type, **options)
+            if named_files.error:
+                raise named_files.error
+            return _parts(path, loaded)
     except SceneError:
         raise
     except Exception as error:  # trimesh raises errors of any type for an invalid file
         reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
-        raise SceneError(f"{path}: not a readable {path.suffix[1:].upper()} file ({reason})") from None
+        not_readable = SceneError(f"{path}: not a readable {path.suffix[1:].upper()} file ({reason})")
+        raise named_files.error or not_readable from None
+
+
+class _NamedFiles:
+    """Files that a GLB file names: buffers and images. trimesh reads them by `[name]`, and ignores missing images."""
+
+    def __init__(self, path: Path, folder: Path | None):
+        self.path, self.folder = path, folder
+        self.contents: dict[str, bytes] = {}
+        self.error: SceneError | None = None  # of the first file that exists and cannot be used
+
+    def __getitem__(self, name: str) -> bytes:
+        if name not in self.contents:
+            self.contents[name] = self._read(name)
+        return self.contents[name]
+
+    def _read(self, name: str) -> bytes:
+        file = self.path.parent / name.strip()
+        exists = path_exists(file)
+        try:
+            if exists and not is_inside(file, self.folder):
+                raise SceneError(f"{self.path}: {outside_message(file, self.folder)}")
+            return read_bytes(file)
+        except SceneError as error:
+            self.error = self.error or (error if exists else None)
+            raise
 
 
 def _parts(path: Path, loaded) -> list[MeshPart]:
@@ -84,15 +122,15 @@ def _colours(material) -> tuple[tuple[float, ...], tuple[float, ...] | None]:
     return tuple(np.clip(colour, 0.0, 1.0)), tuple(np.asarray(emission, float)) if is_emissive else None
 
 
-def _check_accessors(path: Path) -> None:
+def _check_accessors(path: Path, data: bytes) -> None:
     """Raise SceneError where the accessors of a GLB file describe much more data than the file holds.
 
     trimesh allocates zeros for accessors without data. Other errors in the file are left to trimesh.
     """
-    data, described = read_bytes(path), 0
+    described = 0
     try:
-        accessors = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])["accessors"]
-    except (ValueError, KeyError, TypeError, struct.error, RecursionError):
+        accessors = parse_json(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])["accessors"]
+    except (ValueError, KeyError, TypeError, struct.error):
         return
     for accessor in accessors if isinstance(accessors, list) else ():
         with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError):

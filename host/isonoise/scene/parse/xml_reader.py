@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.scene.files import is_inside, outside_message
 from isonoise.scene.parse.elements import Element, Reference, closest_name, path_exists
 from isonoise.scene.parse.xml_tags import MAX_DEPTH, Tag, parse_tags
 from isonoise.scene.parse.xml_upgrade import needs_upgrade, upgrade_element, upgrade_tags
@@ -24,12 +25,13 @@ _VALUES = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "s
 _DIRECTIVES = ("ref", "include", "alias", "default", "path")
 
 
-def read_xml(path: Path, parameters: dict[str, str]) -> Element:
+def read_xml(path: Path, parameters: dict[str, str], folder: Path | None = None) -> Element:
     """The Element tree of a scene file; `parameters` replace `$name` and override <default>.
 
-    Raises SceneError, with file, line and element, if the scene is invalid.
+    Files that it names have to be inside `folder`, unless that is None. Raises SceneError, with file, line and
+    element, if the scene is invalid.
     """
-    reader = _SceneReader(parameters)
+    reader = _SceneReader(parameters, folder)
     root = reader.read_file(path, ())
     for name in parameters:
         if name not in reader.used:
@@ -48,8 +50,9 @@ def _suggestion(name: str, choices: tuple[str, ...]) -> str:
 class _SceneReader:
     """State that all files of one scene share."""
 
-    def __init__(self, parameters: dict[str, str]):
+    def __init__(self, parameters: dict[str, str], folder: Path | None):
         self.parameters = dict(parameters)
+        self.folder = folder  # all files have to be inside it, unless it is None
         self.used: set[str] = set()  # names of parameters
         self.aliases: dict[str, str] = {}
         self.open_files: list[Path] = []
@@ -190,9 +193,11 @@ class _FileReader:
         """The file or folder of this name in the first folder that has it."""
         if "\0" in name or not name:
             tag.location.raise_error("a file name is missing")
-        for folder in self.folders:
-            if path_exists(folder / name):
-                return folder / name
+        for path in (folder / name for folder in self.folders):
+            if path_exists(path):
+                if not is_inside(path, self.scene.folder):
+                    tag.location.raise_error(outside_message(path, self.scene.folder))
+                return path
         searched = ", ".join(str(folder) for folder in self.folders)
         tag.location.raise_error(f"there is no '{name}' (searched in {searched})")
 

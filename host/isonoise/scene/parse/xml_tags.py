@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from isonoise.errors import SceneError
+from isonoise.input_files import size_bytes
 from isonoise.scene.files import open_regular_file
 from isonoise.scene.parse.elements import SourceLocation
 
@@ -64,7 +65,9 @@ def parse_tags(path: Path) -> Tag:
     builder.expat = parser.parser
     try:
         with open_regular_file(path) as file:
-            while chunk := file.read(_CHUNK_BYTES):
+            unread = size_bytes(file)
+            while chunk := file.read(min(_CHUNK_BYTES, unread)):
+                unread -= len(chunk)
                 parser.feed(chunk)
         return parser.close()
     except ParseError as error:
