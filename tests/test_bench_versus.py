@@ -75,7 +75,7 @@ class FakeProcess:
     order: list[str]
     version = "1"
 
-    def __init__(self, subject, name, source, scene, samples):
+    def __init__(self, subject, name, source, scene, samples, settings):
         self.label = subject.label
 
     def __enter__(self):
@@ -130,7 +130,7 @@ def test_a_process_that_dies_is_a_message(monkeypatch, tmp_path, capsys):
 def test_the_worker_ends_with_its_input():
     subject = versus.this_subject(None)
     scene = versus.load_scene("cornell", versus.Settings(size=(4, 3)))
-    with versus.WorkerProcess(subject, "cornell", "cornell", scene, 12) as side:
+    with versus.WorkerProcess(subject, "cornell", "cornell", scene, 12, versus.Settings()) as side:
         assert side.request("run")["seconds"] > 0
         process = side._process
     assert process.returncode == 0

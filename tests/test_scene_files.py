@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import small_files
 
+from isonoise.cli import main
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load
 from isonoise.scene.files import record_files
@@ -67,13 +68,13 @@ def test_every_file_is_recorded_once(tmp_path):
     """In the order of reading, with links resolved."""
     shapes = [SHAPE.format("obj", "part.obj", ""), SHAPE.format("ply", "sub/part.ply", TEXTURE.format("sub/t.png"))] * 2
     inside = ['<include filename="more.xml"/>', *shapes, ENVMAP.format("sky.exr")]
-    main = write(tmp_path / "main.xml", SCENE.format("".join(inside)))
+    top = write(tmp_path / "main.xml", SCENE.format("".join(inside)))
     more = write(tmp_path / "more.xml", '<scene version="3.0.0"></scene>')
     obj = write(tmp_path / "part.obj", small_files.obj())
     ply = write(tmp_path / "sub" / "part.ply", small_files.ply())
     texture = write(tmp_path / "sub" / "t.png", small_files.image_file("PNG"))
     sky = write(tmp_path / "sky.exr", small_files.exr())
-    assert files_of(main) == [file.resolve() for file in (main, more, obj, ply, texture, sky)]
+    assert files_of(top) == [file.resolve() for file in (top, more, obj, ply, texture, sky)]
 
 
 def test_files_of_bare_meshes_are_recorded(tmp_path):
@@ -141,18 +142,18 @@ def test_folders_of_included_files_stay_inside(tmp_path):
     """A file that is included from a folder may name files beside and above it, as far as the scene's folder."""
     write(tmp_path / "scene" / "meshes" / "a.ply", small_files.ply())
     write(tmp_path / "a.ply", small_files.ply())
-    main = write(tmp_path / "scene" / "main.xml", SCENE.format('<include filename="parts/part.xml"/>'))
+    top = write(tmp_path / "scene" / "main.xml", SCENE.format('<include filename="parts/part.xml"/>'))
     part = tmp_path / "scene" / "parts" / "part.xml"
     inside = '<scene version="3.0.0">' + SHAPE.format("ply", "{}", "") + "</scene>"
     write(part, inside.format("../meshes/a.ply"))
-    assert len(files_of(main)) == 3
+    assert len(files_of(top)) == 3
     write(part, inside.format("../../a.ply"))
     with pytest.raises(SceneError, match=r"part\.xml:1.*is outside the scene's folder"):
-        load(main)
-    assert len(files_of(main, allow_outside=True)) == 3
-    write(main, '<scene version="3.0.0"><path value=".."/></scene>')
+        load(top)
+    assert len(files_of(top, allow_outside=True)) == 3
+    write(top, '<scene version="3.0.0"><path value=".."/></scene>')
     with pytest.raises(SceneError, match=r"<path.*is outside the scene's folder"):
-        load(main)
+        load(top)
 
 
 def test_material_files_outside_the_folder_are_refused(tmp_path):
@@ -251,3 +252,11 @@ def test_no_scene_names_code(tmp_path):
         with pytest.raises(SceneError, match=r"strategy|evil:Strategy"):
             load(write(tmp_path / "main.xml", f'<scene version="3.0.0">{sensor}{inside}</scene>'))
     assert "evil" not in sys.modules
+
+
+def test_the_command_line_allows_files_outside(tmp_path, capsys):
+    write(tmp_path / "a.ply", small_files.ply())
+    path = write_scene(tmp_path / "scene" / "main.xml", "ply", "../a.ply")
+    assert main(["info", str(path)]) == 2
+    assert "outside the scene's folder" in capsys.readouterr().err
+    assert main(["info", str(path), "--allow-outside"]) == 0

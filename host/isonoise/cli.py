@@ -110,6 +110,7 @@ def _add_render(commands) -> None:
     )
     _add_scene_overrides(settings)
     _add_scene_parameters(settings)
+    _add_allow_outside(settings)
     _add_device(settings)
     reports = render.add_argument_group("what to report")
     reports.add_argument("--reference", metavar="REF.exr", help="converged image, to report the true error as well")
@@ -155,6 +156,7 @@ def _add_compare(commands) -> None:
     )
     settings = compare.add_argument_group("how to render")
     _add_scene_overrides(settings)
+    _add_allow_outside(settings)
     _add_device(settings)
     references = compare.add_argument_group("references")
     references.add_argument(
@@ -192,6 +194,7 @@ def _add_bench(commands) -> None:
         "--spp", metavar="N", type=argument_types.positive, help="samples per pixel of a run; see below"
     )
     _add_scene_overrides(subjects)
+    _add_allow_outside(subjects)
     _add_device(subjects)
     modes = subjects.add_mutually_exclusive_group()
     modes.add_argument(
@@ -282,6 +285,7 @@ def _add_info(commands) -> None:
     )
     info.add_argument("source", metavar="SCENE|OUT.exr", help="a scene file, a built-in scene, or an image")
     _add_scene_parameters(info)
+    _add_allow_outside(info)
 
 
 def _add_scene_overrides(parser) -> None:
@@ -293,6 +297,14 @@ def _add_scene_overrides(parser) -> None:
         metavar="N",
         type=argument_types.max_depth,
         help="longest path instead of the scene's: 1 is emitters only, -1 no limit",
+    )
+
+
+def _add_allow_outside(parser) -> None:
+    parser.add_argument(
+        "--allow-outside",
+        action="store_true",
+        help="let the scene read files outside its folder: includes, meshes, images",
     )
 
 

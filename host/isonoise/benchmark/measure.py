@@ -44,12 +44,14 @@ class Settings:
     max_depth: int | None = None
     device: str | None = None
     pool_size: int | None = None
+    allow_outside: bool = False  # as for `isonoise.load`
 
     def render_options(self) -> list[str]:
         """The same settings as options of `isonoise render`."""
         size = ["--size", f"{self.size[0]}x{self.size[1]}"] if self.size else []
         depth = ["--max-depth", str(self.max_depth)] if self.max_depth is not None else []
-        return [*size, *depth, *(["--device", self.device] if self.device is not None else [])]
+        outside = ["--allow-outside"] if self.allow_outside else []
+        return [*size, *depth, *outside, *(["--device", self.device] if self.device is not None else [])]
 
 
 def report_header(schema: str, schema_version: int, settings: Settings, device: Device) -> dict[str, object]:
@@ -92,7 +94,8 @@ def measure_each(sources: Mapping[str, str], measure: Callable[[str, str, ShowPr
 
 def load_scene(source: str, settings: Settings) -> CompiledScene:
     """The compiled scene of a file or built-in scene."""
-    return compile_scene(load(source), size=settings.size, max_depth=settings.max_depth)
+    description = load(source, allow_outside=settings.allow_outside)
+    return compile_scene(description, size=settings.size, max_depth=settings.max_depth)
 
 
 def samples_per_run(scene: CompiledScene, settings: Settings, device: Device) -> int:
@@ -153,6 +156,7 @@ def measure_scene(
         passes.append(time_bounces(prepared))
     show(0.95, "costs of a wave")
     options = {"device": settings.device, "size": settings.size, "max_depth": settings.max_depth}
+    options["allow_outside"] = settings.allow_outside
     wave_costs = measure_wave_costs(source, settings.repeat, pool_size=settings.pool_size, **options)
     tests = count_tests(prepared, [bounce.rays for bounce in passes[0]])
     kernels = kernel_rows(prepared, profiled, sum(shadow_rays), tests, copy_gb_per_s["median"])

@@ -87,7 +87,7 @@ def measure_versus(sources: Mapping[str, str], settings: Settings, other: str) -
         scene = load_scene(source, settings)
         samples = samples_per_run(scene, settings, device)
         row, result["other"]["isonoise_version"] = _measure_scene(
-            name, source, scene, samples, subjects, settings.repeat, show
+            name, source, scene, samples, subjects, settings, show
         )
         result["scenes"].append(row)
 
@@ -106,7 +106,7 @@ def _measure_scene(
     scene: CompiledScene,
     samples: int,
     subjects: tuple[Subject, Subject],
-    repeat: int,
+    settings: Settings,
     show: ShowProgress,
 ) -> tuple[dict[str, object], str]:
     """An entry of the JSON field `scenes`, and the version of the other side."""
@@ -114,10 +114,10 @@ def _measure_scene(
         sides = []
         for index, subject in enumerate(subjects):
             show(0.25 * index, f"warm-up of {subject.label}")
-            sides.append(stack.enter_context(WorkerProcess(subject, name, source, scene, samples)))
+            sides.append(stack.enter_context(WorkerProcess(subject, name, source, scene, samples, settings)))
         pairs = []
-        for index in range(repeat):
-            show(0.5 + 0.5 * index / repeat, f"pair {index + 1} of {repeat}")
+        for index in range(settings.repeat):
+            show(0.5 + 0.5 * index / settings.repeat, f"pair {index + 1} of {settings.repeat}")
             pairs.append([side.request("run") for side in sides])
         means = [side.request("mean")["mean"] for side in sides]
         version = sides[1].version
@@ -135,7 +135,9 @@ def _measure_scene(
 class WorkerProcess:
     """A process that has set up and warmed up one side. Raises UserError with the side's message if it fails."""
 
-    def __init__(self, subject: Subject, name: str, source: str, scene: CompiledScene, samples: int):
+    def __init__(
+        self, subject: Subject, name: str, source: str, scene: CompiledScene, samples: int, settings: Settings
+    ):
         self._where = f"{subject.label} cannot render {name}"
         # isonoise compiles programs in processes of its own, which have to find the same isonoise
         paths = [str(subject.package.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
@@ -154,6 +156,7 @@ class WorkerProcess:
             "size": [scene.width, scene.height],
             "max_depth": scene.max_depth,
             "samples": samples,
+            "options": {"allow_outside": True} if settings.allow_outside else {},  # an old checkout has no such option
         }
         try:
             self.version = self.request(json.dumps(job))["version"]

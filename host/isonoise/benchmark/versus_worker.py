@@ -38,6 +38,7 @@ class Side:
             strategy=f"uniform:wave_spp={wave_spp}",
             size=(width, height),
             max_depth=job["max_depth"],
+            **job["options"],
         )
 
     def run(self) -> dict[str, float]:

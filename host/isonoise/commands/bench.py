@@ -55,7 +55,14 @@ MEASUREMENT_OPTIONS = ("against", "trace", "dump", "pytest_benchmark")
 def run(options: argparse.Namespace) -> int:
     """Run the command; returns the exit code. Raises UserError if options, files or devices are unusable."""
     _check_options(options)
-    settings = Settings(options.repeat, options.size, options.spp, options.max_depth, options.device)
+    settings = Settings(
+        options.repeat,
+        options.size,
+        options.spp,
+        options.max_depth,
+        options.device,
+        allow_outside=options.allow_outside,
+    )
     with tempfile.TemporaryDirectory(prefix="isonoise-bench-") as folder:
         if options.tune:
             return _tune(settings, _sources(options.scenes or TUNED_SCENES, Path(folder)))

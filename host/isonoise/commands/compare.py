@@ -98,6 +98,7 @@ def _request(options: argparse.Namespace, preset: Preset | None, spp: float | No
         references=options.reference,
         reference_time=options.reference_time,
         preset=options.preset,
+        allow_outside=options.allow_outside,
     )
 
 

@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     if Path(options.source).suffix.lower() == ".exr":
         _print_image(options.source)
     else:
-        _print_scene(options.source, dict(options.parameters))
+        _print_scene(options)
     return EXIT_DONE
 
 
@@ -42,14 +42,14 @@ def _print_image(path: str) -> None:
     print(label_lines([("size", f"{width}x{height}"), ("channels", ", ".join(channels)), *sorted(header.items())]))
 
 
-def _print_scene(source: str, parameters: dict[str, str]) -> None:
+def _print_scene(options: argparse.Namespace) -> None:
     from isonoise.integrator.feature_costs import cost
     from isonoise.integrator.features import FEATURES, features
     from isonoise.integrator.kernel_table import path_bytes
     from isonoise.scene import compile_scene, load
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 
-    scene = compile_scene(load(source, parameters))
+    scene = compile_scene(load(options.source, dict(options.parameters), options.allow_outside))
     print(label_lines(describe_scene(scene).items()))
     used = features(scene, make_strategy(DEFAULT_STRATEGY).needs.with_sampler(scene.sampler))
     name_width = max(map(len, used))

@@ -100,6 +100,7 @@ def _make_renderer(options: argparse.Namespace) -> Renderer:
         max_depth=options.max_depth,
         sampler=options.sampler,
         parameters=dict(options.parameters),
+        allow_outside=options.allow_outside,
         **strategy,
     )
 

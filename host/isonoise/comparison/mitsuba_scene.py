@@ -16,7 +16,8 @@ def mitsuba_xml(source: Path, sampler: str, size: tuple[int, int] | None, max_de
     path = find_scene(source)
     if path.suffix.lower() != ".xml":
         raise SceneError(f"{path}: Mitsuba 3 reads .xml scenes only; remove the scene from this comparison")
-    compiled = compile_scene(load(source), size=size, max_depth=max_depth)
+    # the caller has loaded the scene under the rule of --allow-outside
+    compiled = compile_scene(load(source, allow_outside=True), size=size, max_depth=max_depth)
     root = parse(path).getroot()
     sensor = root.find("sensor")
     if sensor is None:

@@ -62,6 +62,7 @@ class Plan:
     device: str  # name
     reference_time: float | None  # seconds; None: REFERENCE_BUDGET_FACTOR times spp
     preset: str | None = None  # the report has its figures
+    allow_outside: bool = False  # as for `isonoise.load`
 
     def scene(self, slug: str) -> SceneEntry:
         return next(scene for scene in self.scenes if scene.slug == slug)
@@ -83,6 +84,7 @@ class Request:
     references: Sequence[str] = ()  # one file per scene, in order, or SCENE=FILE
     reference_time: float | None = None
     preset: str | None = None
+    allow_outside: bool = False
 
 
 def make_plan(request: Request, stored: Plan | None = None) -> Plan:
@@ -125,6 +127,7 @@ def make_plan(request: Request, stored: Plan | None = None) -> Plan:
         device=device,
         reference_time=reference_time,
         preset=request.preset or (stored.preset if stored else None),
+        allow_outside=request.allow_outside,
     )
 
 
@@ -198,7 +201,8 @@ def _scenes(request: Request, sources: list[str], stored: Plan | None) -> tuple[
     given = _given_references(request, sources, slugs)
     entries = []
     for source, slug in zip(sources, slugs, strict=True):
-        scene = compile_scene(load(source), size=request.size, max_depth=request.max_depth)
+        description = load(source, allow_outside=request.allow_outside)
+        scene = compile_scene(description, size=request.size, max_depth=request.max_depth)
         path, digest = f"references/{slug}.exr", None
         if source in given:
             path, digest = _checked_reference(given[source], slug, (scene.width, scene.height))

@@ -74,8 +74,15 @@ class _Runner:
 
     def _renderer(self, scene: SceneEntry, sampler: str = SAMPLERS[0], **options) -> Renderer:
         """A renderer with the size, depth and device of the comparison; the sampler of the scene is ignored."""
-        size, depth = self.plan.size, self.plan.max_depth
-        return Renderer(scene.source, device=self.device, size=size, max_depth=depth, sampler=sampler, **options)
+        return Renderer(
+            scene.source,
+            device=self.device,
+            size=self.plan.size,
+            max_depth=self.plan.max_depth,
+            sampler=sampler,
+            allow_outside=self.plan.allow_outside,
+            **options,
+        )
 
     def _run(self, scene: SceneEntry, strategy: StrategyEntry, seed: int, reference, workers: MitsubaWorkers) -> None:
         path = run_path(self.directory, scene, strategy, seed)
