@@ -151,7 +151,6 @@ class Renderer:
         self.strategy, self.seed = make_strategy(strategy), seed
         self.source_name = "a scene in Python" if isinstance(scene, Mapping) else os.fspath(scene)
         self.parameters = parameters or {}
-        self.files: tuple[Path, ...] = ()
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
             description = load(scene, parameters, allow_outside)

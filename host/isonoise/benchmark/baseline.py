@@ -1,13 +1,12 @@
 """Compares a measurement with an earlier one (`bench --against`): speed ratios by scene and kernel."""
 
 import contextlib
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from isonoise.benchmark.measure import SCHEMA, SCHEMA_VERSION
 from isonoise.errors import UserError
+from isonoise.input_files import read_json
 
 MIN_JUDGED_SHARE = 0.05
 """Kernels with a smaller share of the kernels' time, now and before, are not judged."""
@@ -46,7 +45,7 @@ class Baseline:
     def __init__(self, path: str):
         self.path = path
         try:
-            self._content = json.loads(Path(path).read_text(encoding="utf-8"))
+            self._content = read_json(path)
         except OSError as error:
             raise UserError(f"cannot read '{path}': {error.strerror}") from error
         except ValueError as error:

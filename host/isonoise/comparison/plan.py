@@ -12,6 +12,7 @@ from isonoise.comparison.strategy_specs import describe_spec, strategy_title
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.files import write_atomically
+from isonoise.input_files import read_json
 from isonoise.scene import compile_scene, load
 from isonoise.scene.builtin import find_scene
 
@@ -137,7 +138,7 @@ def read_plan(directory: Path) -> Plan | None:
     if not path.exists():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         content["scenes"] = tuple(SceneEntry(**entry) for entry in content["scenes"])
         content["strategies"] = tuple(StrategyEntry(**entry) for entry in content["strategies"])
         content["seeds"] = tuple(content["seeds"])

@@ -12,6 +12,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from isonoise.input_files import read_regular_file
+
 FOLDER_VARIABLE = "ISONOISE_PROGRAM_CACHE"
 """Environment variable with another folder, or `off`."""
 MAX_SIZE_BYTES = 256 * 2**20
@@ -56,7 +58,7 @@ def load(key: str) -> bytes | None:
     if folder is None:
         return None
     try:
-        content = (folder / key).read_bytes()
+        content = read_regular_file(folder / key)
     except OSError:
         return None
     header, binary = content[: len(_MAGIC) + _HASH_SIZE], content[len(_MAGIC) + _HASH_SIZE :]

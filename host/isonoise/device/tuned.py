@@ -4,13 +4,14 @@ import json
 
 from isonoise.device import program_cache
 from isonoise.device.drivers import driver_identity
+from isonoise.input_files import parse_json
 
 
 def load_tuned(device, name: str) -> object:
     """The value stored under this name; None if there is none or its file is damaged. The caller checks it."""
     content = program_cache.load(_key(device, name))
     try:
-        return json.loads(content or b"{}")[name]
+        return parse_json(content or b"{}")[name]
     except (ValueError, LookupError, TypeError):
         return None
 

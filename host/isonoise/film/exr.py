@@ -9,6 +9,7 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
+from isonoise.input_files import open_regular_file
 
 _MAX_PIXELS_PER_BYTE = 1 << 14
 """Of a compressed file; a header that claims more is damaged."""
@@ -129,9 +130,9 @@ def _open(path: str | os.PathLike, header_only: bool):
 
     path = Path(path)
     try:
-        path.open("rb").close()
-    except (OSError, ValueError) as error:
-        raise UserError(f"cannot read '{path}': {getattr(error, 'strerror', None) or error}") from error
+        open_regular_file(path).close()
+    except OSError as error:
+        raise UserError(f"cannot read '{path}': {error.strerror}") from error
     if not OpenEXR.isOpenExrFile(str(path)):
         raise UserError(f"cannot read '{path}': it is not an OpenEXR file")
     try:

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from isonoise.errors import UserError
+from isonoise.input_files import open_regular_file
 from isonoise.statistics import Statistics
 from isonoise.strategies.adaptive import Adaptive
 from isonoise.strategies.parameters import ranged
@@ -39,10 +40,13 @@ class Oracle(Adaptive):
         import OpenEXR
 
         try:
+            open_regular_file(self.file).close()
             with OpenEXR.File(self.file) as file:
                 return file.channels()[LAYER].pixels.astype(np.float64)
         except KeyError:
             raise UserError(f"strategy oracle: '{self.file}' has no layer '{LAYER}'") from None
+        except OSError as error:
+            raise UserError(f"strategy oracle: cannot read '{self.file}': {error.strerror}") from error
         except Exception as error:  # the binding raises bare RuntimeErrors
             raise UserError(f"strategy oracle: cannot read '{self.file}': {error}") from error
 
