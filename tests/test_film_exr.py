@@ -202,10 +202,10 @@ def test_unwritable_paths_are_found_beforehand(tmp_path):
 
 def test_a_read_only_folder_is_found_beforehand(tmp_path, monkeypatch):
     # permission bits do not stop root, so the system call is patched to fail
-    def refuse(self, *args, **kwargs):
+    def refuse(*args, **kwargs):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("pathlib.Path.touch", refuse)
+    monkeypatch.setattr("os.open", refuse)
     with pytest.raises(UserError, match="Permission denied"):
         check_writable(tmp_path / "a.exr")
 

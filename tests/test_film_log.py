@@ -62,6 +62,7 @@ def test_the_log_is_complete_after_every_row(tmp_path):
         assert float(found[-1]["elapsed_s"]) == pytest.approx(wave / 3, rel=1e-8)  # nine digits are written
         assert float(found[-1]["stated_p99"]) == math.inf
         assert float(found[-1]["true_p50"]) == wave
+    log.close()
     assert [entry.name for entry in tmp_path.iterdir()] == ["log.csv"]
 
 

@@ -31,6 +31,13 @@ def positive(text: str) -> float:
     return value
 
 
+def interval(text: str) -> float:
+    value = finite_number(text)
+    if value < 0.1:
+        raise argparse.ArgumentTypeError(f"{text} must be at least 0.1 seconds")
+    return value
+
+
 def positives(text: str) -> list[float]:
     values = [positive(item) for item in text.split(",")]
     if len(set(values)) < len(values):

@@ -5,37 +5,21 @@ Nothing slow is imported here, so that `isonoise --help` answers at once.
 
 import argparse
 import importlib
-import os
 import signal
-import sys
 
 from isonoise import __version__, argument_types
-from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
-from isonoise.errors import UserError
-from isonoise.heap import keep_freed_memory
+from isonoise.run_command import run_command
 from isonoise.samplers import SAMPLERS
+from isonoise.standard_streams import safe_streams
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command in `argv` (default: the process's arguments); return the exit code."""
     try:
-        options = _parser().parse_args(argv)
-        keep_freed_memory()
-        code = importlib.import_module(f"isonoise.commands.{options.command}").run(options)
-        sys.stdout.flush()
-        return code
-    except UserError as error:
-        print(f"isonoise: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except MemoryError:
-        print("isonoise: there is not enough memory for this input", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
-        print("isonoise: interrupted", file=sys.stderr)
+        with safe_streams() as output:
+            return run_command(_parser().parse_args(argv), output)
+    except KeyboardInterrupt:  # before or after the command
         return 128 + signal.SIGINT
-    except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_DONE
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -58,7 +42,8 @@ def _add_render(commands) -> None:
         "render",
         help="render a scene until an error, a time or a number of samples is reached",
         description="Render a scene. --spp, --time and --error can be combined: the first one reached ends the\n"
-        "render. Without them the scene's own sample_count does. Ctrl-C ends a render and writes the image so far.",
+        "render. Without them the scene's own sample_count does. Ctrl-C ends a render and writes the image so far;\n"
+        "a second Ctrl-C ends the process at once.",
     )
     render.epilog_name = "render_epilog"
     render.add_argument(
@@ -115,6 +100,12 @@ def _add_render(commands) -> None:
     reports = render.add_argument_group("what to report")
     reports.add_argument("--reference", metavar="REF.exr", help="converged image, to report the true error as well")
     reports.add_argument("--log", metavar="LOG.csv", help="write one row per wave; columns are listed below")
+    reports.add_argument(
+        "--save-every",
+        metavar="S",
+        type=argument_types.interval,
+        help="write the images every S seconds during the render, too",
+    )
     reports.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
@@ -244,7 +235,7 @@ def _add_selftest(commands) -> None:
         help="check numerical accuracy on a device",
         description="Check statistics, allocation, geometry, light transport and adaptive rendering with numerically\n"
         "difficult inputs. A case compares a number from the device with a closed form or a float64 result.",
-        epilog="exit codes: 0 all passed; 1 a case failed; 2 bad input; 130 after Ctrl-C",
+        epilog="exit codes: 0 all passed; 1 a case failed; 2 bad input; 70 internal error; 130 after Ctrl-C",
     )
     _add_device(selftest)
     selftest.add_argument("--json", metavar="FILE", help="write all cases; fields: host/docs/numerics.md")

@@ -18,8 +18,11 @@ def render_epilog() -> str:
     lines += ["  module:Class for your own", ""]
     lines.append("columns of --log (those with the prefix true_ only with --reference):")
     lines.append(label_lines(columns(true_errors=True).items(), indent="  ", wrap=110))
-    lines += ["", "exit codes: 0 done; 1 --error not reached within the other limits; 2 bad input;"]
-    lines.append("130 after Ctrl-C; 143 after SIGTERM")
+    lines += [
+        "",
+        "exit codes: 0 done; 1 --error not reached within the other limits; 2 bad input, or a file could not be",
+    ]
+    lines.append("written; 70 internal error; 130 after Ctrl-C; 143 after SIGTERM; 129 after SIGHUP")
     return "\n".join(lines)
 
 
@@ -55,7 +58,7 @@ files in DIR:
   runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again
   plan.json                the comparison's settings
 
-exit codes: 0 done; 2 bad input, or DIR holds another comparison; 130 after Ctrl-C"""
+exit codes: 0 done; 2 bad input, or DIR holds another comparison; 70 internal error; 130 after Ctrl-C"""
 
 
 def bench_epilog() -> str:
@@ -90,4 +93,5 @@ below 1.
 
 --dump takes longer with PoCL, which compiles every kernel once more if asked for its binary.
 
-exit codes: 0 done; 1 --against or --versus found something slower; 2 bad input; 130 after Ctrl-C"""
+exit codes: 0 done; 1 --against or --versus found something slower; 2 bad input; 70 internal
+error; 130 after Ctrl-C"""

@@ -24,6 +24,7 @@ from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import record_files
 from isonoise.scene.load import load
+from isonoise.signals import raise_if_received
 from isonoise.state.settings import check_settings, render_settings
 from isonoise.state.state import State, split_strategy_state, with_group
 from isonoise.statistics import Statistics, UniformSamples
@@ -176,6 +177,7 @@ class Renderer:
     def _measured(self, name: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
+        raise_if_received()
         self.setup_times[name] = time.perf_counter() - start
 
     @property

@@ -12,6 +12,7 @@ from isonoise.comparison.presets import PRESETS, Preset
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance, split_specs, with_variance
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable, remove_temporary_files
+from isonoise.signals import exit_code
 
 DEFAULT_TIME = 10.0
 """Seconds of a run."""
@@ -56,7 +57,7 @@ def _compare(request: Request, directory: Path, shared: Path | None = None) -> i
     try:
         run_plan(plan, directory.resolve(), request.device, _print)
     except KeyboardInterrupt:
-        code = 128 + signal.SIGINT
+        code = exit_code() or 128 + signal.SIGINT
         print("isonoise: interrupted; finished runs are kept: rerun the same command to resume", file=sys.stderr)
         if not any((directory / "runs").glob("*/*/[0-9]*.npz")):
             return code

@@ -1,85 +1,153 @@
 """`isonoise render`: checks the files, sets up, renders, writes images and log, reports."""
 
 import argparse
-import json
-import math
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import traceback
 from pathlib import Path
 
-from isonoise import __version__
-from isonoise.commands import EXIT_DONE, EXIT_ERROR_NOT_MET
+from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE, EXIT_ERROR_NOT_MET
+from isonoise.commands.render_result import image_header, print_result, print_settings, result_fields
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
-from isonoise.film.log import LogRow, LogWriter, row_values
-from isonoise.film.output import check_output, image_layers, write_image
-from isonoise.loop import Outcome, Stops, render_loop
-from isonoise.progress import RenderProgressBar, format_duration, format_percent
+from isonoise.film.fallback import WrittenFile, write_elsewhere
+from isonoise.film.log import LogRow, LogWriter, write_log
+from isonoise.film.output import ImageFiles
+from isonoise.loop import Periodic, RenderLoop
+from isonoise.outcome import Outcome
+from isonoise.progress import RenderProgressBar
 from isonoise.renderer import Renderer
-from isonoise.strategies import describe
-
-HEADER_FIELDS = (
-    "version",
-    "scene",
-    "scene_hash",
-    "strategy",
-    "sampler",
-    "seed",
-    "device",
-    "time_s",
-    "samples",
-    "rejected",
-    "floor",
-    "stopped_by",
-)
-"""Fields of the result that are written to the header of an .exr file, with the prefix 'isonoise.'."""
+from isonoise.signals import deferred, raise_if_received
+from isonoise.stops import Stops
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
+    images = ImageFiles(options.output)
     _check_files(options)
     reference = read_reference(options.reference) if options.reference else None
     log = _Log(options.log, true_errors=reference is not None)
-    renderer = _make_renderer(options)
-    _check_reference_size(options, reference, renderer)
-    if not options.json:
-        _print_settings(options, renderer)
+    try:
+        renderer = _make_renderer(options)
+        _check_reference_size(options, reference, renderer)
+        raise_if_received()
+        if not options.json:
+            print_settings(options, renderer)
+        with deferred() as received:
+            return _Render(options, renderer, reference, images, log).run(received)
+    finally:
+        log.close()
 
-    stops = _stops(options, renderer)
-    with _stop_signals() as received, RenderProgressBar() as bar:
-        outcome = render_loop(
-            renderer,
-            stops,
-            on_wave=lambda row, _: log.write(row),
-            on_progress=bar.update,
-            reference=reference,
-            should_stop=lambda: bool(received),
-        )
-    exit_interrupted = 128 + (received or [signal.SIGINT])[0]
-    if outcome.statistics.samples == 0:
-        print("isonoise: stopped before the first sample; no image is written", file=sys.stderr)
-        return exit_interrupted
 
-    result = _result(options, renderer, stops, outcome)
-    layers = image_layers(outcome.statistics, outcome.floor)
-    for path in options.output:
-        write_image(path, layers, {f"isonoise.{key}": result[key] for key in HEADER_FIELDS})
-    if options.json:
-        print(json.dumps(_without_nan(result)))
-    else:
-        _print_result(result)
-    log.raise_failure()
-    if outcome.reason == "interrupted":
-        return exit_interrupted
-    return EXIT_ERROR_NOT_MET if options.error and outcome.reason != "error" else EXIT_DONE
+class _Render:
+    """A render with its files. However it ends, `_end` writes what has been rendered."""
+
+    def __init__(self, options: argparse.Namespace, renderer: Renderer, reference, images: ImageFiles, log: "_Log"):
+        self._options, self._renderer, self._reference = options, renderer, reference
+        self._images, self._log = images, log
+        self._stops = _stops(options, renderer)
+
+    def run(self, received: list[int]) -> int:
+        """Render until a limit, or a signal in `received`; return the exit code."""
+        options = self._options
+        with RenderProgressBar() as bar:
+            loop = RenderLoop(
+                self._renderer,
+                self._stops,
+                on_wave=lambda row, _: self._log.write(row),
+                on_progress=bar.update,
+                reference=self._reference,
+                should_stop=lambda: bool(received),
+                periodic=[Periodic(options.save_every, self._save)] if options.save_every else [],
+            )
+            failure = None
+            try:
+                outcome = loop.run()
+            except BaseException as error:  # no signal raises here
+                failure = error
+                traceback.clear_frames(error.__traceback__)  # frees what the loop has allocated
+                outcome = _outcome_or_none(loop)
+                if outcome is None:
+                    raise
+        return self._end(outcome, failure)
+
+    def _save(self, loop: RenderLoop) -> None:
+        """Write the images in the middle of the render."""
+        outcome = loop.outcome_so_far("unfinished")
+        if outcome.statistics.samples:
+            for image in self._write_images(outcome, has_ended=False):
+                if image.failure:
+                    print(f"isonoise: warning: {image.failure}; the render goes on", file=sys.stderr)
+
+    def _write_images(self, outcome: Outcome, has_ended: bool) -> list[WrittenFile]:
+        header = image_header(result_fields(self._options, self._renderer, self._stops, outcome))
+        may_be_partial = outcome.reason not in ("unfinished", "interrupted", "failed")
+        return self._images.write(outcome.statistics, outcome.floor, header, has_ended, may_be_partial)
+
+    def _end(self, outcome: Outcome, failure: BaseException | None) -> int:
+        """Write images and log, report, and return the exit code; or raise the `failure` that has ended the render."""
+        options = self._options
+        if outcome.statistics.samples == 0:
+            print("isonoise: stopped before the first sample; no image is written", file=sys.stderr)
+            if failure:
+                raise failure
+            return EXIT_DONE  # `cli` adds the signal
+        images = self._write_images(outcome, has_ended=True)
+        failures = [image for image in images if image.failure]
+        log = self._log.end(outcome.rows)
+        result = result_fields(options, self._renderer, self._stops, outcome)
+        print_result(result | {"output": [image.path for image in images if image.path]}, options.json)
+        for path, image in zip(options.output, images, strict=True):
+            if image.failure:
+                print(f"isonoise: {image.message()}", file=sys.stderr)
+            elif image.path != path:
+                print(f"isonoise: '{path}' stays as it was: the new image lacks pixels", file=sys.stderr)
+        if log:
+            state = "incomplete" if failures else "incomplete, the image is complete"
+            print(f"isonoise: {log.failure}; the log is {state}; {log.place()}", file=sys.stderr)
+        internal = [image.failure for image in failures if not isinstance(image.failure, (UserError, MemoryError))]
+        if failure or internal:
+            raise failure or internal[0]
+        if failures or log:
+            return EXIT_BAD_INPUT
+        return EXIT_ERROR_NOT_MET if options.error and outcome.reason != "error" else EXIT_DONE
+
+
+def _outcome_or_none(loop: RenderLoop) -> Outcome | None:
+    """What has been rendered before an exception; None if the device does not give it any more."""
+    try:
+        return loop.outcome_so_far("failed")
+    except Exception:
+        return None
+
+
+class _Log:
+    """The log, if there is one. A write error, such as a full disk, ends the log but not the render."""
+
+    def __init__(self, path: str | None, true_errors: bool):
+        self._path, self._true_errors = path, true_errors
+        self._writer = LogWriter(path, true_errors) if path else None
+        self._failure: UserError | None = None
+
+    def write(self, row: LogRow) -> None:
+        if self._writer and not self._failure:
+            try:
+                self._writer.write(row)
+            except UserError as error:
+                self._failure = error
+
+    def end(self, rows: list[LogRow]) -> WrittenFile | None:
+        """After a write error write all rows to another place; None if there was none."""
+        if not self._failure:
+            return None
+        return write_elsewhere(self._path, lambda path: write_log(path, rows, self._true_errors), self._failure)
+
+    def close(self) -> None:
+        if self._writer:
+            self._writer.close()
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    """Check that every output can be written and overwrites neither an input nor another output."""
-    for path in options.output:
-        check_output(path)
+    """Check that no output overwrites an input or another output."""
     roles = {}
     files = [("the scene", options.scene), ("--reference", options.reference), ("--log", options.log)]
     for name, path in [*files, *(("-o", path) for path in options.output)]:
@@ -122,128 +190,3 @@ def _check_reference_size(options: argparse.Namespace, reference, renderer: Rend
             f"reference '{options.reference}' is {width}x{height} and the image {expected[1]}x{expected[0]}: "
             f"render with --size {width}x{height}, or give another reference"
         )
-
-
-@contextmanager
-def _stop_signals() -> Iterator[list[int]]:
-    """Collect Ctrl-C and SIGTERM (of batch systems) in a list, so that the render can end after the paths in flight.
-
-    After the first signal the previous handlers are restored: a second Ctrl-C interrupts at once.
-    """
-    received = []
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    handlers = {number: handler for number, handler in handlers.items() if handler != signal.SIG_IGN}  # under nohup
-
-    def on_signal(number, frame):
-        received.append(number)
-        restore()
-
-    def restore():
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-
-    for number in handlers:
-        signal.signal(number, on_signal)
-    try:
-        yield received
-    finally:
-        restore()
-
-
-class _Log:
-    """The log, if there is one. A write error, such as a full disk, ends the log but not the render."""
-
-    def __init__(self, path: str | None, true_errors: bool):
-        self._writer = LogWriter(path, true_errors) if path else None
-        self._failure = None
-
-    def write(self, row: LogRow) -> None:
-        if self._writer and not self._failure:
-            try:
-                self._writer.write(row)
-            except UserError as error:
-                self._failure = error
-
-    def raise_failure(self) -> None:
-        if self._failure:
-            raise UserError(f"{self._failure}; the log is incomplete, the image is complete")
-
-
-def _result(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcome: Outcome) -> dict[str, object]:
-    """The fields of --json; they include `HEADER_FIELDS`."""
-    statistics = outcome.statistics
-    return {
-        "version": __version__,
-        "scene": options.scene,
-        "scene_hash": renderer.scene.hash,
-        "width": renderer.scene.width,
-        "height": renderer.scene.height,
-        "strategy": describe(renderer.strategy),
-        "sampler": renderer.scene.sampler,
-        "seed": options.seed,
-        "device": renderer.device_name,
-        "setup_s": renderer.setup_times,
-        "time_s": outcome.elapsed_s,
-        "samples": statistics.samples,
-        "spp": statistics.samples / statistics.count.size,
-        "rejected": int(statistics.rejected.sum(dtype=int)),
-        "floor": outcome.floor,
-        "stopped_by": outcome.reason,
-        "quantile": stops.quantile,
-        "confidence": stops.confidence,
-        "error_bound": outcome.error_bound,
-        "stated_error": outcome.stated_error,
-        "waves": len(outcome.rows),
-        "last_wave": row_values(outcome.rows[-1]) if outcome.rows else None,
-        "output": options.output,
-        "log": options.log,
-    }
-
-
-def _without_nan(value):
-    """The value with None for NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _print_line(label: str, text: str) -> None:
-    print(f"{label:9} {text}", flush=True)
-
-
-def _print_settings(options: argparse.Namespace, renderer: Renderer) -> None:
-    scene = renderer.scene
-    _print_line("scene", f"{options.scene}, {scene.width}x{scene.height}")
-    _print_line("strategy", f"{describe(renderer.strategy)}, sampler {scene.sampler}, seed {options.seed}")
-    _print_line("device", renderer.device_name)
-    times = (f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items())
-    _print_line("set-up", ", ".join(times))
-
-
-def _print_result(result: dict[str, object]) -> None:
-    time, samples, spp = format_duration(result["time_s"]), f"{result['samples']:,}", f"{result['spp']:.4g}"
-    _print_line("rendered", f"{time}, {samples} samples, {spp} per pixel")
-    reasons = {"interrupted": "by a signal", "full": "because a pixel's sample count is full"}
-    _print_line("stopped", reasons.get(result["stopped_by"], f"by --{result['stopped_by']}"))
-    _print_line("error", f"{format_percent(result['stated_error'])} (stated, quantile {result['quantile']:g})")
-    if result["error_bound"] is not None:
-        bound, confidence = format_percent(result["error_bound"]), format_percent(result["confidence"])
-        _print_line("", f"true error below {bound} with {confidence} confidence, as far as samples show")
-    last = result["last_wave"] or {}
-    if last.get("energy_loss_se"):
-        loss, error = (format_percent(last[name]) for name in ("energy_loss", "energy_loss_se"))
-        _print_line("energy", f"loss of the image mean {loss}, standard error {error} (from the uniform waves)")
-    if "true_p99" in last:
-        true, stated = (
-            ", ".join(f"p{q} {format_percent(last[f'{kind}_p{q}'])}" for q in (50, 95, 99))
-            for kind in ("true", "stated")
-        )
-        rel_mse, energy_ratio = f"{last['true_rel_mse']:.3g}", f"{last['true_energy_ratio']:.4f}"
-        _print_line("", f"true    {true}; relMSE {rel_mse}, image mean ratio {energy_ratio}")
-        _print_line("", f"stated  {stated}")
-    if result["rejected"]:
-        _print_line("rejected", f"{result['rejected']:,} samples were negative or not finite and were left out")
-    for path in result["output"]:
-        _print_line("image", path)
-    if result["log"]:
-        _print_line("log", result["log"])

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from isonoise.device.failures import note_driver_use, refuse_after_fork
 from isonoise.errors import DeviceError
+from isonoise.signals import raise_if_received
 
 _POCL_TARGET = re.compile(r"HSTR: \w+-(?:\w+-\w+-linux-\w+|\w+-apple-[\w.]+|\w+-\w+-windows-\w+)-(?P<cpu>.+)")
 """In CL_DEVICE_VERSION: kind of device, target triple, CPU."""
@@ -47,6 +48,7 @@ def load_pyopencl():
         import pyopencl
     except ImportError as error:
         raise DeviceError(f"pyopencl cannot be loaded ({error}); install it with: pip install pyopencl") from error
+    raise_if_received()
     return pyopencl
 
 

@@ -17,6 +17,7 @@ from isonoise.device.failures import build_failure, device_failure, is_forked, r
 from isonoise.device.form import DeviceForm, choose_form
 from isonoise.device.selection import select_device
 from isonoise.errors import DeviceError
+from isonoise.signals import raise_if_received
 
 LOCAL_SIZE = 64
 """Work-items per work-group, the same for every launch of a kernel: PoCL compiles it anew for every local size."""
@@ -166,6 +167,7 @@ class Device:
     def build(self, source: str, options: tuple[str, ...]) -> dict[str, object]:
         """Build a program; return its kernels by name. Raises DeviceError with the compiler's log."""
         refuse_after_fork()
+        raise_if_received()
         options = (*options, *build_options(self.device))
         cached = _programs.get((self.context, source, options))
         if cached is None:

@@ -1,18 +1,32 @@
-"""Atomic output files: written under a temporary name in the same folder, then renamed."""
+"""Atomic output files: written under a temporary name in the same folder, then renamed. Locks against other processes.
 
+A process locks its temporary files as long as it lives, so the next one removes those that a killed process has left.
+"""
+
+import contextlib
 import os
 import re
 import secrets
-from collections.abc import Callable
+import stat
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from isonoise.errors import UserError
+
+try:
+    import fcntl
+except ImportError:  # Windows: nothing is locked, and temporary files of killed processes stay
+    fcntl = None
+
+_TEMPORARY_NAME = re.compile(r"\.[0-9a-f]{12}\.tmp(\.\w+)?")
 
 
 def check_writable(path: str | os.PathLike) -> Path:
     """Check, before any work is done, that a file can be written at `path`.
 
     Creates a file in the same folder and removes it: permission bits do not show a read-only or full file system.
+    Removes temporary files of killed processes from the folder.
 
     Returns
     -------
@@ -35,51 +49,152 @@ def check_writable(path: str | os.PathLike) -> Path:
             raise UserError(f"cannot write '{path}': there is no folder '{path.parent}'; create it first")
         if target.exists() and not os.access(target, os.W_OK):
             raise UserError(f"cannot write '{path}': the existing file is write-protected")
-        probe = _temporary_path(target)
-        probe.touch(exist_ok=False)
-        probe.unlink()
+        _remove_abandoned(target.parent.glob(".*.tmp*"))
+        with _temporary_file(target):
+            pass
     except (OSError, ValueError, RuntimeError) as error:  # ValueError: null byte; RuntimeError: cyclic links
         raise UserError(f"cannot write '{path}': {_reason(error)}") from error
     return target
 
 
 def write_atomically(path: str | os.PathLike, write: Callable[[Path], None]) -> None:
-    """Call `write(temporary)`, which creates the file `temporary`, then rename it to `path`.
+    """Call `write(temporary)`, which fills the empty file `temporary`, then rename it to `path`.
 
     It is flushed to the disk before it is renamed. If `write` fails or is interrupted, the temporary file is removed
-    and an existing file at `path` stays.
+    and an existing file at `path` stays. Otherwise the new file takes the mode of the existing one, and its owner and
+    group as far as the user may set them. Other names (hard links) of the existing file keep the old content.
 
     Raises
     ------
     UserError
         If the file cannot be written.
     """
-    target = Path(path).resolve()
-    temporary = _temporary_path(target)
     try:
-        write(temporary)
-        _flush_to_disk(temporary)
-        os.replace(temporary, target)
+        target = Path(path).resolve()
+        with _temporary_file(target) as temporary:
+            write(temporary)
+            _copy_permissions(target, temporary)
+            _flush_to_disk(temporary)
+            os.replace(temporary, target)
     except OSError as error:
         raise UserError(f"cannot write '{path}': {_reason(error)}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def remove_temporary_files(folder: Path) -> None:
     """Remove temporary files of killed processes below `folder`."""
-    for path in folder.rglob(".*.tmp*"):
-        if re.fullmatch(r"\.[0-9a-f]{12}\.tmp(\.\w+)?", path.name):
-            path.unlink(missing_ok=True)
+    _remove_abandoned(folder.rglob(".*.tmp*"))
 
 
-def _temporary_path(target: Path) -> Path:
-    return target.with_name(f".{secrets.token_hex(6)}.tmp{target.suffix}")
+class PathLock:
+    """Reserves a file for this process, by a locked file `.NAME.lock` beside it, until `release` or the process ends.
+
+    File systems without locks reserve nothing.
+
+    Raises
+    ------
+    UserError
+        If another process has reserved the file; or the lock cannot be created.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path.with_name(f".{path.name}.lock")
+        self._descriptor = None
+        try:
+            while self._descriptor is None:
+                descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+                if not _lock(descriptor):
+                    os.close(descriptor)
+                    raise UserError(
+                        f"cannot write '{path}': another process of isonoise is writing this file; give another name"
+                    )
+                if _is_at(self._path, descriptor):
+                    self._descriptor = descriptor
+                else:  # released by its owner since it was opened
+                    os.close(descriptor)
+        except OSError as error:
+            raise UserError(f"cannot write '{self._path}': {_reason(error)}") from error
+
+    def release(self) -> None:
+        if self._descriptor is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(self._path)
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+@contextmanager
+def _temporary_file(target: Path) -> Iterator[Path]:
+    """A new, locked file beside `target`. It is removed at the end unless it has been renamed."""
+    mode = target.stat().st_mode & 0o666 | 0o600 if target.exists() else 0o666  # nobody else may read it meanwhile
+    while True:
+        temporary = target.with_name(f".{secrets.token_hex(6)}.tmp{target.suffix}")
+        descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, mode)
+        if _lock(descriptor, wait=True) and _is_at(temporary, descriptor):
+            break
+        os.close(descriptor)  # another process has taken it for an abandoned one before it was locked
+    if fcntl is None:  # Windows renames no open file
+        os.close(descriptor)
+    try:
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+        if fcntl is not None:
+            os.close(descriptor)
+
+
+def _copy_permissions(source: Path, target: Path) -> None:
+    """Give a file the mode of `source`, if that exists, and its owner and group as far as permitted."""
+    try:
+        wanted = source.stat()
+    except FileNotFoundError:
+        return
+    if hasattr(os, "chown"):
+        for owner, group in ((wanted.st_uid, -1), (-1, wanted.st_gid)):
+            with contextlib.suppress(OSError):
+                os.chown(target, owner, group)
+    os.chmod(target, wanted.st_mode & 0o777)
 
 
 def _flush_to_disk(path: Path) -> None:
     with open(path, "rb+") as file:
         os.fsync(file.fileno())
+
+
+def _remove_abandoned(paths: Iterable[Path]) -> None:
+    """Remove those of the files that are this user's temporary files and that no process has locked."""
+    for path in paths if fcntl else ():
+        if not _TEMPORARY_NAME.fullmatch(path.name):
+            continue
+        with contextlib.suppress(OSError):
+            status = path.lstat()
+            if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid():
+                continue
+            descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+            finally:
+                os.close(descriptor)
+
+
+def _lock(descriptor: int, wait: bool = False) -> bool:
+    """Lock an open file; False if another process has locked it and this one shall not wait."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            pass
+    return True
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    """Whether the open file is the one at `path`."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
 
 
 def _reason(error: Exception) -> str:

@@ -2,11 +2,12 @@
 
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Literal
 
 from isonoise.errors import UserError
-from isonoise.film.files import check_writable, write_atomically
+from isonoise.film.files import PathLock, check_writable, write_atomically
 
 if TYPE_CHECKING:
     from isonoise.error.true_error import TrueError
@@ -59,7 +60,7 @@ class LogWriter:
     """Writes rows to a CSV file that other programs can read while the render runs.
 
     The first row replaces an existing file. Every further row is appended with one unbuffered write, so that the file
-    always consists of complete rows, even after a crash.
+    always consists of complete rows, even after a crash. No other process can write it until `close`.
 
     Parameters
     ----------
@@ -71,20 +72,20 @@ class LogWriter:
     Raises
     ------
     UserError
-        If the file cannot be written, here or in `write`.
+        If the file cannot be written, here or in `write`, or another process is writing it.
     """
 
     def __init__(self, path: str | os.PathLike, true_errors: bool):
         self._path = check_writable(path)
+        self._lock = PathLock(self._path)
         self._columns = columns(true_errors)
         self._has_rows = False
 
     def write(self, row: LogRow) -> None:
         """Append one row. On an error the file stays as it was."""
-        line = (",".join(_text(value) for value in row_values(row).values()) + "\n").encode()
+        line = _line(row)
         if not self._has_rows:
-            header = (",".join(self._columns) + "\n").encode()
-            write_atomically(self._path, lambda temporary: temporary.write_bytes(header + line))
+            _write_rows(self._path, self._columns, line)
             self._has_rows = True
             return
         try:
@@ -95,6 +96,15 @@ class LogWriter:
                     raise UserError(f"cannot write '{self._path}': no space left")
         except OSError as error:
             raise UserError(f"cannot write '{self._path}': {error.strerror}") from error
+
+    def close(self) -> None:
+        """Let other processes write the file."""
+        self._lock.release()
+
+
+def write_log(path: str | os.PathLike, rows: Iterable[LogRow], true_errors: bool) -> None:
+    """Write all rows to a new CSV file, atomically. Raises UserError if it cannot be written."""
+    _write_rows(path, columns(true_errors), b"".join(map(_line, rows)))
 
 
 def row_values(row: LogRow) -> dict[str, float | int | str]:
@@ -114,6 +124,15 @@ def row_from_values(values: dict[str, float | int | str]) -> LogRow:
 
         return LogRow(**own, true=TrueError(**true))
     return LogRow(**own, true=None)
+
+
+def _write_rows(path: str | os.PathLike, names: Iterable[str], lines: bytes) -> None:
+    header = (",".join(names) + "\n").encode()
+    write_atomically(path, lambda temporary: temporary.write_bytes(header + lines))
+
+
+def _line(row: LogRow) -> bytes:
+    return (",".join(_text(value) for value in row_values(row).values()) + "\n").encode()
 
 
 def _text(value: float | int | str) -> str:

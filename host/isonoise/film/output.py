@@ -1,13 +1,15 @@
-"""A render's image files: their layers, and the file format by extension."""
+"""A render's image files: their layers, the file format by extension, and writing them while and after it renders."""
 
+import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from isonoise.error.stated_error import relative_standard_error
 from isonoise.errors import UserError
+from isonoise.film.fallback import WrittenFile, unused_path, write_with_fallback
 from isonoise.film.files import check_writable
 from isonoise.statistics import Statistics
 
@@ -53,3 +55,84 @@ def write_image(path: str | os.PathLike, layers: Mapping[str, np.ndarray], heade
         from isonoise.film.exr import write_exr
 
         write_exr(path, layers, header)
+
+
+class ImageFiles:
+    """The image files of one render. They may be written several times while it runs, and once when it has ended.
+
+    An image in which some pixels have no sample replaces no existing file: it gets the name `NAME.partial.EXTENSION`,
+    and is removed when the complete image is written.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        The files, checked at once as by `check_output`.
+    """
+
+    def __init__(self, paths: Sequence[str]):
+        for path in paths:
+            check_output(path)
+        self._paths = paths
+        self._written: set[str] = set()
+        self._partial: dict[str, Path] = {}  # path -> the partial image written in its place
+
+    def write(
+        self,
+        statistics: Statistics,
+        floor: float,
+        header: Mapping[str, object],
+        has_ended: bool = True,
+        may_be_partial: bool = False,
+    ) -> list[WrittenFile]:
+        """Write all images that can be written.
+
+        Parameters
+        ----------
+        has_ended : bool
+            Whether the render has ended: then images that cannot be written go to another place.
+        may_be_partial : bool
+            Whether pixels without samples are as the user wants them.
+
+        Returns
+        -------
+        list of WrittenFile
+            One per path.
+        """
+        layers = _layers_within_memory(statistics, floor)
+        is_partial = not may_be_partial and not ((statistics.count > 0) | (statistics.rejected > 0)).all()
+
+        def write(path: str | os.PathLike) -> None:
+            write_image(path, layers, header)
+
+        return [self._write_one(path, write, has_ended, is_partial) for path in self._paths]
+
+    def _write_one(self, path: str, write, has_ended: bool, is_partial: bool) -> WrittenFile:
+        write_safely = write_with_fallback if has_ended else _try_to_write
+        partial = self._partial.get(path)
+        if is_partial and path not in self._written and os.path.lexists(path):
+            partial = self._partial.setdefault(path, unused_path(Path(path), "partial"))
+            return write_safely(partial, write)
+        written = write_safely(path, write)
+        if not written.failure:
+            self._written.add(path)
+            if partial:
+                del self._partial[path]
+                with contextlib.suppress(OSError):
+                    partial.unlink()
+        return written
+
+
+def _try_to_write(path: str | os.PathLike, write) -> WrittenFile:
+    try:
+        write(path)
+        return WrittenFile(os.fspath(path))
+    except (UserError, MemoryError) as error:
+        return WrittenFile(None, error)
+
+
+def _layers_within_memory(statistics: Statistics, floor: float) -> dict[str, np.ndarray]:
+    """`image_layers`, or without memory for them those that need none."""
+    try:
+        return image_layers(statistics, floor)
+    except MemoryError:
+        return {"": statistics.rgb, "samples": statistics.count}

@@ -1,0 +1,123 @@
+"""The result of `isonoise render`: the fields of --json and of image headers, and the lines that it prints."""
+
+import argparse
+import json
+import math
+from collections.abc import Mapping
+
+from isonoise import __version__
+from isonoise.film.log import row_values
+from isonoise.outcome import Outcome
+from isonoise.progress import format_duration, format_percent
+from isonoise.renderer import Renderer
+from isonoise.stops import Stops
+from isonoise.strategies import describe
+
+HEADER_FIELDS = (
+    "version",
+    "scene",
+    "scene_hash",
+    "strategy",
+    "sampler",
+    "seed",
+    "device",
+    "time_s",
+    "samples",
+    "rejected",
+    "floor",
+    "stopped_by",
+)
+"""Fields of the result that are written to the header of an .exr file, with the prefix 'isonoise.'."""
+
+
+def result_fields(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcome: Outcome) -> dict[str, object]:
+    """The fields of --json; they include `HEADER_FIELDS`."""
+    statistics = outcome.statistics
+    return {
+        "version": __version__,
+        "scene": options.scene,
+        "scene_hash": renderer.scene.hash,
+        "width": renderer.scene.width,
+        "height": renderer.scene.height,
+        "strategy": describe(renderer.strategy),
+        "sampler": renderer.scene.sampler,
+        "seed": options.seed,
+        "device": renderer.device_name,
+        "setup_s": renderer.setup_times,
+        "time_s": outcome.elapsed_s,
+        "samples": statistics.samples,
+        "spp": statistics.samples / statistics.count.size,
+        "rejected": int(statistics.rejected.sum(dtype=int)),
+        "floor": outcome.floor,
+        "stopped_by": outcome.reason,
+        "quantile": stops.quantile,
+        "confidence": stops.confidence,
+        "error_bound": outcome.error_bound,
+        "stated_error": outcome.stated_error,
+        "waves": len(outcome.rows),
+        "last_wave": row_values(outcome.rows[-1]) if outcome.rows else None,
+        "output": options.output,
+        "log": options.log,
+    }
+
+
+def image_header(result: Mapping[str, object]) -> dict[str, object]:
+    """The header of an image with this result."""
+    return {f"isonoise.{key}": result[key] for key in HEADER_FIELDS}
+
+
+def _without_nan(value):
+    """The value with None for NaN and infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _print_line(label: str, text: str) -> None:
+    print(f"{label:9} {text}", flush=True)
+
+
+def print_settings(options: argparse.Namespace, renderer: Renderer) -> None:
+    scene = renderer.scene
+    _print_line("scene", f"{options.scene}, {scene.width}x{scene.height}")
+    _print_line("strategy", f"{describe(renderer.strategy)}, sampler {scene.sampler}, seed {options.seed}")
+    _print_line("device", renderer.device_name)
+    times = (f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items())
+    _print_line("set-up", ", ".join(times))
+
+
+def print_result(result: Mapping[str, object], as_json: bool) -> None:
+    """Print the result as text or as one JSON object."""
+    if as_json:
+        print(json.dumps(_without_nan(result)))
+        return
+    time, samples, spp = format_duration(result["time_s"]), f"{result['samples']:,}", f"{result['spp']:.4g}"
+    _print_line("rendered", f"{time}, {samples} samples, {spp} per pixel")
+    reasons = {
+        "interrupted": "by a signal",
+        "full": "because a pixel's sample count is full",
+        "failed": "by an error of the program, the device or a file",
+    }
+    _print_line("stopped", reasons.get(result["stopped_by"], f"by --{result['stopped_by']}"))
+    _print_line("error", f"{format_percent(result['stated_error'])} (stated, quantile {result['quantile']:g})")
+    if result["error_bound"] is not None:
+        bound, confidence = format_percent(result["error_bound"]), format_percent(result["confidence"])
+        _print_line("", f"true error below {bound} with {confidence} confidence, as far as samples show")
+    last = result["last_wave"] or {}
+    if last.get("energy_loss_se"):
+        loss, error = (format_percent(last[name]) for name in ("energy_loss", "energy_loss_se"))
+        _print_line("energy", f"loss of the image mean {loss}, standard error {error} (from the uniform waves)")
+    if "true_p99" in last:
+        true, stated = (
+            ", ".join(f"p{q} {format_percent(last[f'{kind}_p{q}'])}" for q in (50, 95, 99))
+            for kind in ("true", "stated")
+        )
+        rel_mse, energy_ratio = f"{last['true_rel_mse']:.3g}", f"{last['true_energy_ratio']:.4f}"
+        _print_line("", f"true    {true}; relMSE {rel_mse}, image mean ratio {energy_ratio}")
+        _print_line("", f"stated  {stated}")
+    if result["rejected"]:
+        _print_line("rejected", f"{result['rejected']:,} samples were negative or not finite and were left out")
+    for path in result["output"]:
+        _print_line("image", path)
+    if result["log"]:
+        _print_line("log", result["log"])

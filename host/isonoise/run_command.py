@@ -1,0 +1,67 @@
+"""Runs a command for `cli`: signals, exceptions and failures of standard output become messages and exit codes."""
+
+import argparse
+import importlib
+import signal
+import sys
+import traceback
+
+from isonoise.commands import EXIT_BAD_INPUT, EXIT_ERROR_NOT_MET, EXIT_INTERNAL_ERROR
+from isonoise.errors import UserError
+from isonoise.heap import keep_freed_memory
+from isonoise.signals import exit_code, handle_signals, interrupted_exit_code, raise_if_received
+from isonoise.standard_streams import SafeStream
+
+_PRINTING_COMMANDS = ("devices", "info", "plugins")
+"""They do nothing but print, so a reader of standard output that has read enough, such as `head`, is no error."""
+
+
+def run_command(options: argparse.Namespace, output: SafeStream) -> int:
+    """Run the command `options.command`, which prints to `output`; return the exit code."""
+    with handle_signals():
+        code = _run(options)
+        output.flush()
+        code = _code_of_output(options.command, output.failure, code)
+        return code if code > EXIT_ERROR_NOT_MET else exit_code() or code
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Run the command; return its exit code. Errors are printed."""
+    try:
+        keep_freed_memory()
+        command = importlib.import_module(f"isonoise.commands.{options.command}")
+        raise_if_received()
+        return command.run(options)
+    except BaseException as error:
+        return _report(error)
+
+
+def _report(error: BaseException) -> int:
+    """Print an exception that ended a command; return the exit code."""
+    code = interrupted_exit_code()
+    if isinstance(error, KeyboardInterrupt):
+        print("isonoise: interrupted", file=sys.stderr)
+        return code or 128 + signal.SIGINT
+    if (
+        code is not None
+    ):  # compiled code, such as an extension's import, may turn a KeyboardInterrupt into another error
+        print(f"isonoise: interrupted ({error})", file=sys.stderr)
+        return code
+    if isinstance(error, UserError):
+        print(f"isonoise: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    if isinstance(error, MemoryError):
+        print("isonoise: there is not enough memory for this input", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    traceback.print_exception(error)
+    name = type(error).__name__
+    print(f"isonoise: internal error ({name}); please report it with the lines above", file=sys.stderr)
+    return EXIT_INTERNAL_ERROR
+
+
+def _code_of_output(command: str, failure: OSError | None, code: int) -> int:
+    """The exit code after `code`, with the `failure` of standard output, which is reported."""
+    if failure is None or (isinstance(failure, BrokenPipeError) and command in _PRINTING_COMMANDS):
+        return code
+    print(f"isonoise: cannot write to standard output: {failure.strerror}", file=sys.stderr)
+    return code if code > EXIT_ERROR_NOT_MET else EXIT_BAD_INPUT
