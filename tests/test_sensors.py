@@ -58,7 +58,7 @@ def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
         "generate",
         n,
         device.form.lanes,
-        **dict.fromkeys(("first_slot", "first_sample", "inverse_cdf_cells"), np.uint32(0)),
+        **dict.fromkeys(("first_slot", "first_sample", "first_pixel", "inverse_cdf_cells"), np.uint32(0)),
         **dict.fromkeys(("count_new", "plane_stride"), np.uint32(n)),
         **dict.fromkeys(("count", "rejected"), zeros),
         **out,

@@ -27,9 +27,9 @@ INLINE float bin_position(float relative_variance)
     return MIN(MAX((octave - FIRST_OCTAVE) / OCTAVES_PER_BIN, 0.0f), (float)(GRID_BINS - 1u));
 }
 
-// Sums over the pixels of a tile: one work-item per tile. `net_variances`: planes of the relative variance s^2 / mean^2
-// and of S v(S) / s^2. `grid`: for every tile and bin the sums of the weight, of weight * S v(S) / s^2 and of weight *
-// log2(S), and 0; the weight of a pixel is its relative variance.
+// Sums over the pixels of a tile: one work-item per tile. `luminance`: planes of the mean and of s^2; `net_ratios`: S
+// v(S) / s^2. `grid`: for every tile and bin the sums of the weight, of weight * S v(S) / s^2 and of weight * log2(S),
+// and 0; the weight of a pixel is its relative variance.
 __kernel void sum_tiles(
 #include "generated/sum_tiles_parameters.h"
 )
@@ -41,20 +41,21 @@ __kernel void sum_tiles(
     for (uint k = 0; k < GRID_BINS; ++k) sums[k] = (float4)(0.0f);
     const uint left = tile % tiles_across * TILE_SIZE, top = tile / tiles_across * TILE_SIZE;
     const uint width = MIN(TILE_SIZE, image_width - left), bottom = MIN(top + TILE_SIZE, total_pixels / image_width);
-    float position[TILE_SIZE], level[TILE_SIZE];
+    float variance[TILE_SIZE], position[TILE_SIZE], level[TILE_SIZE];
     for (uint y = top; y < bottom; ++y) {
         const uint row = y * image_width + left;
         VECTORIZE_PIXELS
         for (uint x = 0; x < width; ++x) {
-            position[x] = bin_position(net_variances[row + x]);
+            variance[x] = relative_variance_of(luminance[row + x], luminance[total_pixels + row + x]);
+            position[x] = bin_position(variance[x]);
             level[x] = net_level(count[row + x]);
         }
         for (uint x = 0; x < width; ++x) {
-            const float relative_variance = net_variances[row + x];
+            const float relative_variance = variance[x];
             if (!(relative_variance > 0.0f)) continue;
             const uint bin = MIN((uint)position[x], GRID_BINS - 2u);
             const float fraction = position[x] - (float)bin;
-            const float4 values = (float4)(1.0f, net_variances[total_pixels + row + x], level[x], 0.0f);
+            const float4 values = (float4)(1.0f, net_ratios[row + x], level[x], 0.0f);
             sums[bin] += relative_variance * (1.0f - fraction) * values;
             sums[bin + 1u] += relative_variance * fraction * values;
         }
@@ -143,7 +144,7 @@ __kernel void compute_design_effect(
     for (uint x = begin; x < end; ++x) {
         const int pixel = (int)(y * image_width + x);
         const uint n = count[pixel];
-        const float relative_variance = net_variances[pixel];
+        const float relative_variance = relative_variance_of(luminance[pixel], luminance[(int)total_pixels + pixel]);
         const float right_weight = ((float)x + 0.5f) * (1.0f / TILE_SIZE) + 0.5f - (float)column;
         const float position = bin_position(relative_variance);
         const int bin = MIN((int)position, (int)GRID_BINS - 2);

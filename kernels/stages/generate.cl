@@ -28,7 +28,7 @@ __kernel void generate(
         const size_t slot = first_slot + i;
         const uint sample = first_sample + (uint)i;
         const uint pixel = sample_pixel[sample];
-        const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel]);
+        const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel - first_pixel]);
 
         const Vec4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
         const uint width = camera->crop_size[0], row = pixel / width;

@@ -8,6 +8,6 @@ __kernel void list_samples(
     const uint i = get_global_id(0);
     if (i >= pixels) return;
     const uint pixel = first_pixel + i;
-    const uint end = i + 1u < pixels ? pixel_offset[pixel + 1u] : slice_samples;
-    for (uint sample = pixel_offset[pixel]; sample < end; ++sample) sample_pixel[sample] = pixel;
+    const uint end = i + 1u < pixels ? pixel_offset[i + 1u] : slice_samples;
+    for (uint sample = pixel_offset[i]; sample < end; ++sample) sample_pixel[sample] = pixel;
 }

@@ -1,7 +1,7 @@
 // Stage: adds the samples of a slice to the per-pixel statistics. One work-item per pixel, which reads its samples in
-// order. Sample blocks, SAMPLE_BLOCK_SIZE samples by sample index, are summed relative to the mean of all samples
-// before them, then merged. The unfinished sample block stays in the state, so the result depends on the samples alone
-// and not on how they were cut into waves. The same holds for chunks, of which medians are taken.
+// order. The luminance of sample blocks, SAMPLE_BLOCK_SIZE samples by sample index, is summed relative to the mean of
+// all samples before them, then merged. The unfinished sample block stays in the state, so the result depends on the
+// samples alone and not on how they were cut into waves. The same holds for chunks, of which medians are taken.
 #include "util/statistics.h"
 #include "util/math.h"
 
@@ -13,17 +13,15 @@ INLINE bool is_rejected(Vec3 rgb, float x)
     return is_negative || !(is_finite(rgb.x) && is_finite(rgb.y) && is_finite(rgb.z) && x < LUMINANCE_LIMIT);
 }
 
-INLINE void store_moments(const Moments* m, __global float* sums, __global float* sample_block_sums, uint stride)
+INLINE void store_moments(const Moments* m, uint n, __global float* sums, __global float* sample_block_sums,
+                          uint stride)
 {
+    const Compensated first = {m->shift, 0.0f};
     store_rgb_sum(m->rgb, sums, stride);
-    store_sum(m->x, sums + 6 * stride, stride);
+    store_sum(n < SAMPLE_BLOCK_SIZE ? first : m->x, sums + 6 * stride, stride);
     store_sum(m->m2, sums + 8 * stride, stride);
-    sample_block_sums[0] = m->block_rgb.x;
-    sample_block_sums[stride] = m->block_rgb.y;
-    sample_block_sums[2 * stride] = m->block_rgb.z;
-    sample_block_sums[3 * stride] = m->shift;
-    sample_block_sums[4 * stride] = m->block_sum;
-    sample_block_sums[5 * stride] = m->block_squares;
+    sample_block_sums[0] = m->block_sum;
+    sample_block_sums[stride] = m->block_squares;
 }
 
 // Adds the n-th sample, with luminance x.
@@ -31,12 +29,13 @@ INLINE void add_to_moments(Moments* m, uint n, Vec3 rgb, float x)
 {
     const uint index = n % SAMPLE_BLOCK_SIZE;
     if (index == 0) {
-        m->block_rgb = splat3(0.0f);
         m->shift = n ? divide_compensated(m->x, n).high : x;
         m->block_sum = m->block_squares = 0.0f;
     }
     const float difference = x - m->shift;
-    m->block_rgb = add3(m->block_rgb, rgb);
+    m->rgb.red = add_error_free(m->rgb.red, rgb.x);
+    m->rgb.green = add_error_free(m->rgb.green, rgb.y);
+    m->rgb.blue = add_error_free(m->rgb.blue, rgb.z);
     m->block_sum += difference;
     m->block_squares += difference * difference;
     if (index == SAMPLE_BLOCK_SIZE - 1) merge_block(m, n - index, SAMPLE_BLOCK_SIZE);
@@ -97,21 +96,24 @@ INLINE uint net_end(uint n)
     return (n >> net_size_log2(n) << net_size_log2(n)) + (1u << net_size_log2(n));
 }
 
-// Ends the net that the n-th sample completes, and merges pairs of nets when there are NET_COUNT. `nets`: planes of the
-// sum of all samples up to the last full net, two parts, and of the means of the nets. Returns the end of the next net.
-INLINE uint end_net(const Moments* m, uint n, __global float* nets, uint stride)
+// Ends the net that the n-th sample completes, and merges pairs of nets when there are NET_COUNT. `means`: planes of
+// the means of the nets; the last net of NET_COUNT needs none. Returns the end of the next net.
+INLINE uint end_net(const Moments* m, uint n, __global float* means, uint stride)
 {
-    const uint size_log2 = net_size_log2(n - 1u), size = 1u << size_log2;
-    const uint k = (n >> size_log2) - 1u, pending_count = n % SAMPLE_BLOCK_SIZE;
-    Compensated sum = m->x;
+    const uint size_log2 = net_size_log2(n - 1u), k = (n >> size_log2) - 1u, pending_count = n % SAMPLE_BLOCK_SIZE;
+    const float inverse_size = 1.0f / (float)(1u << size_log2);  // a power of two
+    Compensated sum = m->x, before = {0.0f, 0.0f};
     if (pending_count) sum = add_block_sum(sum, m->shift, pending_count, m->block_sum);
-    const Compensated before = load_sum(nets, stride);
-    __global float* means = nets + 2 * stride;
-    means[k * stride] = ((sum.high - before.high) + (sum.low - before.low)) / (float)size;
-    store_sum(sum, nets, stride);
-    if (k + 1u == NET_COUNT)
-        for (uint j = 0; j < NET_COUNT / 2u; ++j)
-            means[j * stride] = 0.5f * (means[2u * j * stride] + means[(2u * j + 1u) * stride]);
+    for (uint j = 0; j < k; ++j) before = add_compensated(before, means[j * stride]);
+    const float mean = (sum.high * inverse_size - before.high) + (sum.low * inverse_size - before.low);
+    if (k + 1u < NET_COUNT) {
+        means[k * stride] = mean;
+        return net_end(n);
+    }
+    for (uint j = 0; j < NET_COUNT / 2u; ++j) {
+        const float second = 2u * j + 2u < NET_COUNT ? means[(2u * j + 1u) * stride] : mean;
+        means[j * stride] = 0.5f * (means[2u * j * stride] + second);
+    }
     return net_end(n);
 }
 #endif
@@ -123,11 +125,12 @@ __kernel void reduce(
     const uint i = get_global_id(0);
     if (i >= pixels) return;
     const uint pixel = first_pixel + i;
-    const uint begin = pixel_offset[pixel];
+    const uint begin = pixel_offset[i];
     // a slice may have been cut short
-    const uint end = i + 1u < pixels ? MIN(pixel_offset[pixel + 1u], slice_samples) : slice_samples;
+    const uint end = i + 1u < pixels ? MIN(pixel_offset[i + 1u], slice_samples) : slice_samples;
     if (begin >= end) return;
-    Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
+    uint n = count[pixel], new_rejected = 0;
+    Moments moments = load_moments(n, sums + pixel, sample_block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
     Compensated median_sum = load_sum(medians + pixel, total_pixels);
     float pending[CHUNK_SIZE];
@@ -142,7 +145,6 @@ __kernel void reduce(
 #if FEATURE_HALF_BUFFER
     CompensatedRgb half_sum = load_rgb_sum(halves + pixel, total_pixels);
 #endif
-    uint n = count[pixel], new_rejected = 0;
 #if FEATURE_NET_MEANS
     uint next_net_end = net_end(n);
 #endif
@@ -170,7 +172,7 @@ __kernel void reduce(
         if (n == next_net_end) next_net_end = end_net(&moments, n, net_means + pixel, total_pixels);
 #endif
     }
-    store_moments(&moments, sums + pixel, sample_block_sums + pixel, total_pixels);
+    store_moments(&moments, n, sums + pixel, sample_block_sums + pixel, total_pixels);
 #if FEATURE_CHUNK_MEDIANS
     store_sum(median_sum, medians + pixel, total_pixels);
     store_chunk(pending, medians + pixel + 2 * total_pixels, total_pixels);
@@ -185,5 +187,5 @@ __kernel void reduce(
     store_rgb_sum(half_sum, halves + pixel, total_pixels);
 #endif
     count[pixel] = n;
-    rejected[pixel] += new_rejected;
+    if (new_rejected) rejected[pixel] += new_rejected;  // memory that is never written takes no space on a CPU
 }

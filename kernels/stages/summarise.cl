@@ -17,7 +17,7 @@ __kernel void summarise(
         const uint n = count[pixel], pending_count = n % SAMPLE_BLOCK_SIZE;
         const uint divisor = MAX(n, 1u);  // without samples every sum is 0
 
-        Moments moments = load_moments(sums + pixel, sample_block_sums + pixel, total_pixels);
+        Moments moments = load_moments(n, sums + pixel, sample_block_sums + pixel, total_pixels);
         if (pending_count) merge_block(&moments, n - pending_count, pending_count);
         __global float* out = summary;
         const Compensated mean = divide_compensated(moments.x, divisor);
@@ -60,10 +60,8 @@ __kernel void summarise(
         out += 2 * stride;
 #endif
 #if FEATURE_NET_MEANS
-        const float relative_variance = mean.high > 0.0f ? s2 / mean.high / mean.high : 0.0f;
-        const bool has_noise = relative_variance >= 0x1p-60f && relative_variance < INFINITY;  // more than rounding
-        net_variances[pixel] = has_noise ? relative_variance : 0.0f;
-        net_variances[total_pixels + pixel] = has_noise ? net_variance(n, net_means + pixel, total_pixels) / s2 : 0.0f;
+        const bool has_noise = relative_variance_of(mean.high, s2) > 0.0f;
+        net_ratios[pixel] = has_noise ? net_variance(n, net_means + pixel, total_pixels) / s2 : 0.0f;
 #endif
 #if FEATURE_HALF_BUFFER
         const Vec3 half_rgb = divide_rgb_sum(load_rgb_sum(halves + pixel, total_pixels), MAX(n / 2u, 1u));

@@ -34,6 +34,21 @@ INLINE Compensated add_compensated(Compensated a, float b)
     return quick_two_sum(sum.high, sum.low + a.low);
 }
 
+// a + b without normalisation: the low part adds up the rounding errors, for a few additions. `normalize_sum` after
+// them. Nothing may overflow.
+INLINE Compensated add_error_free(Compensated a, float b)
+{
+    const float sum = a.high + b;
+    const float b_part = sum - a.high;
+    const Compensated result = {sum, a.low + ((a.high - (sum - b_part)) + (b - b_part))};
+    return result;
+}
+
+INLINE Compensated normalize_sum(Compensated a)
+{
+    return quick_two_sum(a.high, a.low);
+}
+
 // a / n. An integer n above 2^24 may not be exact as one float, so it is split in two.
 INLINE Compensated divide_compensated(Compensated a, uint n)
 {

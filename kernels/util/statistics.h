@@ -70,25 +70,28 @@ INLINE Vec3 divide_rgb_sum(CompensatedRgb sum, uint n)
                 divide_compensated(sum.blue, n).high);
 }
 
-// Sums over the full sample blocks of a pixel, and over its unfinished one.
 typedef struct {
-    CompensatedRgb rgb;
-    Compensated x, m2;               // m2 of x
-    Vec3 block_rgb;                  // sum of RGB
-    float shift;                     // see merge_m2
-    float block_sum, block_squares;  // sums of x - shift and of its square
+    CompensatedRgb rgb;              // sum over all samples of a pixel
+    Compensated x, m2;               // over its full sample blocks; m2 of x
+    float shift;                     // of the unfinished block: see merge_m2
+    float block_sum, block_squares;  // sums of x - shift and of its square over it
 } Moments;
 
-INLINE Moments load_moments(__global const float* sums, __global const float* sample_block_sums, uint stride)
+// Loads the moments of n samples. `sums` has the sum of x, and before the first full block `shift` in its place; later
+// `shift` follows from it.
+INLINE Moments load_moments(uint n, __global const float* sums, __global const float* sample_block_sums, uint stride)
 {
     Moments m;
     m.rgb = load_rgb_sum(sums, stride);
     m.x = load_sum(sums + 6 * stride, stride);
     m.m2 = load_sum(sums + 8 * stride, stride);
-    m.block_rgb = vec3(sample_block_sums[0], sample_block_sums[stride], sample_block_sums[2 * stride]);
-    m.shift = sample_block_sums[3 * stride];
-    m.block_sum = sample_block_sums[4 * stride];
-    m.block_squares = sample_block_sums[5 * stride];
+    m.shift = m.x.high;
+    if (n < SAMPLE_BLOCK_SIZE)
+        m.x.high = m.x.low = 0.0f;
+    else
+        m.shift = divide_compensated(m.x, n - n % SAMPLE_BLOCK_SIZE).high;
+    m.block_sum = sample_block_sums[0];
+    m.block_squares = sample_block_sums[stride];
     return m;
 }
 
@@ -105,11 +108,20 @@ INLINE void merge_block(Moments* m, uint n, uint k)
 {
     const float shift_error = n ? divide_compensated(m->x, n).low : 0.0f;
     m->m2 = merge_m2(m->m2, n, k, m->shift, shift_error, m->block_sum, m->block_squares);
-    m->rgb = add_rgb(m->rgb, m->block_rgb);
     m->x = add_block_sum(m->x, m->shift, k, m->block_sum);
+    m->rgb.red = normalize_sum(m->rgb.red);
+    m->rgb.green = normalize_sum(m->rgb.green);
+    m->rgb.blue = normalize_sum(m->rgb.blue);
 }
 
 #if FEATURE_NET_MEANS
+// s^2 / mean^2; 0 without noise beyond rounding.
+INLINE float relative_variance_of(float mean, float s2)
+{
+    const float relative = mean > 0.0f ? s2 / mean / mean : 0.0f;
+    return relative >= 0x1p-60f && relative < INFINITY ? relative : 0.0f;
+}
+
 // log2 of the samples of a net whose mean is kept: n samples hold from NET_COUNT / 2 to NET_COUNT - 1 full nets.
 INLINE uint net_size_log2(uint n)
 {
@@ -124,11 +136,10 @@ INLINE float net_level(uint n)
 }
 
 // S v(S) of n samples, v(S) the variance of half the difference between the halves of a net of S samples: the mean over
-// all pairs of nets and, from four nets on, over the first two pairs. See stages/design_effect.cl. `nets`: as in
+// all pairs of nets and, from four nets on, over the first two pairs. See stages/design_effect.cl. `means`: as in
 // stages/reduce.cl.
-INLINE float net_variance(uint n, __global const float* nets, uint stride)
+INLINE float net_variance(uint n, __global const float* means, uint stride)
 {
-    __global const float* means = nets + 2u * stride;
     const uint size_log2 = net_size_log2(n), size = 1u << size_log2, pairs = n >> size_log2 >> 1u;
     float sum = 0.0f;
 #pragma unroll

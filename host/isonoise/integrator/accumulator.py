@@ -27,9 +27,8 @@ MAX_STATISTICS = 2**32
 so many planes that an image of `MAX_PIXELS` can exceed it."""
 
 _SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and M2 over full sample blocks
-# Planes of the unfinished sample block: sums of red, green, blue; shift, the mean of x before the block; sums of
-# x - shift and of its square.
-_BLOCK_SUMS = 6
+# Planes of the unfinished sample block: sums of x - shift and of its square; shift is the mean of x before the block.
+_BLOCK_SUMS = 2
 
 
 def build_constants(needs: Needs, form: DeviceForm) -> dict[str, int]:
@@ -113,19 +112,20 @@ class Accumulator:
             stages.arguments["neighbours"] = self._device.buffer(8 * self.pixels, "the averages of the neighbours")
             stages.arguments["neighbour_radius"] = np.uint32(needs.neighbours // 2)
         if needs.nets:
-            stages.arguments["net_means"] = planes("net_means", 2 + 2**NET_COUNT_LOG2, "the means over nets")
+            stages.arguments["net_means"] = planes("net_means", 2**NET_COUNT_LOG2 - 1, "the means over nets")
             self._make_design_effect_buffers()
 
     def _make_design_effect_buffers(self) -> None:
         height, width = self._shape
         self._tiles = -(-height // TILE_SIZE) * -(-width // TILE_SIZE)
         what = "the design effect"
+        scratch = self._device.buffer(4 * self.pixels, what)  # the effect replaces the ratios that it follows from
         self._stages.arguments.update(
             tile_count=np.uint32(self._tiles),
-            net_variances=self._device.buffer(8 * self.pixels, what),
+            net_ratios=scratch,
             grid=self._device.buffer(16 * GRID_BINS * self._tiles, what),
             steps=self._device.buffer(4 * GRID_BINS * self._tiles, what),
-            design_effect=self._device.buffer(4 * self.pixels, what),
+            design_effect=scratch,
         )
 
     def _launch_dependent_stages(self) -> None:

@@ -138,7 +138,7 @@ ARGUMENT_FEATURES = {
     "medians": ("CHUNK_MEDIANS",),
     **dict.fromkeys(("powers", "power"), ("POWER_MEAN",)),
     "halves": ("HALF_BUFFER",),
-    **dict.fromkeys(("net_means", "net_variances"), ("NET_MEANS",)),
+    **dict.fromkeys(("net_means", "net_ratios"), ("NET_MEANS",)),
     **dict.fromkeys(("neighbours", "neighbour_radius"), ("NEIGHBOURS",)),
     **{name: field.features for name, field in PATH_STATE.items()},
 }
@@ -198,7 +198,7 @@ KERNELS = {
     "list_samples": _kernel("list_samples.cl", "first_pixel pixels slice_samples", "pixel_offset", "sample_pixel"),
     "generate": _kernel(
         "generate.cl",
-        "count_new plane_stride first_slot first_sample inverse_cdf_cells seed sensor_medium",
+        "count_new plane_stride first_slot first_sample first_pixel inverse_cdf_cells seed sensor_medium",
         "camera inverse_cdf sample_pixel pixel_offset count rejected",
         "PATH_STATE samples",
     ),
@@ -246,12 +246,12 @@ KERNELS = {
         "summarise.cl",
         "first_pixel pixels stride total_pixels",
         "count sums sample_block_sums medians powers halves net_means",
-        "summary luminance net_variances",
+        "summary luminance net_ratios",
     ),
-    "sum_tiles": _kernel("design_effect.cl", _GRID, "count net_variances", "grid", needs="NET_MEANS"),
+    "sum_tiles": _kernel("design_effect.cl", _GRID, "count luminance net_ratios", "grid", needs="NET_MEANS"),
     "fit_steps": _kernel("design_effect.cl", _GRID, "grid", "steps", needs="NET_MEANS"),
     "compute_design_effect": _kernel(
-        "design_effect.cl", _GRID, "count net_variances steps", "design_effect luminance", needs="NET_MEANS"
+        "design_effect.cl", _GRID, "count steps", "design_effect luminance", needs="NET_MEANS"
     ),
     "average_neighbours": _kernel(
         "neighbours.cl",

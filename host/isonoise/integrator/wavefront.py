@@ -1,8 +1,9 @@
 """The wavefront loop: traces the samples of an allocation map and reduces them, slice by slice.
 
-A slice is a run of a wave's samples, in pixel order, that fits the sample buffer. Its paths run in a pool: every bounce
-launches `intersect`, `shade` and `shadow` over the paths in flight, compacts the paths that continue, and generates the
-paths of the next samples behind them. After its last path the samples of the slice are reduced to statistics.
+A slice is a run of a wave's samples, in pixel order, that fits the sample buffer (`sample_list`). Its paths run in a
+pool: every bounce launches `intersect`, `shade` and `shadow` over the paths in flight, compacts the paths that
+continue, and generates the paths of the next samples behind them. After its last path the samples of the slice are
+reduced to statistics.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,6 +28,7 @@ from isonoise.integrator.kernel_table import (
     kernel_table,
     path_bytes,
 )
+from isonoise.integrator.sample_list import SampleList
 from isonoise.integrator.scene_buffers import scene_arguments
 from isonoise.integrator.stages import Stages
 from isonoise.scene.accel.bvh import Bvh
@@ -134,7 +136,7 @@ class Wavefront:
             "total_alive": device.buffer(8, "the compaction"),
             "samples": device.buffer(12 * samples, "the sample buffer"),
             "sample_pixel": device.buffer(4 * samples, "the sample list"),
-            "pixel_offset": device.buffer(4 * self.accumulator.pixels, "the allocation"),
+            "pixel_offset": device.buffer(4 * min(self.accumulator.pixels, samples), "the allocation"),
         }
 
     def warm_up(self) -> None:
@@ -162,14 +164,12 @@ class Wavefront:
         -------
         The number of samples that were traced, with those before `begin`: the first ones of the map in pixel order
         """
-        ends = np.cumsum(allocation.ravel(), dtype=np.int64)
-        total, traced = int(ends[-1]), begin
-        while traced < total and should_continue(traced):
-            end = min(traced + self.slice_samples, total)
-            first, last = np.searchsorted(ends, [traced, end - 1], side="right")
-            starts = ends[first : last + 1] - allocation.ravel()[first : last + 1]
-            offsets = np.maximum(starts - traced, 0).astype(np.uint32)
-            traced += self._trace_slice(int(first), offsets, end - traced, partial(should_continue, traced))
+        samples = SampleList(allocation.reshape(-1))
+        traced = begin
+        while traced < samples.total and should_continue(traced):
+            pixel, offsets, number = samples.slice(traced, self.slice_samples)
+            end = traced + number
+            traced += self._trace_slice(pixel, offsets, number, partial(should_continue, traced))
             on_reduced(traced)
             if traced < end:
                 break
@@ -183,8 +183,9 @@ class Wavefront:
         `offsets` (pixels,): where in the slice the samples of its pixels begin, from `first_pixel` on.
         """
         pixels = len(offsets)
-        self.device.write(self._arguments["pixel_offset"], offsets, offset=4 * first_pixel)
-        slice_pixels = {"first_pixel": np.uint32(first_pixel), "pixels": np.uint32(pixels)}
+        self.device.write(self._arguments["pixel_offset"], offsets)
+        self._arguments["first_pixel"] = np.uint32(first_pixel)
+        slice_pixels = {"pixels": np.uint32(pixels)}
         self._stages.launch("list_samples", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
