@@ -7,16 +7,19 @@ import sys
 from pathlib import Path
 
 from isonoise.commands import EXIT_DONE
+from isonoise.comparison.checked_files import make_folder
+from isonoise.comparison.folder_lock import FolderLock, lock_folder
 from isonoise.comparison.plan import Plan, Request, additions, differences, make_plan, read_plan, write_plan
 from isonoise.comparison.presets import PRESETS, Preset
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance, split_specs, with_variance
 from isonoise.errors import UserError
-from isonoise.film.files import check_writable, remove_temporary_files
+from isonoise.film.files import remove_temporary_files
 from isonoise.signals import exit_code
 
 DEFAULT_TIME = 10.0
 """Seconds of a run."""
 DEFAULT_SEEDS = 8
+_KEPT = "finished runs are kept: rerun the same command to resume"
 REPORT_PACKAGES = ("matplotlib", "jinja2")
 
 
@@ -25,21 +28,35 @@ def run(options: argparse.Namespace) -> int:
     preset = _preset(options)
     directory = Path(options.output)
     spps = options.spp or ([] if options.time is not None or not preset else list(preset.spp))
-    if len(spps) < 2:
-        return _compare(_request(options, preset, *spps), directory)
+    with lock_folder(directory) as lock:
+        if len(spps) < 2:
+            return _compare(_request(options, preset, *spps), directory, lock)[0]
+        return _compare_series(options, preset, spps, directory)
 
+
+def _compare_series(options: argparse.Namespace, preset: Preset | None, spps: list[float], directory: Path) -> int:
+    """One comparison for each number of samples per pixel, and tables over all of them."""
     from isonoise.comparison.spp_series import comparison_folder, write_series
 
-    code = EXIT_DONE
+    code, summaries = EXIT_DONE, {}
     first = comparison_folder(directory, max(spps))
     for spp in sorted(spps, reverse=True):  # the reference for the most samples serves for all
-        code = code or _compare(_request(options, preset, spp), comparison_folder(directory, spp), first)
-    write_series(directory, spps, _print)
+        folder = comparison_folder(directory, spp)
+        with lock_folder(folder) as lock:
+            code, summaries[spp] = _compare(_request(options, preset, spp), folder, lock, first)
+        if code != EXIT_DONE:
+            break
+    write_series(directory, spps, summaries, _print)
     return code
 
 
-def _compare(request: Request, directory: Path, shared: Path | None = None) -> int:
-    """One comparison in `directory`, with the references of another one in the folder `shared`; the exit code."""
+def _compare(
+    request: Request, directory: Path, lock: FolderLock, shared: Path | None = None
+) -> tuple[int, dict | None]:
+    """One comparison in `directory`, with the references of another one in the folder `shared`.
+
+    Returns the exit code and the summary; None if no run is finished.
+    """
     _check_packages(request)
     stored = read_plan(directory)
     plan = make_plan(request, stored)
@@ -55,19 +72,21 @@ def _compare(request: Request, directory: Path, shared: Path | None = None) -> i
         share_references(shared, directory, plan)
     code = EXIT_DONE
     try:
-        run_plan(plan, directory.resolve(), request.device, _print)
+        run_plan(plan, lock, request.device, _print, _warn)
     except KeyboardInterrupt:
         code = exit_code() or 128 + signal.SIGINT
-        print("isonoise: interrupted; finished runs are kept: rerun the same command to resume", file=sys.stderr)
-        if not any((directory / "runs").glob("*/*/[0-9]*.npz")):
-            return code
+        print(f"isonoise: interrupted; {_KEPT}", file=sys.stderr)
+        if not _has_runs(directory):
+            return code, None
+    except UserError as error:
+        raise UserError(f"{error}; {_KEPT}") if _has_runs(directory) else error from error
     from isonoise.comparison.report import write_report
     from isonoise.comparison.summary import summary_text
 
-    write_report(directory)
+    summary = write_report(directory)
     _print(summary_text(directory))
     _print(f"report  {directory / 'report.html'}")
-    return code
+    return code, summary
 
 
 def _preset(options: argparse.Namespace) -> Preset | None:
@@ -112,14 +131,8 @@ def _check_packages(request: Request) -> None:
 
 
 def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:
-    """Create the folder and write the plan, unless the folder holds another comparison."""
-    if stored is None:
-        try:
-            (directory / "references").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(f"cannot write into '{directory}': {error.strerror}") from error
-        check_writable(directory / "plan.json")
-    else:
+    """Write the plan, unless the folder holds another comparison."""
+    if stored is not None:
         changed = differences(stored, plan)
         if changed:
             raise UserError(
@@ -129,7 +142,16 @@ def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:
         added = additions(stored, plan)
         _print(f"resuming {directory}" + (f", added: {', '.join(added)}" if added else ""))
     remove_temporary_files(directory)
+    make_folder(directory / "references")
     write_plan(directory, plan)
+
+
+def _has_runs(directory: Path) -> bool:
+    return any((directory / "runs").glob("*/*/[0-9]*.npz"))
+
+
+def _warn(text: str) -> None:
+    print(f"isonoise: warning: {text}", file=sys.stderr, flush=True)
 
 
 def _print(text: str) -> None:

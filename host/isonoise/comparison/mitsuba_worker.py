@@ -10,7 +10,7 @@ import contextlib
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +63,7 @@ class MitsubaWorkers:
         stops: Stops,
         reference: tuple[np.ndarray, np.ndarray | None],
         path: Path,
+        identity: Mapping,
         on_progress: Callable[[float, int], None],
     ) -> dict:
         """Render one run to `path`; returns its last row. Stated errors are nan. Raises UserError if it fails.
@@ -109,7 +110,7 @@ class MitsubaWorkers:
             "elapsed_s": elapsed,
             "stopped_by": "time" if stops.time is not None else "spp",
         }
-        recorder.write(path, row, rgb, np.full(rgb.shape[:2], spp, np.uint32), facts)
+        recorder.write(path, row, rgb, np.full(rgb.shape[:2], spp, np.uint32), facts, identity)
         return recorder.rows[-1]
 
 

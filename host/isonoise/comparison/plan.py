@@ -12,7 +12,7 @@ from isonoise.comparison.strategy_specs import describe_spec, strategy_title
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.files import write_atomically
-from isonoise.input_files import read_json
+from isonoise.input_files import read_json, read_regular_file
 from isonoise.scene import compile_scene, load
 from isonoise.scene.builtin import find_scene
 
@@ -139,18 +139,25 @@ def read_plan(directory: Path) -> Plan | None:
         return None
     try:
         content = read_json(path)
+        if content.pop("sha256", None) != _plan_sha256(content):
+            raise ValueError("its SHA-256 is wrong or missing")
         content["scenes"] = tuple(SceneEntry(**entry) for entry in content["scenes"])
         content["strategies"] = tuple(StrategyEntry(**entry) for entry in content["strategies"])
         content["seeds"] = tuple(content["seeds"])
         content["size"] = content["size"] and tuple(content["size"])
         return Plan(**content)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"cannot read the plan '{path}' ({error}): choose another folder with -o") from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(
+            f"cannot read the plan '{path}' ({error}): it is damaged, or an earlier version wrote it. Delete it and "
+            "give all scenes, strategies, seeds and the budget again: valid runs are kept. Or choose another folder "
+            "with -o"
+        ) from error
 
 
 def write_plan(directory: Path, plan: Plan) -> None:
     """Raises UserError if the file cannot be written."""
-    text = json.dumps(asdict(plan), indent=1) + "\n"
+    content = asdict(plan)
+    text = json.dumps(content | {"sha256": _plan_sha256(content)}, indent=1) + "\n"
     write_atomically(directory / PLAN_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
@@ -162,6 +169,11 @@ def run_path(directory: Path, scene: SceneEntry, strategy: StrategyEntry, seed: 
 def variance_path(directory: Path, scene: SceneEntry) -> Path:
     """File of the single-sample variance that the oracle reads."""
     return directory / "references" / f"{scene.slug}-variance.exr"
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file in hexadecimal digits."""
+    return hashlib.sha256(read_regular_file(path)).hexdigest()
 
 
 def differences(stored: Plan, plan: Plan) -> list[str]:
@@ -194,6 +206,10 @@ def additions(stored: Plan, plan: Plan) -> list[str]:
         before = {entry.slug for entry in getattr(stored, kind)}
         added += [_title(entry) for entry in getattr(plan, kind) if entry.slug not in before]
     return added + [f"seed {seed}" for seed in sorted(set(plan.seeds) - set(stored.seeds))]
+
+
+def _plan_sha256(content: Mapping) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _scenes(request: Request, sources: list[str], stored: Plan | None) -> tuple[SceneEntry, ...]:
@@ -268,7 +284,7 @@ def _checked_reference(path: str, scene: str, size: tuple[int, int]) -> tuple[st
             f"reference '{path}' is {width}x{height} and the image of {scene} {size[0]}x{size[1]}: "
             f"render with --size {width}x{height}, or give another reference"
         )
-    return str(Path(path).resolve()), hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return str(Path(path).resolve()), file_sha256(Path(path))
 
 
 def _title(entry: SceneEntry | StrategyEntry) -> str:

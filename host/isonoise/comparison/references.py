@@ -4,16 +4,22 @@ Both are unbiased: every reference batch is an independent render, with a seed t
 that is fixed before its first sample. So no sample influences the number of samples.
 """
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison.plan import FIRST_REFERENCE_SEED, REFERENCE_BUDGET_FACTOR, SceneEntry, variance_path
-from isonoise.errors import UserError
-from isonoise.film.exr import write_exr
-from isonoise.film.files import write_atomically
+from isonoise.comparison.checked_files import InvalidFileError, read_image, read_npz, write_image, write_npz
+from isonoise.comparison.identity import reference_identity
+from isonoise.comparison.plan import (
+    FIRST_REFERENCE_SEED,
+    REFERENCE_BUDGET_FACTOR,
+    Plan,
+    SceneEntry,
+    variance_path,
+)
 from isonoise.loop import Stops, render_loop
 from isonoise.luminance import luminance
 from isonoise.progress import format_duration, format_percent
@@ -84,77 +90,105 @@ class BatchSums:
         return np.divide(variance, scale**2, out=np.zeros_like(variance), where=scale > 0)
 
 
-def ensure_reference(
-    make: MakeRenderer, scene: SceneEntry, directory: Path, budget: Stops, log: Callable[[str], None], show: Show
-) -> None:
-    """Render the scene's reference to `directory`, unless it exists or was given.
-
-    A pilot run of the strategy relative-mean determines the map: half of a batch's samples are uniform, the other half
-    goes to the pixels with the largest relative errors. The file has R, G, B, their standard errors stderr.R, stderr.G,
-    stderr.B from the variance between batches, and `samples`.
+class ReferenceRenderer:
+    """Renders the references and variances of a comparison that are missing, damaged or of something else.
 
     Parameters
     ----------
     make : callable
-        Makes a renderer from the scene and keyword arguments of `Renderer`.
-    budget : Stops
-        Seconds; or the samples per pixel of a run, of which the reference gets REFERENCE_BUDGET_FACTOR times as many.
-    log, show : callable
-        For the line about a finished reference, and for the progress bar.
-
-    Raises
-    ------
-    UserError
-        A file cannot be read or written.
+        Makes a renderer from a scene and keyword arguments of `Renderer`.
+    plan : Plan
+        Its `reference_time` is the budget in seconds; None: REFERENCE_BUDGET_FACTOR times the samples of a run.
+    directory : Path
+        The comparison's folder.
+    log, warn : callable
+        For a line about a finished file, and about one that is rendered again.
     """
-    path = directory / scene.reference
-    if scene.reference_sha256 is None and not path.exists():
-        sums = _accumulate(make, scene, path, budget, "reference", show)
+
+    def __init__(
+        self,
+        make: MakeRenderer,
+        plan: Plan,
+        directory: Path,
+        log: Callable[[str], None],
+        warn: Callable[[str], None],
+    ):
+        self._make, self._plan, self._directory, self._log, self._warn = make, plan, directory, log, warn
+        self._budget = Stops(time=plan.reference_time, spp=plan.spp if plan.reference_time is None else None)
+
+    def ensure_reference(self, scene: SceneEntry, show: Show) -> None:
+        """Render the scene's reference, unless a valid one exists or one was given; `show` is the progress bar's.
+
+        A pilot run of the strategy relative-mean determines the map: half of a batch's samples are uniform, the other
+        half goes to the pixels with the largest relative errors. The file has R, G, B, their standard errors stderr.R,
+        stderr.G, stderr.B from the variance between batches, and `samples`. Raises UserError if a file cannot be
+        written.
+        """
+        path = self._directory / scene.reference
+        identity = reference_identity(self._plan, scene, "reference")
+        if scene.reference_sha256 is not None or self._is_finished(path, identity):
+            return
+        sums = self._accumulate(scene, path, identity, show)
         rgb, error = sums.rgb, sums.standard_error()
         samples = np.minimum(sums.count, 2**32 - 1).astype(np.uint32)
-        _finish(path, {"": rgb, "stderr": error, "samples": samples}, scene, sums)
+        _finish(path, {"": rgb, "stderr": error, "samples": samples}, scene, identity, sums)
         r = luminance(rgb)
         floor = image_floor(r)
         scale = np.maximum(r, floor)
         relative = np.divide(luminance(error), scale, out=np.zeros_like(scale), where=scale > 0)
-        log(
+        self._log(
             f"{scene.name}  reference  {format_duration(sums.seconds)}  {sums.count.mean():.4g} samples per pixel  "
             f"p99 of its standard error {format_percent(float(np.quantile(relative, 0.99)))}"
         )
 
+    def ensure_variance(self, scene: SceneEntry, show: Show) -> None:
+        """Render the file of the strategy `oracle`: layer `variance`, d s^2 / max(mean, floor)^2 of one sample.
 
-def ensure_variance(
-    make: MakeRenderer, scene: SceneEntry, directory: Path, budget: Stops, log: Callable[[str], None], show: Show
-) -> None:
-    """Render the file of the strategy `oracle`: layer `variance`, d s^2 / max(mean, floor)^2 of one sample.
-
-    The batches are uniform; they have the budget of a reference. Parameters as of `ensure_reference`.
-    """
-    path = variance_path(directory, scene)
-    if not path.exists():
-        sums = _accumulate(make, scene, path, budget, "variance", show)
-        _finish(path, {"variance": sums.relative_variance()}, scene, sums)
-        log(
+        The batches are uniform; they have the budget of a reference. Otherwise as `ensure_reference`.
+        """
+        path = variance_path(self._directory, scene)
+        identity = reference_identity(self._plan, scene, "variance")
+        if self._is_finished(path, identity):
+            return
+        sums = self._accumulate(scene, path, identity, show)
+        _finish(path, {"variance": sums.relative_variance()}, scene, identity, sums)
+        self._log(
             f"{scene.name}  variance for oracles  {format_duration(sums.seconds)}  "
             f"{sums.count.mean():.4g} samples per pixel"
         )
 
+    def _is_finished(self, path: Path, identity: Mapping) -> bool:
+        try:
+            read_image(path, identity)
+        except InvalidFileError as error:
+            self._warn_of_invalid(path, error)
+            return False
+        _partial_path(path).unlink(missing_ok=True)  # of a process that was killed before it removed it
+        return True
 
-def _accumulate(make: MakeRenderer, scene: SceneEntry, path: Path, budget: Stops, kind: str, show: Show) -> BatchSums:
-    partial = path.with_suffix(".partial.npz")
-    sums = _load(partial) if partial.exists() else BatchSums(_batch_allocation(make, scene, budget, kind))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _save(partial, sums)
-    while (missing := _missing(sums, budget)) > 0:
-        total = sums.batches + missing
-        show(sums.batches, total, f"{scene.name}, {kind}, batch {sums.batches + 1} of {total}")
-        seed = _PILOT_SEEDS[kind] + 1 + sums.batches
-        # one wave of the whole map; its time excludes set-up and readback
-        renderer = make(scene, strategy=_FixedAllocation(sums.allocation), seed=seed)
-        seconds = renderer.step().seconds
-        sums.add(renderer.statistics(), seconds)
-        _save(partial, sums)
-    return sums
+    def _accumulate(self, scene: SceneEntry, path: Path, identity: Mapping, show: Show) -> BatchSums:
+        """Render the batches that are missing."""
+        partial, kind = _partial_path(path), identity["kind"]
+        try:
+            sums = _load(partial, identity)
+        except InvalidFileError as error:
+            self._warn_of_invalid(partial, error)
+            sums = BatchSums(_batch_allocation(self._make, scene, self._budget, kind))
+            _save(partial, sums, identity)
+        while (missing := _missing(sums, self._budget)) > 0:
+            total = sums.batches + missing
+            show(sums.batches, total, f"{scene.name}, {kind}, batch {sums.batches + 1} of {total}")
+            seed = _PILOT_SEEDS[kind] + 1 + sums.batches
+            # one wave of the whole map; its time excludes set-up and readback
+            renderer = self._make(scene, strategy=_FixedAllocation(sums.allocation), seed=seed)
+            seconds = renderer.step().seconds
+            sums.add(renderer.statistics(), seconds)
+            _save(partial, sums, identity)
+        return sums
+
+    def _warn_of_invalid(self, path: Path, error: InvalidFileError) -> None:
+        if os.path.lexists(path):
+            self._warn(f"'{path}' is rendered again: {error.reason}")
 
 
 def _missing(sums: BatchSums, budget: Stops) -> int:
@@ -214,20 +248,25 @@ class _FixedAllocation(Strategy):
         return self._allocation
 
 
-def _load(path: Path) -> BatchSums:
-    try:
-        with np.load(path) as file:
-            values = {field.name: file[field.name] for field in fields(BatchSums)}
-    except (OSError, ValueError, KeyError) as error:
-        raise UserError(f"cannot read '{path}' ({error}); delete it to render this reference again") from error
+def _partial_path(path: Path) -> Path:
+    """File of the finished batches of the image `path`."""
+    return path.with_suffix(".partial.npz")
+
+
+def _load(path: Path, identity: Mapping) -> BatchSums:
+    file = read_npz(path, identity)
+    values = {field.name: file[field.name] for field in fields(BatchSums)}
     return BatchSums(**{name: value if value.ndim else value.item() for name, value in values.items()})
 
 
-def _save(path: Path, sums: BatchSums) -> None:
-    write_atomically(path, lambda temporary: np.savez(temporary, **vars(sums)))
+def _save(path: Path, sums: BatchSums, identity: Mapping) -> None:
+    arrays = {name: np.asarray(value) for name, value in vars(sums).items()}
+    write_npz(path, arrays, identity, compressed=False)
 
 
-def _finish(path: Path, layers: dict[str, np.ndarray], scene: SceneEntry, sums: BatchSums) -> None:
+def _finish(
+    path: Path, layers: Mapping[str, np.ndarray], scene: SceneEntry, identity: Mapping, sums: BatchSums
+) -> None:
     header = {"scene": scene.name, "scene_hash": scene.hash, "batches": sums.batches, "time_s": sums.seconds}
-    write_exr(path, layers, {f"isonoise.{key}": value for key, value in header.items()})
-    path.with_suffix(".partial.npz").unlink()
+    write_image(path, layers, {f"isonoise.{key}": value for key, value in header.items()}, identity)
+    _partial_path(path).unlink(missing_ok=True)

@@ -27,10 +27,10 @@ MAP_SIDE = 256
 """Maximum side of a map in the page, in pixels."""
 
 
-def write_report(directory: Path) -> None:
+def write_report(directory: Path) -> dict:
     """Write waves.csv, summary.json, tables.md, plots/*.png and report.html to `directory`, each file atomically.
 
-    Raises UserError if there is nothing to report or a file cannot be read or written.
+    Returns the summary (`summarise`). Raises UserError if there is nothing to report or a file cannot be read or written.
     """
     directory = Path(directory)
     results = Results(directory)
@@ -58,6 +58,7 @@ def write_report(directory: Path) -> None:
         descriptions={titles[row["strategy"]]: row["description"] for scene in scenes for row in scene["rows"]},
     )
     write_atomically(directory / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    return summary
 
 
 def _template():

@@ -1,7 +1,6 @@
 """Reads a comparison's folder: the plan, the finished runs, the references; called by `summary`, `report`, `poster`."""
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,24 +8,27 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison.plan import PLAN_FILE, SceneEntry, read_plan, run_path, variance_path
+from isonoise.comparison.checked_files import InvalidFileError, read_npz
+from isonoise.comparison.identity import run_identity
+from isonoise.comparison.plan import PLAN_FILE, SceneEntry, read_plan, run_path
 from isonoise.comparison.reference_error import neighbour_mean, reference_rel_mse, relative_to_floor
+from isonoise.comparison.reference_files import read_digests, read_scene_reference, read_variance
 from isonoise.error.true_error import luminance_standard_error
 from isonoise.errors import UserError
-from isonoise.film.exr import read_exr, read_reference
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
 
 
 @dataclass(frozen=True)
 class Run:
-    """One finished run. Every property reads the file anew; `recorder.Recorder.write` lists the arrays of the file.
+    """One finished run. Every property reads and checks the file anew; `Recorder.write` lists the arrays of the file.
 
     `rows` is a list of dicts, one per wave (the log's columns and `device_s`), with nan for null.
     """
 
     path: Path
     seed: int
+    identity: Mapping
 
     @property
     def rows(self) -> list[dict]:
@@ -49,14 +51,16 @@ class Run:
     def errors(self) -> np.ndarray:
         return self._read("errors")
 
-    def _read(self, name: str) -> np.ndarray:
+    def is_valid(self) -> bool:
+        """Whether the file is undamaged and has this identity."""
         try:
-            with np.load(self.path) as file:
-                return file[name]
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise UserError(
-                f"cannot read the run '{self.path}': {error}; delete it and run the comparison again"
-            ) from error
+            read_npz(self.path, self.identity)
+        except InvalidFileError:
+            return False
+        return True
+
+    def _read(self, name: str) -> np.ndarray:
+        return read_npz(self.path, self.identity)[name]
 
 
 @dataclass(frozen=True)
@@ -95,33 +99,53 @@ class Results:
         self.plan = plan
         slugs = [strategy.slug for strategy in plan.strategies]
         self.baseline: str = "uniform" if "uniform" in slugs else slugs[0]
+        self._runs: dict[str, dict[str, dict[int, Run]]] = {}
 
     def runs(self, scene: SceneEntry) -> dict[str, dict[int, Run]]:
-        """Finished runs of a scene: strategy's slug -> seed -> run. Strategies without runs are left out."""
+        """Finished runs of a scene: strategy's slug -> seed -> run.
+
+        Runs that are damaged or of something else are not finished. Strategies without runs are left out.
+        """
+        if scene.slug not in self._runs:
+            self._runs[scene.slug] = self._find_runs(scene)
+        return self._runs[scene.slug]
+
+    def _find_runs(self, scene: SceneEntry) -> dict[str, dict[int, Run]]:
+        try:
+            digests = read_digests(self.directory, self.plan, scene)
+        except InvalidFileError:  # no run was measured against it
+            return {}
         runs_by_strategy = {}
         for strategy in self.plan.strategies:
-            paths = {seed: run_path(self.directory, scene, strategy, seed) for seed in self.plan.seeds}
-            runs = {seed: Run(path, seed) for seed, path in paths.items() if path.is_file()}
+            runs = {}
+            for seed in self.plan.seeds:
+                path = run_path(self.directory, scene, strategy, seed)
+                run = Run(path, seed, run_identity(self.plan, scene, strategy, seed, digests))
+                if run.is_valid():
+                    runs[seed] = run
             if runs:
                 runs_by_strategy[strategy.slug] = runs
         return runs_by_strategy
 
     def reference(self, scene: SceneEntry) -> Reference:
         """Reference of a scene. Raises UserError if it cannot be read."""
-        rgb, rgb_se = read_reference(self.directory / scene.reference)
-        r = luminance(rgb)
+        image = read_scene_reference(self.directory, self.plan, scene)
+        r = luminance(image.rgb)
         floor = image_floor(r)
-        if rgb_se is None:
-            return Reference(rgb, r, floor, None)
-        se = luminance_standard_error(rgb_se)
+        if image.standard_error is None:
+            return Reference(image.rgb, r, floor, None)
+        se = luminance_standard_error(image.standard_error)
         total = float(r.sum())
         mean_se = float(np.sqrt(np.square(se).sum()) / total) if total > 0 else 0.0
-        return Reference(rgb, r, floor, relative_to_floor(se, r, floor), mean_se, reference_rel_mse(rgb, rgb_se))
+        rel_mse = reference_rel_mse(image.rgb, image.standard_error)
+        return Reference(image.rgb, r, floor, relative_to_floor(se, r, floor), mean_se, rel_mse)
 
     def variance(self, scene: SceneEntry) -> np.ndarray | None:
-        """Relative variance of one sample, (height, width), or None if it was not rendered."""
-        path = variance_path(self.directory, scene)
-        return read_exr(path)[0].get("variance") if path.is_file() else None
+        """Relative variance of one sample, (height, width), or None if there is no valid one."""
+        try:
+            return read_variance(self.directory, self.plan, scene)[0]
+        except InvalidFileError:
+            return None
 
 
 def common_seeds(runs: Mapping[str, Mapping[int, Run]]) -> list[int]:

@@ -1,13 +1,18 @@
 """Runs a plan: renders the references, then every missing run to its own file; called by `isonoise compare`."""
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from isonoise.comparison.checked_files import InvalidFileError, make_folder, read_npz
+from isonoise.comparison.folder_lock import FolderLock
+from isonoise.comparison.identity import ImageDigests, run_identity
 from isonoise.comparison.mitsuba_worker import MitsubaWorkers
 from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, run_path, variance_path
 from isonoise.comparison.recorder import Recorder
-from isonoise.comparison.references import ensure_reference, ensure_variance
+from isonoise.comparison.reference_files import read_digests, read_scene_reference
+from isonoise.comparison.references import ReferenceRenderer
 from isonoise.comparison.strategy_specs import (
     MITSUBA_SAMPLERS,
     first_waves_spp,
@@ -16,7 +21,6 @@ from isonoise.comparison.strategy_specs import (
     with_sampler,
     with_variance,
 )
-from isonoise.film.exr import read_reference
 from isonoise.loop import Stops, render_loop
 from isonoise.progress import ProgressBar, format_count, format_duration, format_percent
 from isonoise.renderer import Renderer
@@ -26,50 +30,96 @@ from isonoise.strategies import describe
 WARM_UP_S = 1.0
 """Seconds of the discarded render before the first run of a strategy on a scene: drivers compile at first use, and
 caches fill."""
+MAX_NAMED_RUNS = 3
+"""Runs that a warning names."""
+
+_Run = tuple[SceneEntry, StrategyEntry, int]
 
 
-def run_plan(plan: Plan, directory: Path, device: str | None, log: Callable[[str], None]) -> None:
-    """Render the missing runs to `directory`; `log` receives a line for every finished file.
+def run_plan(
+    plan: Plan, lock: FolderLock, device: str | None, log: Callable[[str], None], warn: Callable[[str], None]
+) -> None:
+    """Render the runs that the locked folder lacks; `log` receives a line for every finished file.
 
-    Finished runs are not touched. An interrupt loses only the run in progress. Raises UserError.
+    Runs that are damaged, of something else, or measured against another reference are rendered again, before others;
+    `warn` receives a line for each reason. Valid runs are not touched. An interrupt loses only the run in progress.
+    Raises UserError.
     """
-    _Runner(plan, directory, device, log).run()
+    _Runner(plan, lock, device, log, warn).run()
 
 
 class _Runner:
-    def __init__(self, plan: Plan, directory: Path, device: str | None, log: Callable[[str], None]):
-        self.plan, self.directory, self.device, self.log = plan, directory, device, log
+    def __init__(
+        self,
+        plan: Plan,
+        lock: FolderLock,
+        device: str | None,
+        log: Callable[[str], None],
+        warn: Callable[[str], None],
+    ):
+        self.plan, self.lock, self.device, self.log, self.warn = plan, lock, device, log, warn
+        self.directory = lock.directory
         self.stops = Stops(time=plan.time, spp=plan.spp)
-        self.missing = [
-            (scene, strategy, seed)
-            for scene in plan.scenes
-            for seed in plan.seeds
-            # strategies alternate, so that drifts of the machine's speed affect all of them equally
-            for strategy in plan.strategies
-            if not run_path(directory, scene, strategy, seed).exists()
-        ]
-        self.total = len(self.missing)
+        self.references = ReferenceRenderer(self._renderer, plan, self.directory, log, warn)
+        self.digests: dict[str, ImageDigests] = {}
+        self.total = self.finished = 0
         self.start = time.perf_counter()
-        self.finished = 0
         self.warmed_up: set[tuple[str, str]] = set()
 
     def run(self) -> None:
-        for scene in self.plan.scenes:
-            runs = [(strategy, seed) for run_scene, strategy, seed in self.missing if run_scene is scene]
-            self._ensure_references(scene, [strategy for strategy, _ in runs])
-            reference = read_reference(self.directory / scene.reference) if runs else None
-            with MitsubaWorkers(scene, self.plan.size, self.plan.max_depth) as workers:
-                for strategy, seed in runs:
-                    self._run(scene, strategy, seed, reference, workers)
+        planned = [
+            (scene, strategy, seed)
+            for scene in self.plan.scenes
+            for seed in self.plan.seeds
+            # strategies alternate, so that drifts of the machine's speed affect all of them equally
+            for strategy in self.plan.strategies
+        ]
+        existing = {run: os.path.lexists(run_path(self.directory, *run)) for run in planned}
+        invalid = self._find_invalid([run for run in planned if existing[run]])
+        missing = [run for run in planned if not existing[run]]
+        self.total = len(invalid) + len(missing)
+        for runs in (invalid, missing):
+            for scene in self.plan.scenes:
+                self._render_runs(scene, [run for run in runs if run[0] == scene])
 
-    def _ensure_references(self, scene: SceneEntry, strategies: list[StrategyEntry]) -> None:
-        """Render the reference, and the variance if one of the strategies is an oracle that needs it."""
+    def _find_invalid(self, runs: list[_Run]) -> list[_Run]:
+        """Those of the existing runs that have to be rendered again; a warning for each reason."""
+        reasons = {}
+        for scene, strategy, seed in runs:
+            self._ensure_references(scene)
+            try:
+                read_npz(run_path(self.directory, scene, strategy, seed), self._identity(scene, strategy, seed))
+            except InvalidFileError as error:
+                reasons[scene, strategy, seed] = error.reason
+        for reason in dict.fromkeys(reasons.values()):
+            names = [str(run_path(Path(), *run)) for run in reasons if reasons[run] == reason]
+            more = f" and {len(names) - MAX_NAMED_RUNS} more" if len(names) > MAX_NAMED_RUNS else ""
+            self.warn(f"rendering again {', '.join(names[:MAX_NAMED_RUNS])}{more}: {reason}")
+        return list(reasons)
+
+    def _identity(self, scene: SceneEntry, strategy: StrategyEntry, seed: int) -> dict:
+        return run_identity(self.plan, scene, strategy, seed, self.digests[scene.slug])
+
+    def _render_runs(self, scene: SceneEntry, runs: list[_Run]) -> None:
+        if not runs:
+            return
+        self._ensure_references(scene)
+        reference = read_scene_reference(self.directory, self.plan, scene)
+        with MitsubaWorkers(scene, self.plan.size, self.plan.max_depth) as workers:
+            for _, strategy, seed in runs:
+                self._run(scene, strategy, seed, (reference.rgb, reference.standard_error), workers)
+
+    def _ensure_references(self, scene: SceneEntry) -> None:
+        """Render the reference, and the variance if a strategy is an oracle that needs it, unless they are valid."""
+        if scene.slug in self.digests:
+            return
+        self.lock.check()
         start = time.perf_counter()
-        budget = Stops(time=self.plan.reference_time, spp=self.plan.spp if self.plan.reference_time is None else None)
         with ProgressBar() as bar:
-            ensure_reference(self._renderer, scene, self.directory, budget, self.log, bar.show)
-            if any(needs_variance(strategy.spec) for strategy in strategies):
-                ensure_variance(self._renderer, scene, self.directory, budget, self.log, bar.show)
+            self.references.ensure_reference(scene, bar.show)
+            if any(needs_variance(strategy.spec) for strategy in self.plan.strategies):
+                self.references.ensure_variance(scene, bar.show)
+        self.digests[scene.slug] = read_digests(self.directory, self.plan, scene)
         self.start += time.perf_counter() - start  # the estimate of the remaining time is based on the runs alone
 
     def _renderer(self, scene: SceneEntry, sampler: str = SAMPLERS[0], **options) -> Renderer:
@@ -86,6 +136,9 @@ class _Runner:
 
     def _run(self, scene: SceneEntry, strategy: StrategyEntry, seed: int, reference, workers: MitsubaWorkers) -> None:
         path = run_path(self.directory, scene, strategy, seed)
+        identity = self._identity(scene, strategy, seed)
+        self.lock.check()
+        make_folder(path.parent)
         with ProgressBar() as bar:
 
             def progress(elapsed_s: float, samples: int, *_) -> None:
@@ -95,9 +148,9 @@ class _Runner:
                 )
 
             if strategy.spec in MITSUBA_SAMPLERS:
-                last = workers.run(strategy.spec, seed, self.stops, reference, path, progress)
+                last = workers.run(strategy.spec, seed, self.stops, reference, path, identity, progress)
             else:
-                last = self._render(scene, strategy, seed, reference, path, progress)
+                last = self._render(scene, strategy, seed, reference, path, identity, progress)
         self.finished += 1
         self.log(
             f"{scene.name}  {strategy.title}  seed {seed}  {format_duration(last['elapsed_s'])}  "
@@ -106,7 +159,9 @@ class _Runner:
             f"image mean ratio {last['true_energy_ratio']:.4f}  [{self.finished} of {self.total}{self._remaining()}]"
         )
 
-    def _render(self, scene: SceneEntry, strategy: StrategyEntry, seed: int, reference, path: Path, progress) -> dict:
+    def _render(
+        self, scene: SceneEntry, strategy: StrategyEntry, seed: int, reference, path: Path, identity: dict, progress
+    ) -> dict:
         """Render one run with isonoise; returns its last row."""
         spec, sampler = split_sampler(strategy.spec)
         if needs_variance(spec):
@@ -138,7 +193,7 @@ class _Runner:
             "elapsed_s": outcome.elapsed_s,
             "stopped_by": outcome.reason,
         }
-        recorder.write(path, outcome.rows[-1], outcome.statistics.rgb, outcome.statistics.count, facts)
+        recorder.write(path, outcome.rows[-1], outcome.statistics.rgb, outcome.statistics.count, facts, identity)
         return recorder.rows[-1]
 
     def _progress(self, elapsed_s: float, samples: int, scene: SceneEntry) -> float:

@@ -3,14 +3,16 @@
 Called by `isonoise compare` if --spp has several numbers.
 """
 
-import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from isonoise.comparison.checked_files import is_valid_image
+from isonoise.comparison.identity import reference_identity
 from isonoise.comparison.metric_columns import EMPTY, ratio_cell
-from isonoise.comparison.plan import Plan, variance_path
+from isonoise.comparison.plan import PLAN_FILE, Plan, variance_path
 from isonoise.comparison.report_tables import strategy_titles
+from isonoise.comparison.summary import summarise
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 from isonoise.tables import LEFT, Cell, Column, Table, markdown_table, text_table
@@ -30,32 +32,42 @@ def comparison_folder(directory: Path, spp: float) -> Path:
 
 
 def share_references(source: Path, target: Path, plan: Plan) -> None:
-    """Copy the finished references and variances that `target` lacks from another comparison of the same scenes."""
+    """Copy the references and variances that `target` lacks from another comparison of the same scenes."""
     for scene in plan.scenes:
-        names = [variance_path(Path(), scene)]
+        names = {"variance": variance_path(Path(), scene)}
         if scene.reference_sha256 is None:
-            names.append(Path(scene.reference))
-        for name in names:
-            if (source / name).exists() and not (target / name).exists():
+            names["reference"] = Path(scene.reference)
+        for kind, name in names.items():
+            identity = reference_identity(plan, scene, kind)
+            if is_valid_image(source / name, identity) and not is_valid_image(target / name, identity):
                 _copy(source / name, target / name)
 
 
-def series_tables(directory: Path, spps: Sequence[float]) -> list[Table]:
+def series_tables(summaries: Mapping[float, Mapping]) -> list[Table]:
     """A table per figure: a row per scene and number of samples, a column per strategy.
 
-    From the summary.json of the comparisons that have one.
+    `summaries` are those of the comparisons (`summary.summarise`) by samples per pixel.
     """
-    summaries = {}
-    for spp in sorted(spps):
-        path = comparison_folder(directory, spp) / "summary.json"
-        if path.is_file():
-            summaries[spp] = json.loads(path.read_text(encoding="utf-8"))
     return [table for figure in FIGURES.items() if (table := _table(*figure, summaries)).rows]
 
 
-def write_series(directory: Path, spps: Sequence[float], log: Callable[[str], None]) -> None:
-    """Write tables.md to `directory` and print the tables. Raises UserError if the file cannot be written."""
-    tables = series_tables(directory, spps)
+def write_series(
+    directory: Path, spps: Sequence[float], reported: Mapping[float, Mapping | None], log: Callable[[str], None]
+) -> None:
+    """Write tables.md to `directory` and print the tables. Raises UserError if the file cannot be written.
+
+    `reported` are the summaries that this call has written. Those of the other comparisons, after an interrupt, are
+    computed from their runs.
+    """
+    summaries = {}
+    for spp in sorted(spps):
+        folder = comparison_folder(directory, spp)
+        summary = reported.get(spp)
+        if summary is None and (folder / PLAN_FILE).is_file():
+            summary = summarise(folder)
+        if summary is not None:
+            summaries[spp] = summary
+    tables = series_tables(summaries)
     text = "\n\n".join(f"### {table.title}\n\n{markdown_table(table)}" for table in tables) + "\n"
     write_atomically(directory / "tables.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
     for table in tables:

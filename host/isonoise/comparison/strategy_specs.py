@@ -62,8 +62,14 @@ def with_sampler(spec: str, sampler: str) -> str:
 
 def needs_variance(spec: str) -> bool:
     """Whether the spec is an oracle without file=; the comparison renders its variance."""
+    return spec.partition(":")[0].strip() == ORACLE and oracle_file(spec) is None
+
+
+def oracle_file(spec: str) -> Path | None:
+    """The file that an oracle names; None for other specs."""
     head, _, parameters = spec.partition(":")
-    return head.strip() == ORACLE and not any(item.strip().startswith("file=") for item in parameters.split(","))
+    files = [item.strip().removeprefix("file=") for item in parameters.split(",") if item.strip().startswith("file=")]
+    return Path(files[0]) if head.strip() == ORACLE and files else None
 
 
 def with_variance(spec: str, path: Path) -> str:

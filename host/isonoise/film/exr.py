@@ -37,11 +37,7 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
     """
     import OpenEXR
 
-    channels = {}
-    for name, pixels in layers.items():
-        dtype = np.uint32 if np.issubdtype(pixels.dtype, np.unsignedinteger) else np.float32
-        planes = {name: pixels} if pixels.ndim == 2 else _rgb_planes(name, pixels)
-        channels |= {key: np.ascontiguousarray(plane, dtype) for key, plane in planes.items()}
+    channels = image_channels(layers)
     attributes = {key: str(value) for key, value in header.items()}
     attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 
@@ -52,6 +48,16 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
             raise OSError(str(error)) from error
 
     write_atomically(path, write)
+
+
+def image_channels(layers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The channels of the layers by name, each (height, width) as `write_exr` stores it. Channels are layers, too."""
+    channels = {}
+    for name, pixels in layers.items():
+        dtype = np.uint32 if np.issubdtype(pixels.dtype, np.unsignedinteger) else np.float32
+        planes = {name: pixels} if pixels.ndim == 2 else _rgb_planes(name, pixels)
+        channels |= {key: np.ascontiguousarray(plane, dtype) for key, plane in planes.items()}
+    return channels
 
 
 def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, object]]:
@@ -103,7 +109,13 @@ def read_reference(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray | No
     UserError
         As for `read_exr`, or if channels are missing or not finite.
     """
-    channels, _ = read_exr(path)
+    return reference_layers(read_exr(path)[0], path)
+
+
+def reference_layers(
+    channels: Mapping[str, np.ndarray], path: str | os.PathLike
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """What `read_reference` returns, from the channels of the file `path`. Raises UserError as it does."""
     rgb = _read_rgb(channels, "", path)
     if rgb is None:
         raise UserError(f"'{path}' is no reference: it has no channels R, G, B, only {', '.join(channels)}")
