@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, write_plan
+from isonoise.comparison.checked_files import write_image
+from isonoise.comparison.identity import reference_identity, run_identity
+from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, run_path, variance_path, write_plan
 from isonoise.comparison.recorder import SNAPSHOTS, Recorder
+from isonoise.comparison.reference_files import read_digests
 from isonoise.error.true_error import true_error
-from isonoise.film.exr import write_exr
 from isonoise.film.log import LogRow
 from isonoise.loop import Stops
 
@@ -49,7 +51,7 @@ def make_comparison(
     height, width = shape
     plan = Plan(
         version="",
-        scenes=tuple(SceneEntry(s, s, s, "", width, height, f"references/{s}.exr", None) for s in scenes),
+        scenes=tuple(SceneEntry(s, s, s, f"hash of {s}", width, height, f"references/{s}.exr", None) for s in scenes),
         strategies=tuple(StrategyEntry(slugs[spec], spec, spec, spec) for spec in strategies),
         seeds=tuple(seeds),
         time=seconds,
@@ -57,32 +59,51 @@ def make_comparison(
         size=None,
         max_depth=None,
         device="a simulated device",
-        reference_time=None,
+        reference_time=20 * seconds,
     )
     (directory / "references").mkdir(parents=True)
     write_plan(directory, plan)
-    for number, scene in enumerate(scenes):
+    for number, entry in enumerate(plan.scenes):
         rng = np.random.default_rng([number, 0])
         variance = np.broadcast_to(np.geomspace(0.04, 4, width), shape) * rng.uniform(0.9, 1.1, shape)
         rgb = 0.5 + rng.random((height, width, 1)) * [0.9, 1.0, 1.1]
         noise = 1 + (reference_se or 0) * rng.normal(size=(height, width, 1))
         reference, se = (rgb * noise).astype(np.float32), ((reference_se or 0) * rgb).astype(np.float32)
         layers = {"": reference} | ({} if reference_se is None else {"stderr": se})
-        write_exr(directory / "references" / f"{scene}.exr", layers, {})
-        write_exr(directory / "references" / f"{scene}-variance.exr", {"variance": variance.astype(np.float32)}, {})
-        for index, (spec, weights) in enumerate(strategies.items()):
+        write_image(directory / entry.reference, layers, {}, reference_identity(plan, entry, "reference"))
+        layers = {"variance": variance.astype(np.float32)}
+        write_image(variance_path(directory, entry), layers, {}, reference_identity(plan, entry, "variance"))
+        digests = read_digests(directory, plan, entry)
+        for index, (strategy, weights) in enumerate(zip(plan.strategies, strategies.values(), strict=True)):
             weight = weights(variance)
             count = np.maximum(1, np.rint(spp * weight / weight.mean() * (speed if index else 1))).astype(np.uint32)
             for seed in seeds:
-                path = directory / "runs" / scene / slugs[spec] / f"{seed}.npz"
+                path = run_path(directory, entry, strategy, seed)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                identity = run_identity(plan, entry, strategy, seed, digests)
                 seed_rng = np.random.default_rng([number, index, seed])
                 given = (reference, None if reference_se is None else se)
-                write_run(path, rgb, given, variance, count, seed_rng, seconds, bias * (index > 0), warm_up_spp)
+                facts = _facts(path, count, seconds, warm_up_spp)
+                write_run(path, rgb, given, variance, count, seed_rng, bias * (index > 0), facts, identity)
     return directory
 
 
-def write_run(path, rgb, reference, variance, count, rng, seconds, bias, warm_up_spp) -> None:
+def _facts(path, count, seconds, warm_up_spp) -> dict:
+    return {
+        "strategy": path.parent.name,
+        "scene": path.parent.parent.name,
+        "seed": int(path.stem),
+        "device": "a simulated device",
+        "setup_s": 0.5,
+        "samples": int(count.sum()),
+        "elapsed_s": seconds,
+        "warm_up_spp": warm_up_spp,
+    }
+
+
+def write_run(path, rgb, reference, variance, count, rng, bias, facts, identity) -> None:
     """One run with `SNAPSHOTS` waves, each of which doubles samples and time; `rgb` is the true image."""
+    seconds = facts["elapsed_s"]
     recorder = Recorder(Stops(time=seconds), *reference)
     for k in range(SNAPSHOTS):
         fraction = 2.0 ** (k + 1 - SNAPSHOTS)
@@ -99,14 +120,4 @@ def write_run(path, rgb, reference, variance, count, rng, seconds, bias, warm_up
             rejected=0,
         )
         recorder.wave(row, image, seconds * fraction * 0.97)
-    facts = {
-        "strategy": path.parent.name,
-        "scene": path.parent.parent.name,
-        "seed": int(path.stem),
-        "device": "a simulated device",
-        "setup_s": 0.5,
-        "samples": int(count.sum()),
-        "elapsed_s": seconds,
-        "warm_up_spp": warm_up_spp,
-    }
-    recorder.write(path, row, image, count, facts)
+    recorder.write(path, row, image, count, facts, identity)

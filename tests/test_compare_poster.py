@@ -1,7 +1,7 @@
 """The poster's figures, from runs with simulated errors."""
 
 import base64
-import json
+import dataclasses
 import re
 import shutil
 
@@ -10,6 +10,7 @@ import pytest
 from simulated_comparison import make_comparison
 
 from isonoise.comparison.metrics import chi_square_quantile, ideal_uniformity
+from isonoise.comparison.plan import read_plan, write_plan
 from isonoise.comparison.presets import POSTER, PRESETS
 from isonoise.comparison.summary import summarise
 from isonoise.strategies.registry import DEFAULT_STRATEGY
@@ -29,8 +30,7 @@ def make(directory, **more):
     """Runs of the whole preset, with samples in proportion to the variance except for `uniform`."""
     shares = {spec: np.ones_like if spec == "uniform" else lambda v: v for spec in PRESET.strategies}
     folder = make_comparison(directory, PRESET.scenes, shares, **{"seeds": SEEDS, "shape": (40, 50)} | more)
-    plan = json.loads((folder / "plan.json").read_text())
-    (folder / "plan.json").write_text(json.dumps(plan | {"preset": POSTER}))
+    write_plan(folder, dataclasses.replace(read_plan(folder), preset=POSTER))
     return folder
 
 

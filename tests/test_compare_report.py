@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from simulated_comparison import SNAPSHOTS, make_comparison
 
 from isonoise.comparison.metric_columns import format_number, format_percent
 from isonoise.comparison.metrics import ideal_uniformity
+from isonoise.comparison.plan import read_plan, write_plan
 from isonoise.comparison.recorder import RUN_COLUMNS
 from isonoise.comparison.summary import summarise, summary_text, write_summary
 from isonoise.errors import UserError
@@ -213,10 +215,6 @@ def test_unreadable_files_are_messages(tmp_path):
     with pytest.raises(UserError, match=r"plan\.json"):
         summarise(tmp_path)
     folder = make_comparison(tmp_path / "out", ["a"], STRATEGIES, seeds=[1, 2])
-    damaged = folder / "runs" / "a" / "uniform" / "2.npz"
-    damaged.write_bytes(damaged.read_bytes()[:1000])
-    with pytest.raises(UserError, match=r"uniform/2\.npz.*delete it"):
-        summarise(folder)
     for path in (folder / "runs").rglob("*.npz"):
         path.unlink()
     with pytest.raises(UserError, match="nothing to report"):
@@ -320,10 +318,10 @@ def test_names_are_escaped(tmp_path):
     folder = make_comparison(
         tmp_path / "out", ["a"], {"uniform": np.ones_like, "relative-median": lambda v: v}, seeds=[1, 2]
     )
-    plan = json.loads((folder / "plan.json").read_text())
-    plan["scenes"][0]["name"] = "<script>alert(1)</script>"
-    plan["strategies"][1]["title"] = 'a "b" <i>&'
-    (folder / "plan.json").write_text(json.dumps(plan))
+    plan = read_plan(folder)
+    scenes = (replace(plan.scenes[0], name="<script>alert(1)</script>"),)
+    strategies = (plan.strategies[0], replace(plan.strategies[1], title='a "b" <i>&'))
+    write_plan(folder, replace(plan, scenes=scenes, strategies=strategies))
     from isonoise.comparison.report import write_report
 
     write_report(folder)
