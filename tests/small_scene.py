@@ -47,7 +47,9 @@ def assert_same_bits(a: Statistics, b: Statistics) -> None:
     for name, plane in vars(a).items():
         other = getattr(b, name)
         assert (plane is None) == (other is None), name
-        if plane is not None:
+        if isinstance(plane, Statistics):
+            assert_same_bits(plane, other)
+        elif plane is not None:
             assert plane.dtype == other.dtype
             assert plane.tobytes() == other.tobytes(), f"{name} differs in {np.count_nonzero(plane != other)} values"
 

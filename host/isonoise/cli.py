@@ -31,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"isonoise {__version__}", help="print the version")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
     for add_command in (
-        _add_render, _add_compare, _add_bench, _add_selftest, _add_devices, _add_plugins, _add_info,
+        _add_render, _add_merge, _add_compare, _add_bench, _add_selftest, _add_devices, _add_plugins, _add_info,
     ):  # fmt: skip
         add_command(commands)
     return parser
@@ -107,6 +107,29 @@ def _add_render(commands) -> None:
         help="write the images every S seconds during the render, too",
     )
     reports.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+
+def _add_merge(commands) -> None:
+    merge = commands.add_parser(
+        "merge",
+        help="add renders of one scene with different seeds, from their checkpoints",
+        description="Add renders of the same scene, size and depth with different seeds, for example from several\n"
+        "machines. Strategies, samplers, devices and numbers of samples may differ.",
+        epilog="exit codes: 0 done; 2 bad input, or the renders do not belong together",
+    )
+    merge.add_argument(
+        "checkpoints", metavar="CHECKPOINT", nargs="+", help="files of `isonoise render --checkpoint`, or merged ones"
+    )
+    merge.add_argument(
+        "-o",
+        "--output",
+        metavar="OUT.exr",
+        action="append",
+        required=True,
+        help=".exr: all layers, float32; .png: tone-mapped preview; may be given more than once",
+    )
+    merge.add_argument("--checkpoint", metavar="FILE", help="write the merged state, to merge it with further renders")
+    _add_device(merge)
 
 
 def _add_compare(commands) -> None:

@@ -171,6 +171,7 @@ class RenderLoop:
         self._last_progress_s = 0.0
         self._clock_start = time.perf_counter()
         self._due_at = [self._clock_start + each.interval_s for each in periodic]
+        self._has_just_acted = False  # then the wave goes on, even if the next action is due already
         if state is not None:
             self._restore(state)
 
@@ -224,10 +225,10 @@ class RenderLoop:
         return replace(state, values=state.values | {"loop": values}, arrays=state.arrays | arrays)
 
     def _restore(self, state: State) -> None:
+        self.renderer.restore(state)
         values = state.values["loop"]
         if values["reference_floor"] != self._reference_floor:
             raise UserError("the render cannot be continued: it had another --reference, or one of both has none")
-        self.renderer.restore(state)
         self.rows = [row_from_values(row) for row in values["rows"]]
         self._clock_start -= values["elapsed_s"]
         self._samples_per_s, self._error = values["samples_per_s"], values["error"]
@@ -273,10 +274,12 @@ class RenderLoop:
 
     def _should_continue(self, wave_samples: int) -> bool:
         self._report_progress()
-        is_due = bool(self._due_at) and time.perf_counter() >= min(self._due_at)
+        is_due = bool(self._due_at) and not self._has_just_acted and time.perf_counter() >= min(self._due_at)
+        self._has_just_acted = False
         return not (is_due or self._should_stop() or self._deadline_passed())
 
     def _run_periodic(self) -> None:
+        self._has_just_acted = True
         for index, each in enumerate(self._periodic):
             start = time.perf_counter()
             if start >= self._due_at[index]:

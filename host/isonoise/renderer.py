@@ -297,6 +297,8 @@ class Renderer:
         UserError
             If the settings differ; the message names the difference.
         """
+        if "renderer" not in state.values:
+            raise UserError("a merged render cannot be continued; render the scene with another seed, and merge both")
         check_settings(state.settings, self.settings)
         values, wave = state.values["renderer"], state.values["renderer"]["wave"]
         self._wavefront.accumulator.set_state(state.group("reduction"))

@@ -3,10 +3,8 @@
 import numpy as np
 
 from isonoise.device.opencl import Device
-from isonoise.integrator.accumulator import Accumulator, build_constants
-from isonoise.integrator.features import statistics_features
-from isonoise.integrator.kernel_table import KERNELS
-from isonoise.integrator.stages import Stages
+from isonoise.integrator.accumulator import Accumulator
+from isonoise.integrator.statistics_stages import make_statistics_stages
 from isonoise.luminance import REC709_LUMINANCE
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 
@@ -16,10 +14,7 @@ class Reducer:
 
     def __init__(self, device: Device, pixels: int, needs: Needs = BASIC_NEEDS, width: int | None = None):
         self.device = device
-        features = statistics_features(needs)
-        names = ("reduce", "summarise", "sum_tiles", "fit_steps", "compute_design_effect", "average_neighbours")
-        table = {name: KERNELS[name] for name in names if KERNELS[name].is_launched(features)}
-        self.stages = Stages(self.device, table, features, build_constants(needs, device.form), {})
+        self.stages = make_statistics_stages(device, needs)
         self.accumulator = Accumulator(self.stages, (pixels // (width or pixels), width or pixels), needs)
         self.stages.arguments["pixel_offset"] = self.device.buffer(4 * pixels, "the offsets")
 

@@ -6,7 +6,7 @@ Called by `Renderer`, which is continued only with equal settings, and by mergin
 import hashlib
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ def render_settings(renderer) -> dict[str, object]:
     - `scene`: the file or built-in scene; `scene_hash`: of all that the scene compiles to;
     - `scene_parts`: name of an array or setting of `CompiledScene` -> hash;
     - `files`: name of a file that the scene was read from, relative to the scene's folder -> sha256 of its content;
-    - `device`, which may change while a render goes on.
+    - `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
     """
     scene: CompiledScene = renderer.scene
     return {
@@ -50,6 +50,7 @@ def render_settings(renderer) -> dict[str, object]:
         "scene_parts": {field.name: _part_hash(getattr(scene, field.name)) for field in fields(scene)},
         "files": file_hashes(renderer.files),
         "radiance_scale": scene.radiance_scale,
+        "needs": asdict(renderer.strategy.needs.with_sampler(scene.sampler)),
         "device": renderer.device_name,
     }
 
@@ -67,14 +68,19 @@ def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
 
 def check_settings(stored: Mapping[str, object], current: Mapping[str, object]) -> None:
     """Raise UserError, which names all differences, unless a render with these settings can be continued."""
-    differences = [
-        f"the {name} was {_text(stored[key])} and is now {_text(current[key])}"
-        for key, name in NAMES.items()
-        if stored[key] != current[key]
-    ]
-    differences += scene_differences(stored, current)
+    differences = differences_of(stored, current, NAMES)
     if differences:
         raise UserError(f"the render cannot be continued: {'; '.join(differences)}")
+
+
+def differences_of(stored: Mapping[str, object], current: Mapping[str, object], names: Iterable[str]) -> list[str]:
+    """How these settings and the scenes differ, as clauses."""
+    values = [
+        f"the {NAMES[key]} was {_text(stored[key])} and is now {_text(current[key])}"
+        for key in names
+        if stored[key] != current[key]
+    ]
+    return values + scene_differences(stored, current)
 
 
 def scene_differences(stored: Mapping[str, object], current: Mapping[str, object]) -> list[str]:

@@ -1,0 +1,84 @@
+"""`isonoise merge`: adds renders of one scene with different seeds, from their checkpoints."""
+
+import argparse
+from pathlib import Path
+
+from isonoise import __version__
+from isonoise.commands import EXIT_DONE
+from isonoise.device.opencl import Device
+from isonoise.error.stated_error import stated_error
+from isonoise.errors import UserError
+from isonoise.film.files import check_writable
+from isonoise.film.output import check_output, image_layers, write_image
+from isonoise.progress import format_duration, format_percent
+from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
+from isonoise.state.merge import merge_states, state_statistics
+from isonoise.state.state import State
+from isonoise.strategies.measures import image_floor
+from isonoise.tables import label_lines
+
+_QUANTILE = 0.99
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    _check_files(options)
+    device = Device(options.device)
+    merged = merge_states((read_checkpoint(path) for path in options.checkpoints), options.checkpoints, device)
+    statistics = state_statistics(merged, device)
+    if statistics.samples == 0:
+        raise UserError("the renders have no samples yet; there is nothing to merge")
+    floor = image_floor(statistics.mean)
+    header = _header(merged) | {
+        "isonoise.samples": statistics.samples,
+        "isonoise.rejected": int(statistics.rejected.sum(dtype=int)),
+        "isonoise.floor": floor,
+    }
+    if options.checkpoint:
+        write_checkpoint(options.checkpoint, merged)
+    for path in options.output:
+        write_image(path, image_layers(statistics, floor), header)
+    renders = merged.values["merged"]["renders"]
+    time = format_duration(sum(render["elapsed_s"] for render in renders))
+    error = format_percent(float(stated_error(statistics, [_QUANTILE], floor)[0]))
+    per_pixel = statistics.samples / statistics.count.size
+    lines = [
+        ("merged", f"{len(renders)} renders, {time}, {statistics.samples:,} samples, {per_pixel:.4g} per pixel"),
+        ("seeds", ", ".join(str(render["seed"]) for render in renders)),
+        ("error", f"{error} (stated, quantile {_QUANTILE:g})"),
+        *(("image", path) for path in options.output),
+        *([("state", options.checkpoint)] if options.checkpoint else []),
+    ]
+    print(label_lines(lines))
+    return EXIT_DONE
+
+
+def _header(merged: State) -> dict[str, object]:
+    """Header of the image: the settings of all renders, those that may differ one after the other."""
+    renders = merged.values["merged"]["renders"]
+    different = {
+        name: ", ".join(dict.fromkeys(str(render[name]) for render in renders))
+        for name in ("strategy", "sampler", "seed", "device")
+    }
+    fields = {
+        "version": __version__,
+        "scene": merged.settings["scene"],
+        "scene_hash": merged.settings["scene_hash"],
+        **different,
+        "time_s": sum(render["elapsed_s"] for render in renders),
+        "stopped_by": "merge",
+    }
+    return {f"isonoise.{name}": value for name, value in fields.items()}
+
+
+def _check_files(options: argparse.Namespace) -> None:
+    """Check that the outputs can be written, and that no file is named twice."""
+    for path in options.output:
+        check_output(path)
+    if options.checkpoint:
+        check_writable(options.checkpoint)
+    seen = set()
+    for path in [*options.checkpoints, *options.output, options.checkpoint]:
+        if path and Path(path).resolve() in seen:
+            raise UserError(f"'{path}' is named twice")
+        seen.add(Path(path).resolve() if path else None)
