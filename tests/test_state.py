@@ -107,7 +107,8 @@ def test_other_settings_are_refused_by_name(options, message):
 
 
 def test_a_changed_file_is_named(tmp_path):
-    text = '<scene version="3.0.0"><sensor type="perspective"/><shape type="obj"><string name="filename" value="m.obj"/></shape></scene>'
+    text = '<scene version="3.0.0"><sensor type="perspective"/><shape type="obj">'
+    text += '<string name="filename" value="m.obj"/></shape></scene>'
     mesh = "v 0 0 0\nv 1 0 0\nv 0 1 {z}\nf 1 2 3\n"
     (tmp_path / "scene.xml").write_text(text)
     (tmp_path / "m.obj").write_text(mesh.format(z=0))

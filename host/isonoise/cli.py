@@ -73,15 +73,13 @@ def _add_render(commands) -> None:
         "--quantile",
         metavar="Q",
         type=argument_types.quantile,
-        default=0.99,
-        help="quantile of the pixels' errors that --error limits (default: %(default)s)",
+        help="quantile of the pixels' errors that --error limits (default: 0.99)",
     )
     limits.add_argument(
         "--confidence",
         metavar="C",
         type=argument_types.confidence,
-        default=0.95,
-        help="probability that --error ends no render too early, over all its waves (default: %(default)s)",
+        help="probability that --error ends no render too early, over all its waves (default: 0.95)",
     )
     settings = render.add_argument_group("how to render")
     settings.add_argument(
@@ -90,13 +88,13 @@ def _add_render(commands) -> None:
     settings.add_argument(
         "--sampler", choices=SAMPLERS, help="how random numbers are distributed (default: the scene's, else sobol)"
     )
-    settings.add_argument(
-        "--seed", metavar="K", type=argument_types.seed, default=0, help="same seed, same image (default: %(default)s)"
-    )
+    settings.add_argument("--seed", metavar="K", type=argument_types.seed, help="same seed, same image (default: 0)")
     _add_scene_overrides(settings)
     _add_scene_parameters(settings)
     _add_allow_outside(settings)
     _add_device(settings)
+    _add_checkpoints(render)
+    render.set_defaults(parameters=None)
     reports = render.add_argument_group("what to report")
     reports.add_argument("--reference", metavar="REF.exr", help="converged image, to report the true error as well")
     reports.add_argument("--log", metavar="LOG.csv", help="write one row per wave; columns are listed below")
@@ -107,6 +105,27 @@ def _add_render(commands) -> None:
         help="write the images every S seconds during the render, too",
     )
     reports.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+
+def _add_checkpoints(parser) -> None:
+    checkpoints = parser.add_argument_group("checkpoints")
+    checkpoints.add_argument(
+        "--checkpoint", metavar="FILE", help="write all that is needed to continue, during the render and at its end"
+    )
+    checkpoints.add_argument(
+        "--checkpoint-every",
+        metavar="S",
+        type=argument_types.interval,
+        default=300.0,
+        help="seconds between checkpoints (default: 300)",
+    )
+    checkpoints.add_argument(
+        "--resume",
+        metavar="FILE",
+        help="continue from this checkpoint, and write further ones to it unless --checkpoint names another file; "
+        "options that are not given are those of the checkpoint, limits may be changed and count from the beginning. "
+        "With the same FILE as --checkpoint a missing one is no error",
+    )
 
 
 def _add_merge(commands) -> None:

@@ -151,7 +151,8 @@ class Renderer:
             raise UserError(f"sampler = {sampler!r} is not one of {', '.join(SAMPLERS)}")
         self.strategy, self.seed = make_strategy(strategy), seed
         self.source_name = "a scene in Python" if isinstance(scene, Mapping) else os.fspath(scene)
-        self.parameters = parameters or {}
+        self.parameters = {name: str(value) for name, value in (parameters or {}).items()}
+        self.overrides = {"size": size, "max_depth": max_depth, "sampler": sampler, "parameters": self.parameters}
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
             description = load(scene, parameters, allow_outside)

@@ -3,9 +3,11 @@
 import argparse
 import sys
 import traceback
+from contextlib import ExitStack
 from pathlib import Path
 
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE, EXIT_ERROR_NOT_MET
+from isonoise.commands.render_checkpoint import Checkpoints
 from isonoise.commands.render_result import image_header, print_result, print_settings, result_fields
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
@@ -25,30 +27,39 @@ def run(options: argparse.Namespace) -> int:
     images = ImageFiles(options.output)
     _check_files(options)
     reference = read_reference(options.reference) if options.reference else None
-    log = _Log(options.log, true_errors=reference is not None)
-    try:
+    with ExitStack() as stack:
+        checkpoints = Checkpoints(options)
+        stack.callback(checkpoints.close)
+        log = _Log(options.log, reference is not None, checkpoints.rows)
+        stack.callback(log.close)
         renderer = _make_renderer(options)
+        checkpoints.check(renderer)
         _check_reference_size(options, reference, renderer)
         raise_if_received()
         if not options.json:
             print_settings(options, renderer)
         with deferred() as received:
-            return _Render(options, renderer, reference, images, log).run(received)
-    finally:
-        log.close()
+            return _Render(options, renderer, reference, images, log, checkpoints).run(received)
 
 
 class _Render:
     """A render with its files. However it ends, `_end` writes what has been rendered."""
 
-    def __init__(self, options: argparse.Namespace, renderer: Renderer, reference, images: ImageFiles, log: "_Log"):
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        renderer: Renderer,
+        reference,
+        images: ImageFiles,
+        log: "_Log",
+        checkpoints: Checkpoints,
+    ):
         self._options, self._renderer, self._reference = options, renderer, reference
-        self._images, self._log = images, log
+        self._images, self._log, self._checkpoints = images, log, checkpoints
         self._stops = _stops(options, renderer)
 
     def run(self, received: list[int]) -> int:
         """Render until a limit, or a signal in `received`; return the exit code."""
-        options = self._options
         with RenderProgressBar() as bar:
             loop = RenderLoop(
                 self._renderer,
@@ -57,7 +68,9 @@ class _Render:
                 on_progress=bar.update,
                 reference=self._reference,
                 should_stop=lambda: bool(received),
-                periodic=[Periodic(options.save_every, self._save)] if options.save_every else [],
+                periodic=self._periodic(),
+                on_end=self._checkpoints.keep,
+                state=self._checkpoints.state,
             )
             failure = None
             try:
@@ -66,9 +79,21 @@ class _Render:
                 failure = error
                 traceback.clear_frames(error.__traceback__)  # frees what the loop has allocated
                 outcome = _outcome_or_none(loop)
+                self._keep_after_failure(loop)
                 if outcome is None:
                     raise
         return self._end(outcome, failure)
+
+    def _periodic(self) -> list[Periodic]:
+        images = [Periodic(self._options.save_every, self._save)] if self._options.save_every else []
+        return [*self._checkpoints.periodic(), *images]
+
+    def _keep_after_failure(self, loop: RenderLoop) -> None:
+        """Write a checkpoint, or say that the last one stays."""
+        try:
+            self._checkpoints.keep(loop)
+        except Exception as error:
+            print(f"isonoise: no new checkpoint is written, an earlier one stays: {error}", file=sys.stderr)
 
     def _save(self, loop: RenderLoop) -> None:
         """Write the images in the middle of the render."""
@@ -91,6 +116,7 @@ class _Render:
             if failure:
                 raise failure
             return EXIT_DONE  # `cli` adds the signal
+        checkpoint = self._checkpoints.end()
         images = self._write_images(outcome, has_ended=True)
         failures = [image for image in images if image.failure]
         log = self._log.end(outcome.rows)
@@ -101,13 +127,15 @@ class _Render:
                 print(f"isonoise: {image.message()}", file=sys.stderr)
             elif image.path != path:
                 print(f"isonoise: '{path}' stays as it was: the new image lacks pixels", file=sys.stderr)
+        if checkpoint and checkpoint.failure:
+            print(f"isonoise: {checkpoint.message()}", file=sys.stderr)
         if log:
             state = "incomplete" if failures else "incomplete, the image is complete"
             print(f"isonoise: {log.failure}; the log is {state}; {log.place()}", file=sys.stderr)
         internal = [image.failure for image in failures if not isinstance(image.failure, (UserError, MemoryError))]
         if failure or internal:
             raise failure or internal[0]
-        if failures or log:
+        if failures or log or (checkpoint and checkpoint.failure):
             return EXIT_BAD_INPUT
         return EXIT_ERROR_NOT_MET if options.error and outcome.reason != "error" else EXIT_DONE
 
@@ -123,9 +151,9 @@ def _outcome_or_none(loop: RenderLoop) -> Outcome | None:
 class _Log:
     """The log, if there is one. A write error, such as a full disk, ends the log but not the render."""
 
-    def __init__(self, path: str | None, true_errors: bool):
+    def __init__(self, path: str | None, true_errors: bool, rows: list[LogRow]):
         self._path, self._true_errors = path, true_errors
-        self._writer = LogWriter(path, true_errors) if path else None
+        self._writer = LogWriter(path, true_errors, rows) if path else None
         self._failure: UserError | None = None
 
     def write(self, row: LogRow) -> None:
@@ -150,6 +178,7 @@ def _check_files(options: argparse.Namespace) -> None:
     """Check that no output overwrites an input or another output."""
     roles = {}
     files = [("the scene", options.scene), ("--reference", options.reference), ("--log", options.log)]
+    files += [("--checkpoint", options.checkpoint or options.resume)]
     for name, path in [*files, *(("-o", path) for path in options.output)]:
         if path:
             role = f"{name} {path}"

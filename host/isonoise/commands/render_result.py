@@ -41,7 +41,7 @@ def result_fields(options: argparse.Namespace, renderer: Renderer, stops: Stops,
         "height": renderer.scene.height,
         "strategy": describe(renderer.strategy),
         "sampler": renderer.scene.sampler,
-        "seed": options.seed,
+        "seed": renderer.seed,
         "device": renderer.device_name,
         "setup_s": renderer.setup_times,
         "time_s": outcome.elapsed_s,
@@ -58,6 +58,7 @@ def result_fields(options: argparse.Namespace, renderer: Renderer, stops: Stops,
         "last_wave": row_values(outcome.rows[-1]) if outcome.rows else None,
         "output": options.output,
         "log": options.log,
+        "checkpoint": options.checkpoint or options.resume,
     }
 
 
@@ -80,7 +81,7 @@ def _print_line(label: str, text: str) -> None:
 def print_settings(options: argparse.Namespace, renderer: Renderer) -> None:
     scene = renderer.scene
     _print_line("scene", f"{options.scene}, {scene.width}x{scene.height}")
-    _print_line("strategy", f"{describe(renderer.strategy)}, sampler {scene.sampler}, seed {options.seed}")
+    _print_line("strategy", f"{describe(renderer.strategy)}, sampler {scene.sampler}, seed {renderer.seed}")
     _print_line("device", renderer.device_name)
     times = (f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items())
     _print_line("set-up", ", ".join(times))
@@ -119,5 +120,7 @@ def print_result(result: Mapping[str, object], as_json: bool) -> None:
         _print_line("rejected", f"{result['rejected']:,} samples were negative or not finite and were left out")
     for path in result["output"]:
         _print_line("image", path)
+    if result["checkpoint"]:
+        _print_line("state", result["checkpoint"])
     if result["log"]:
         _print_line("log", result["log"])

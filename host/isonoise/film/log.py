@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Literal
 
@@ -68,6 +68,8 @@ class LogWriter:
         The file. It is checked at once, so that a render does not start without a writable log.
     true_errors : bool
         Whether rows have true errors.
+    rows : sequence of LogRow
+        Rows of a render that is continued; the file begins with them.
 
     Raises
     ------
@@ -75,17 +77,18 @@ class LogWriter:
         If the file cannot be written, here or in `write`, or another process is writing it.
     """
 
-    def __init__(self, path: str | os.PathLike, true_errors: bool):
+    def __init__(self, path: str | os.PathLike, true_errors: bool, rows: Sequence[LogRow] = ()):
         self._path = check_writable(path)
         self._lock = PathLock(self._path)
         self._columns = columns(true_errors)
         self._has_rows = False
+        self._earlier = b"".join(map(_line, rows))
 
     def write(self, row: LogRow) -> None:
         """Append one row. On an error the file stays as it was."""
         line = _line(row)
         if not self._has_rows:
-            _write_rows(self._path, self._columns, line)
+            _write_rows(self._path, self._columns, self._earlier + line)
             self._has_rows = True
             return
         try:

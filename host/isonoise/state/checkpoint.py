@@ -42,7 +42,7 @@ def write_checkpoint(path: str | os.PathLike, state: State) -> None:
     """
 
     def write(temporary: Path) -> None:
-        with zipfile.ZipFile(temporary, "x", zipfile.ZIP_STORED) as archive:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             archive.writestr(_JSON_NAME, json.dumps(_description(state)))
             for name, array in state.arrays.items():
                 with archive.open(name + _ARRAY_SUFFIX, "w", force_zip64=True) as member:

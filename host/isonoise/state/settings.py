@@ -34,6 +34,7 @@ def render_settings(renderer) -> dict[str, object]:
     - `scene`: the file or built-in scene; `scene_hash`: of all that the scene compiles to;
     - `scene_parts`: name of an array or setting of `CompiledScene` -> hash;
     - `files`: name of a file that the scene was read from, relative to the scene's folder -> sha256 of its content;
+    - `overrides`: what the caller gave in place of the scene's own size, depth and sampler, else None;
     - `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
     """
     scene: CompiledScene = renderer.scene
@@ -50,6 +51,7 @@ def render_settings(renderer) -> dict[str, object]:
         "scene_parts": {field.name: _part_hash(getattr(scene, field.name)) for field in fields(scene)},
         "files": file_hashes(renderer.files),
         "radiance_scale": scene.radiance_scale,
+        "overrides": renderer.overrides,
         "needs": asdict(renderer.strategy.needs.with_sampler(scene.sampler)),
         "device": renderer.device_name,
     }
