@@ -4,6 +4,10 @@ import argparse
 import math
 import re
 
+from isonoise.stops import MAX_LIMIT, MIN_LIMIT
+
+MAX_DEPTH = 2**31 - 1
+"""For --max-depth: the largest value of a scene file."""
 MAX_PIXELS = 1 << 28
 """Largest image for --size. Beyond it the statistics alone need over 10 GiB, so it is probably a typing error."""
 
@@ -19,7 +23,7 @@ def finite_number(text: str) -> float:
 
 
 def integer(text: str) -> int:
-    if not re.fullmatch(r"[+-]?[0-9]+", text):
+    if not re.fullmatch(r"[+-]?[0-9]{1,1000}", text):
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number")
     return int(text)
 
@@ -28,6 +32,8 @@ def positive(text: str) -> float:
     value = finite_number(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text} must be more than 0")
+    if not MIN_LIMIT <= value <= MAX_LIMIT:
+        raise argparse.ArgumentTypeError(f"{text} must be from {MIN_LIMIT:g} to {MAX_LIMIT:g}")
     return value
 
 
@@ -75,13 +81,13 @@ def seed(text: str) -> int:
 
 def max_depth(text: str) -> int:
     value = integer(text)
-    if value < 1 and value != -1:
-        raise argparse.ArgumentTypeError(f"{text} must be 1 or more, or -1 for no limit")
+    if not 1 <= value <= MAX_DEPTH and value != -1:
+        raise argparse.ArgumentTypeError(f"{text} must be from 1 to {MAX_DEPTH}, or -1 for no limit")
     return value
 
 
 def size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"([0-9]+)[xX]([0-9]+)", text)
+    match = re.fullmatch(r"([0-9]{1,1000})[xX]([0-9]{1,1000})", text)
     if not match:
         raise argparse.ArgumentTypeError(f"'{text}' is not a size: write WIDTHxHEIGHT, as in 640x480")
     width, height = map(int, match.groups())

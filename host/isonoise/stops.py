@@ -1,9 +1,11 @@
 """The limits of a render."""
 
-import math
 from dataclasses import dataclass
 
 from isonoise.errors import UserError
+
+MIN_LIMIT, MAX_LIMIT = 1e-30, 1e30
+"""Of samples per pixel, seconds and errors: their squares and their products with pixels stay finite."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,8 @@ class Stops:
     def __post_init__(self):
         for name in ("spp", "time", "error"):
             value = getattr(self, name)
-            if value is not None and not (value > 0 and math.isfinite(value)):
-                raise UserError(f"{name} has to be a number above 0, not {value}")
+            if value is not None and not MIN_LIMIT <= value <= MAX_LIMIT:
+                raise UserError(f"{name} has to be a number from {MIN_LIMIT:g} to {MAX_LIMIT:g}, not {value}")
         if not 0 < self.quantile < 1:
             raise UserError(f"quantile has to lie between 0 and 1, not {self.quantile}")
         if not 0.5 <= self.confidence < 1:

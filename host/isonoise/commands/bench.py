@@ -42,6 +42,7 @@ from isonoise.errors import UserError
 from isonoise.film.files import check_writable
 from isonoise.progress import ProgressBar
 from isonoise.scene.builtin import builtin_scenes, find_scene
+from isonoise.strategies.uniform_allocation import MAX_COUNT
 
 EXIT_SLOWER = 1
 DEFAULT_SCENES = ("cornell", "bright-spots", "mesh-82k")
@@ -88,6 +89,8 @@ def run(options: argparse.Namespace) -> int:
 def _check_options(options: argparse.Namespace) -> None:
     if options.json:
         check_writable(options.json)
+    if options.spp is not None and options.spp > MAX_COUNT:
+        raise UserError(f"--spp {options.spp:g} is more than a pixel can take: the limit is {MAX_COUNT}")
     if options.threshold is not None and not (options.against or options.versus):
         raise UserError("--threshold needs something to compare with: name it with --against or --versus")
     if options.tune and options.json:

@@ -105,6 +105,8 @@ def make_plan(request: Request, stored: Plan | None = None) -> Plan:
         if not names:
             raise UserError(f"nothing to compare: name a {kind}")
         for name in names:
+            if not _is_encodable(name):
+                raise UserError(f"{kind} '{name}' is not text in UTF-8; rename it")
             if names.count(name) > 1:
                 raise UserError(f"{kind} '{name}' is named twice")
     device = Device(request.device).name
@@ -285,6 +287,11 @@ def _checked_reference(path: str, scene: str, size: tuple[int, int]) -> tuple[st
             f"render with --size {width}x{height}, or give another reference"
         )
     return str(Path(path).resolve()), file_sha256(Path(path))
+
+
+def _is_encodable(text: str) -> bool:
+    """Whether UTF-8 has all characters of a text: a report could not name a file that has other bytes."""
+    return text == text.encode("utf-8", "replace").decode("utf-8")
 
 
 def _title(entry: SceneEntry | StrategyEntry) -> str:

@@ -73,7 +73,7 @@ def raised_quantile(quantile: float, pixels: int, significance: float) -> float:
     """
     from statistics import NormalDist  # takes some 10 ms, and not every command needs it
 
-    z = NormalDist().inv_cdf(1 - significance)
+    z = -NormalDist().inv_cdf(significance)
     allowed = (1 - quantile) * pixels - (z * z - 1) / 6
     expected = 0.0
     if allowed > 0:  # (allowed - m)^2 = a m (1 - m / pixels), the root below `allowed`
@@ -81,4 +81,4 @@ def raised_quantile(quantile: float, pixels: int, significance: float) -> float:
         half = allowed + a / 2
         leading = 1 + a / pixels
         expected = allowed * allowed / (half + math.sqrt(half * half - leading * allowed * allowed))
-    return 1 - max(expected, significance) / pixels
+    return min(1 - max(expected, significance) / pixels, math.nextafter(1, 0))  # below 1 also after rounding

@@ -13,6 +13,7 @@ from isonoise.input_files import open_regular_file
 
 _MAX_PIXELS_PER_BYTE = 1 << 14
 """Of a compressed file; a header that claims more is damaged."""
+_MAGIC = b"\x76\x2f\x31\x01"
 
 
 def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header: Mapping[str, object]) -> None:
@@ -38,12 +39,12 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
     import OpenEXR
 
     channels = image_channels(layers)
-    attributes = {key: str(value) for key, value in header.items()}
+    attributes = {key: _encodable(str(value)) for key, value in header.items()}
     attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 
     def write(temporary: Path) -> None:
         try:
-            OpenEXR.File(attributes, channels).write(str(temporary))
+            OpenEXR.File(attributes, channels).write(os.fsencode(temporary))
         except RuntimeError as error:  # OpenEXR's error for a full disk or a file that it cannot open
             raise OSError(str(error)) from error
 
@@ -122,6 +123,11 @@ def reference_layers(
     return rgb, _read_rgb(channels, "stderr.", path)
 
 
+def _encodable(text: str) -> str:
+    """The text with escapes in place of what UTF-8 does not have: names of files may have any bytes."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def _rgb_planes(name: str, pixels: np.ndarray) -> dict[str, np.ndarray]:
     prefix = f"{name}." if name else ""
     return {prefix + channel: pixels[..., i] for i, channel in enumerate("RGB")}
@@ -142,18 +148,20 @@ def _open(path: str | os.PathLike, header_only: bool):
 
     path = Path(path)
     try:
-        open_regular_file(path).close()
+        with open_regular_file(path) as file:
+            magic = file.read(len(_MAGIC))
     except OSError as error:
         raise UserError(f"cannot read '{path}': {error.strerror}") from error
-    if not OpenEXR.isOpenExrFile(str(path)):
+    if magic != _MAGIC:
         raise UserError(f"cannot read '{path}': it is not an OpenEXR file")
     try:
-        file = OpenEXR.File(str(path), separate_channels=True, header_only=True)
+        name = os.fsencode(path)
+        file = OpenEXR.File(name, separate_channels=True, header_only=True)
         low, high = file.header()["dataWindow"]
         pixels = math.prod(int(side) + 1 for side in np.subtract(high, low, dtype=np.int64))
         if pixels > _MAX_PIXELS_PER_BYTE * path.stat().st_size:
             raise ValueError("its header claims more pixels than the file can hold")
-        file = file if header_only else OpenEXR.File(str(path), separate_channels=True)
+        file = file if header_only else OpenEXR.File(name, separate_channels=True)
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise UserError(f"cannot read '{path}': {error}") from error
     if not file.parts:  # OpenEXR's result for pixels that it cannot read

@@ -18,15 +18,17 @@ def find_scene(source: str | os.PathLike) -> Path:
     name, names = str(source), builtin_scenes()
     path = Path(name)
     try:
-        is_file, is_folder = path.is_file(), path.is_dir()
+        is_file, is_folder, exists = path.is_file(), path.is_dir(), path.exists()
     except (OSError, ValueError):  # not a valid file name
-        is_file = is_folder = False
+        is_file = is_folder = exists = False
     if is_file:
         return path.absolute()
     if name in names:
         return Path(str(files("isonoise.scenes").joinpath(f"{name}.xml")))
     if is_folder:
         raise SceneError(f"{name} is a folder; give the path of a scene file in it")
+    if exists:
+        raise SceneError(f"{name} is not a regular file")
     hint = closest_name(name, names)
     suggestion = f"; did you mean '{hint}'?" if hint and not path.suffix else ""
     raise SceneError(

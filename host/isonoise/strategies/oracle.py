@@ -1,5 +1,6 @@
 """The strategy `oracle`: the variance of every pixel is read from a file. For experiments."""
 
+import os
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -41,7 +42,7 @@ class Oracle(Adaptive):
 
         try:
             open_regular_file(self.file).close()
-            with OpenEXR.File(self.file) as file:
+            with OpenEXR.File(os.fsencode(self.file)) as file:
                 return file.channels()[LAYER].pixels.astype(np.float64)
         except KeyError:
             raise UserError(f"strategy oracle: '{self.file}' has no layer '{LAYER}'") from None

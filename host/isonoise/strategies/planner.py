@@ -80,7 +80,8 @@ class WavePlanner:
         if wave is None:
             raise UserError(f"strategy '{self.strategy.name}' plans no more waves; its schedule has to be endless")
         unlimited = wave.kind == "adaptive" and wave.spp is None
-        if wave.kind not in ("uniform", "adaptive") or not (unlimited or (wave.spp and 0 < wave.spp < math.inf)):
+        is_finite = bool(wave.spp) and 0 < wave.spp * math.prod(self.shape) < math.inf
+        if wave.kind not in ("uniform", "adaptive") or not (unlimited or is_finite):
             raise UserError(
                 f"strategy '{self.strategy.name}' planned {wave}; "
                 "kind must be 'uniform' or 'adaptive', spp a finite number above 0 (or None if adaptive)"

@@ -1,9 +1,9 @@
 """Schedules of waves. Waves grow with the samples so far, so that their number is logarithmic."""
 
-import math
 from collections.abc import Iterator
 
 from isonoise.strategies.base import Wave
+from isonoise.strategies.uniform_allocation import MAX_COUNT
 
 
 def uniform_waves(warmup: float, growth: float) -> Iterator[Wave]:
@@ -27,12 +27,12 @@ def alternating_waves(warmup: int, ratio: float, growth: float) -> Iterator[Wave
     """A uniform warm-up, then adaptive and uniform waves in turn without end.
 
     A pair of waves has `growth` times the samples so far, `ratio` adaptive ones for each uniform one. Uniform waves
-    have a whole number of samples per pixel, so that every pixel gets the same. With `ratio` inf there is no uniform
-    wave after the warm-up; adaptive waves have half of a pair's samples, as with ratio 1.
+    have a whole number of samples per pixel, so that every pixel gets the same. With `ratio` inf, or more than a pixel
+    can take, there is no uniform wave after the warm-up; adaptive waves have half of a pair's samples, as with ratio 1.
     """
     spp = float(warmup)
     yield Wave("uniform", warmup)
-    while ratio == math.inf:
+    while ratio > MAX_COUNT:
         yield Wave("adaptive", 0.5 * growth * spp)
         spp *= 1 + 0.5 * growth
     while True:

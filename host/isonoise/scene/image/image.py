@@ -52,7 +52,7 @@ def read_image(path: str | os.PathLike) -> Image:
         _check_size(width, height, 12, len(data), location)
         return Image(read_rgbe(data, location))
     if data[:4] == _EXR_MAGIC:
-        return Image(_read_exr(str(path), len(data), location))
+        return Image(_read_exr(os.fsencode(path), len(data), location))
     # TGA files have no magic number
     formats = ("TGA",) if Path(path).suffix.lower() == ".tga" else ("PNG", "JPEG", "BMP")
     return Image(_read_with_pillow(data, formats, location))
@@ -127,7 +127,7 @@ def _decode_with_pillow(data: bytes, formats: tuple[str, ...], mode: str, tiles:
     return np.atleast_3d(decode(mode="L" if mode in ("1", "L", "LA", "La") else "RGB"))
 
 
-def _read_exr(path: str, file_bytes: int, location: SourceLocation) -> np.ndarray:
+def _read_exr(path: bytes, file_bytes: int, location: SourceLocation) -> np.ndarray:
     """(height, width, 1 or 3) float32 of the first part."""
     import OpenEXR
 
