@@ -161,7 +161,7 @@ def _compile_geometry(description: dict[str, dict]) -> _Geometry:
 
 
 def _check_mesh_attributes(shapes: dict[str, dict], surfaces: dict[str, Surface]) -> None:
-    """Raise SceneError where a bsdf or an emitter uses a mesh attribute that its shape does not have."""
+    """Raise SceneError where a bsdf or an emitter uses a mesh attribute that its shape does not have as numbers."""
     used: dict[int, set[str]] = {}
     for name, shape in shapes.items():
         for part in (shape[key] for key in ("bsdf", "emitter") if key in shape):
@@ -172,6 +172,12 @@ def _check_mesh_attributes(shapes: dict[str, dict], surfaces: dict[str, Surface]
                 raise SceneError(
                     f"{name} has no attribute '{attribute}', which its {part['type']} uses (it has: {available})"
                 )
+            for attribute in used[id(part)]:
+                if not np.isfinite(surfaces[name].attributes[attribute]).all():
+                    raise SceneError(
+                        f"{name}: its attribute '{attribute}', which its {part['type']} uses, has a value that is no "
+                        "finite 32-bit number"
+                    )
 
 
 @dataclass(frozen=True)

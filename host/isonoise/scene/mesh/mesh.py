@@ -20,7 +20,7 @@ class Mesh:
     uvs: np.ndarray = field(default_factory=lambda: _NO_UVS)
     """(v, 2) float32 finite texture coordinates, zero for vertices without; or (0, 2)."""
     attributes: dict[str, np.ndarray] = field(default_factory=dict)
-    """Other values by Mitsuba 3's names, float32, not checked: 'vertex_...' are (v, c), 'face_...' (t, c)."""
+    """Other values by Mitsuba 3's names, float32, perhaps not finite: 'vertex_...' are (v, c), 'face_...' (t, c)."""
 
 
 @dataclass
