@@ -136,6 +136,9 @@ def test_a_signal_ends_the_render_with_a_valid_image(number):
     assert sorted(os.listdir()) == ["a.csv", "a.exr"]
 
 
+LIMITS = ("--spp", "--time", "--error")
+
+
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
@@ -161,7 +164,7 @@ def test_a_signal_ends_the_render_with_a_valid_image(number):
         ("--max-depth", "1" + "0" * 5000, "not a whole number"),
         ("--seed", "1" + "0" * 5000, "not a whole number"),
         ("--size", "1" + "0" * 5000 + "x1", "WIDTHxHEIGHT"),
-        *((limit, value, "from 1e-30 to 1e.30") for limit in ("--spp", "--time", "--error") for value in ("1e308", "1e-300")),
+        *((limit, value, "from 1e-30 to 1e+30") for limit in LIMITS for value in ("1e308", "1e-300")),
         ("-D", "name", "name=value"),
         ("-D", "=1", "name=value"),
         ("--strategy", "relative-medan", "relative-median"),

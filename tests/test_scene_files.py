@@ -14,6 +14,7 @@ import small_files
 from isonoise.cli import main
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load
+from isonoise.scene.builtin import find_scene
 from isonoise.scene.files import record_files
 
 SCENE = '<scene version="3.0.0"><sensor type="perspective"/>{}</scene>'
@@ -260,3 +261,20 @@ def test_the_command_line_allows_files_outside(tmp_path, capsys):
     assert main(["info", str(path)]) == 2
     assert "outside the scene's folder" in capsys.readouterr().err
     assert main(["info", str(path), "--allow-outside"]) == 0
+
+
+@pytest.mark.parametrize("option", ["-o", "--log"])
+@pytest.mark.parametrize("link", [None, os.symlink, os.link])
+def test_no_output_replaces_a_file_of_the_scene(option, link, tmp_path, capsys):
+    """An included file, by its name or by a link to it. Nothing is written."""
+    part = write(tmp_path / "part.exr", find_scene("cornell").read_bytes())
+    path = write(tmp_path / "main.xml", '<scene version="3.0.0"><include filename="part.exr"/></scene>')
+    output = part
+    if link:
+        output = tmp_path / "other.exr"
+        link(part, output)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    options = ["-o", str(tmp_path / "a.exr"), option, str(output)]
+    assert main(["render", str(path), "--size", "8x6", "--spp", "1", *options]) == 2
+    assert f"cannot write '{output}': the scene was read from this file" in capsys.readouterr().err
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before

@@ -12,6 +12,7 @@ from isonoise.commands.render_result import image_header, print_result, print_se
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.fallback import WrittenFile, write_elsewhere
+from isonoise.film.files import check_no_input
 from isonoise.film.log import LogRow, LogWriter, write_log
 from isonoise.film.output import ImageFiles
 from isonoise.loop import Periodic, RenderLoop
@@ -33,6 +34,7 @@ def run(options: argparse.Namespace) -> int:
         log = _Log(options.log, reference is not None, checkpoints.rows)
         stack.callback(log.close)
         renderer = _make_renderer(options)
+        check_no_input([*options.output, options.log, options.checkpoint], renderer.files)
         checkpoints.check(renderer)
         _check_reference_size(options, reference, renderer)
         raise_if_received()

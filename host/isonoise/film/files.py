@@ -57,6 +57,14 @@ def check_writable(path: str | os.PathLike) -> Path:
     return target
 
 
+def check_no_input(outputs: Iterable[str | os.PathLike | None], inputs: Iterable[Path]) -> None:
+    """Raise UserError if an output that is not None is a file of the scene, by any name."""
+    identities = {identity for identity in map(_identity, inputs) if identity}
+    for path in filter(None, outputs):
+        if _identity(path) in identities:
+            raise UserError(f"cannot write '{path}': the scene was read from this file; give another name")
+
+
 def write_atomically(path: str | os.PathLike, write: Callable[[Path], None]) -> None:
     """Call `write(temporary)`, which fills the empty file `temporary`, then rename it to `path`.
 
@@ -195,6 +203,14 @@ def _is_at(path: Path, descriptor: int) -> bool:
         return os.path.samestat(path.stat(), os.fstat(descriptor))
     except FileNotFoundError:
         return False
+
+
+def _identity(path: str | os.PathLike) -> tuple[int, int] | None:
+    """Device and inode of a file, which all its names share; None if there is none."""
+    with contextlib.suppress(OSError):
+        status = os.stat(path)
+        return status.st_dev, status.st_ino
+    return None
 
 
 def _reason(error: Exception) -> str:
