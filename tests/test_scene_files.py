@@ -263,7 +263,7 @@ def test_the_command_line_allows_files_outside(tmp_path, capsys):
     assert main(["info", str(path), "--allow-outside"]) == 0
 
 
-@pytest.mark.parametrize("option", ["-o", "--log"])
+@pytest.mark.parametrize("option", ["-o", "--log", "--checkpoint"])
 @pytest.mark.parametrize("link", [None, os.symlink, os.link])
 def test_no_output_replaces_a_file_of_the_scene(option, link, tmp_path, capsys):
     """An included file, by its name or by a link to it. Nothing is written."""
