@@ -186,7 +186,10 @@ INSTANCE = '<shape type="instance"><transform name="to_world">{}</transform><ref
 MALFORMED += [
     (GROUP.format("sphere") + INSTANCE.format('<scale x="0"/>'), "to_world cannot be inverted"),
     (GROUP.format("sphere") + INSTANCE.format('<scale value="1e-42"/>'), "exceeds the range of 32-bit floats"),
-    (GROUP.format("sphere") + INSTANCE.format('<translate x="1e30"/>'), "instance .* extends beyond 1e.18"),
+    (
+        GROUP.format("sphere") + 2 * INSTANCE.format("") + INSTANCE.format('<translate x="1e30"/>'),
+        "instance .* extends beyond 1e.18",
+    ),
     (
         GROUP.format("sphere")
         + INSTANCE.format('<rotate z="1" angle="3"/><scale x="1e-8" y="1e8"/><rotate z="1" angle="9"/>'),

@@ -299,8 +299,10 @@ def test_shapes_out_of_range():
         {"type": "cube", "to_world": np.diag([1e30, 1, 1, 1])},
         {"type": "rectangle", "to_world": np.diag([1e38, 1, 1, 1])},
     ):
+        # among shapes of usual size: alone it would be scaled down
+        usual = {f"near {i}": {"type": "rectangle"} for i in range(3)}
         with pytest.raises(SceneError, match=r"shape 'far' extends beyond 1e\+18"):
-            compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "far": shape}))
+            compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "far": shape, **usual}))
     for shape in (
         {"type": "cylinder", "radius": 1e38, "p1": [0, 0, 1e38], "to_world": HUGE},
         {"type": "disk", "to_world": TINY},

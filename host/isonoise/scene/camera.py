@@ -2,6 +2,7 @@
 
 import math
 import re
+import warnings
 
 import numpy as np
 
@@ -45,6 +46,18 @@ def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarr
     radius = {"box": 0.5, "tent": rfilter.get("radius"), "gaussian": _GAUSSIAN_RADIUS * stddev}
     camera["filter_radius"] = radius[rfilter["type"]]
     return camera, rfilter["type"]
+
+
+def warn_if_clipped(camera: np.ndarray, bounds: np.ndarray) -> None:
+    """Warn if near_clip or far_clip of a camera (1,) hides the whole scene, which is in the box (2, 3) `bounds`."""
+    to_world = camera["to_world"].reshape(3, 4).astype(float)
+    corners = np.stack(np.meshgrid(*bounds.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    depth = (corners - to_world[:, 3]) @ to_world[:, 2] / (to_world[:, 2] @ to_world[:, 2])
+    near, far = float(camera["near_clip"][0]), float(camera["far_clip"][0])
+    if 0 < depth.max() < near:
+        warnings.warn("the image shows no shape: all are nearer than near_clip", stacklevel=3)
+    if depth.min() > far:
+        warnings.warn("the image shows no shape: all are beyond far_clip", stacklevel=3)
 
 
 def _crop_window(film: dict) -> tuple[int, int, tuple[int, int], tuple[int, int]]:

@@ -7,15 +7,16 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene import structs, vocabulary
-from isonoise.scene.camera import compile_camera
+from isonoise.scene.camera import compile_camera, warn_if_clipped
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.geometry import (
+    Boxes,
     first_primitives,
     group_offsets,
     merge_analytics,
     merge_meshes,
     merge_uvs,
-    scene_bounds,
+    shape_boxes,
 )
 from isonoise.scene.image.image import read_image
 from isonoise.scene.instances import instance_records, split_instances
@@ -31,11 +32,13 @@ from isonoise.scene.material.bsdfs import Bsdfs, mark_pass_through, reads_uvs
 from isonoise.scene.material.media import Media
 from isonoise.scene.material.textures import MeshAttributes, Textures, mesh_attributes_used
 from isonoise.scene.mesh.surfaces import Surface, make_surface
+from isonoise.scene.placement import UNPLACED, Placement, find_placement, place_scene, warn_where_rounded
 
 _DEFAULT_BSDF = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's, for a shape without a bsdf
 _EMITTER_BSDF = {"type": "diffuse", "reflectance": 0.0}  # Mitsuba 3's, for an emissive shape without a bsdf
 _DEFAULT_INTEGRATOR = {"type": "path", "max_depth": -1, "rr_depth": 5, "hide_emitters": False}
 _DIRECT_MAX_DEPTH = 2  # of the integrator `direct`: light that arrives over one bounce
+_MAX_PLACEMENTS = 4  # each finds the scene to 2^-24 of its distance from the last one
 _SAMPLE_COUNT = 4  # Mitsuba 3's, for a sensor without a sampler
 
 
@@ -67,15 +70,18 @@ def compile_scene(
     SceneError
         If a mesh or an image cannot be read, or numbers exceed the range of the device.
     """
+    description, geometry, placement = _place_geometry(description)
     sensor = next(iter(_objects_of_kind(description, "sensor").values()))
     camera, filter_name = compile_camera(sensor, size)
+    world = geometry.boxes[0]
+    warn_where_rounded(world.names, world.corners, camera, placement)
+    warn_if_clipped(camera, world.union())
     integrator = _integrator_settings(description, max_depth)
-    geometry = _compile_geometry(_objects_of_kind(description, "shape"))
     materials = _compile_materials(geometry, sensor.get("medium"), integrator["volumetric"])
     emitters = _objects_of_kind(description, "emitter")
     environment = _environment_map(emitters)
     area_lights = list(materials.area_lights.values())
-    lights = compile_lights(area_lights, list(emitters.values()), environment, materials.textures, geometry.bounds)
+    lights = compile_lights(area_lights, list(emitters.values()), environment, materials.textures, world.union())
     is_analytic = lights.records["kind"] & ANALYTIC_LIGHTS != 0
     shape_of_light = geometry.arrays["analytics"]["shape"][lights.records["primitive"][is_analytic]]
     materials.arrays["shapes"]["light"][shape_of_light] = np.flatnonzero(is_analytic)
@@ -133,12 +139,29 @@ class _Geometry:
 
     shapes: list[dict]  # of the description
     surfaces: list[Surface]  # of the shapes
-    bounds: np.ndarray  # (2, 3) float64
+    group_ids: list[int]  # id() of the description of each shape group
+    boxes: list[Boxes]  # of the world, then of the groups
     arrays: dict[str, np.ndarray]  # fields of CompiledScene
 
     @property
     def meshes(self) -> list[Surface]:
         return [surface for surface in self.surfaces if surface.analytic is None]
+
+
+def _place_geometry(description: dict) -> tuple[dict, _Geometry, Placement]:
+    """The description, near the origin and of a size near 1 if it was far from that, its geometry and its placement."""
+    placed, geometry = description, _compile_geometry(_objects_of_kind(description, "shape"))
+    group_ids, placements = geometry.group_ids, [UNPLACED] * len(geometry.boxes)
+    for _ in range(_MAX_PLACEMENTS):
+        found = [find_placement(space.corners) for space in geometry.boxes]
+        if all(placement.is_identity for placement in found):
+            break
+        placements = [earlier.then(later) for earlier, later in zip(placements, found, strict=True)]
+        placed = place_scene(description, placements[0], dict(zip(group_ids, placements[1:], strict=True)))
+        geometry = _compile_geometry(_objects_of_kind(placed, "shape"))
+    for space in geometry.boxes:
+        space.check()
+    return placed, geometry, placements[0]
 
 
 def _compile_geometry(description: dict[str, dict]) -> _Geometry:
@@ -147,7 +170,8 @@ def _compile_geometry(description: dict[str, dict]) -> _Geometry:
     for shapes, surfaces in zip((world, *groups), spaces, strict=True):
         _check_mesh_attributes(shapes, surfaces)
     instances = instance_records(instanced)
-    bounds = scene_bounds(spaces, instances, list(instanced))
+    boxes = shape_boxes(spaces, instances, list(instanced))
+    group_ids = dict.fromkeys(id(instance["shape"]) for instance, _ in instanced.values())
     shapes = [shape for space in (world, *groups) for shape in space.values()]
     surfaces = [surface for space in spaces for surface in space.values()]
     arrays = {
@@ -155,9 +179,9 @@ def _compile_geometry(description: dict[str, dict]) -> _Geometry:
         "analytics": merge_analytics(surfaces),
         "instances": instances,
         "group_offsets": group_offsets(spaces),
-        "bounds": bounds.astype(np.float32),
+        "bounds": boxes[0].union().astype(np.float32),
     }
-    return _Geometry(shapes, surfaces, bounds, arrays)
+    return _Geometry(shapes, surfaces, list(group_ids), boxes, arrays)
 
 
 def _check_mesh_attributes(shapes: dict[str, dict], surfaces: dict[str, Surface]) -> None:

@@ -3,6 +3,8 @@
 Called by `compile.py`. A space is the world or a shape group; each is a dict of surfaces by the name for errors.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from isonoise.errors import SceneError
@@ -71,28 +73,41 @@ def group_offsets(spaces: list[dict[str, Surface]]) -> np.ndarray:
     return np.cumsum(counts, axis=0, dtype=np.uint32)
 
 
-def scene_bounds(spaces: list[dict[str, Surface]], instances: np.ndarray, instance_names: list[str]) -> np.ndarray:
-    """(2, 3) float64: corners of the box around all surfaces and instances of the world; zeros if it is empty."""
-    boxes = [_union({name: surface.bounds for name, surface in space.items()}) for space in spaces]
-    if not len(instances):
-        return boxes[0]
-    extents = np.stack(instance_extents(instances, np.stack(boxes)[instances["root"]]), axis=1)
-    instance_box = _union(dict(zip(instance_names, extents, strict=True)))
-    return _union({"world": boxes[0], "instances": instance_box}) if spaces[0] else instance_box
+@dataclass(frozen=True)
+class Boxes:
+    """The boxes around the shapes of a space; in the world, instances follow the other shapes."""
+
+    names: list[str]  # for errors
+    corners: np.ndarray  # (n, 2, 3) float64
+
+    def union(self) -> np.ndarray:
+        """The box (2, 3) around all; zeros if there are none."""
+        if not self.names:
+            return np.zeros((2, 3))
+        return np.stack([self.corners[:, 0].min(axis=0), self.corners[:, 1].max(axis=0)])
+
+    def check(self) -> None:
+        """Raise SceneError if distances overflow."""
+        largest = np.abs(self.corners).max(axis=(1, 2))
+        if not largest.max(initial=0) <= _MAX_COORDINATE:
+            raise SceneError(
+                f"{self.names[int(np.argmax(largest))]} extends beyond {_MAX_COORDINATE:g}: distances overflow 32-bit "
+                "floats; scale the scene down"
+            )
 
 
-def _union(boxes: dict[str, np.ndarray]) -> np.ndarray:
-    """The box (2, 3) around named boxes; zeros if there are none."""
-    if not boxes:
-        return np.zeros((2, 3))
-    corners = np.stack(list(boxes.values()))
-    largest = int(np.argmax(np.abs(corners).max(axis=(1, 2))))
-    if not np.abs(corners[largest]).max() <= _MAX_COORDINATE:
-        raise SceneError(
-            f"{list(boxes)[largest]} extends beyond {_MAX_COORDINATE:g}: distances overflow 32-bit floats; "
-            "scale the scene down"
-        )
-    return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+def shape_boxes(spaces: list[dict[str, Surface]], instances: np.ndarray, instance_names: list[str]) -> list[Boxes]:
+    """The boxes of all spaces; the world is first."""
+    boxes = [
+        Boxes(list(space), np.array([surface.bounds for surface in space.values()]).reshape(-1, 2, 3))
+        for space in spaces
+    ]
+    if len(instances):
+        unions = np.stack([space.union() for space in boxes])
+        extents = np.stack(instance_extents(instances, unions[instances["root"]]), axis=1)
+        corners = np.concatenate([boxes[0].corners, extents])
+        boxes[0] = Boxes([*boxes[0].names, *instance_names], corners)
+    return boxes
 
 
 def _concatenate(arrays: list[np.ndarray], dtype) -> np.ndarray:

@@ -5,6 +5,7 @@ path hits nothing; that is read from the hits, because a path that ends at a hit
 Inside a closed body every path reaches the maximum depth: a path that ends earlier has leaked out.
 """
 
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -29,7 +30,9 @@ MESH = "mesh of 1,280 triangles"
 
 def _rays_by_bounce(context: Context, description: dict, spp: int = SPP) -> list[tuple[int, int]]:
     """Returns for each bounce the number of rays and the number of hits."""
-    compiled = compile_scene(load(description))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of bodies that are coarse where they are
+        compiled = compile_scene(load(description))
     wavefront = Wavefront(context.device, compiled, build_scene_bvh(compiled), seed=1, pool_size=2**17)
     arguments, bounces = wavefront.stages.arguments, []
 
@@ -72,6 +75,13 @@ def _convex_bodies(scale: float, offset: float) -> dict[str, dict]:
     }
 
 
+def _with_copies_at_the_origin(body_name: str, scale: float, offset: float) -> dict[str, dict]:
+    """Returns the body. If it is far away, two copies at the origin, out of sight, keep the scene from being moved."""
+    body = _white(_convex_bodies(scale, offset)[body_name])
+    copy = _white(_convex_bodies(scale, 0.0)[body_name])
+    return {"body": body, **({"copy": copy, "second copy": copy} if offset else {})}
+
+
 def convex_bodies(context: Context) -> Iterator[Case]:
     """Rays leave convex bodies and do not hit them again."""
     for size_name, scale, offset in (*SIZES, FAR_BODY):
@@ -81,9 +91,9 @@ def convex_bodies(context: Context) -> Iterator[Case]:
 
 def convex_body(context: Context, body_name: str, size_name: str, scale: float, offset: float) -> Case:
     """Returns the case of one body of one size."""
-    body = _white(_convex_bodies(scale, offset)[body_name])
+    bodies = _with_copies_at_the_origin(body_name, scale, offset)
     camera = look_at(offset + scale * np.array([0.5, -3.0, 1.0]), (offset,) * 3)
-    scene = make_scene(camera, SIDE, 4, sensor={"near_clip": 1e-4 * scale}, body=body)
+    scene = make_scene(camera, SIDE, 4, sensor={"near_clip": 1e-4 * scale}, **bodies)
     hits = _rays_by_bounce(context, scene)[1][1]
     return count_case(f"{body_name}, {size_name}: rays that leave it and hit it again", hits, "none: it is convex")
 
@@ -97,10 +107,10 @@ def closed_bodies(context: Context) -> Iterator[Case]:
     paths = SIDE * SIDE * SPP // 2
     for size_name, scale, offset in (*SIZES, FAR_ROOM):
         camera = look_at((offset,) * 3, offset + scale * np.array([1.0, 0.4, -0.3]))
-        bodies = _convex_bodies(scale, offset)
         for body_name in ("sphere", "cube", MESH):
+            bodies = _with_copies_at_the_origin(body_name, scale, offset)
             lens = {"near_clip": 1e-4 * scale}
-            scene = make_scene(camera, SIDE, DEPTH, 90.0, lens, body=_white(bodies[body_name]))
+            scene = make_scene(camera, SIDE, DEPTH, 90.0, lens, **bodies)
             bounces = _rays_by_bounce(context, scene, SPP // 2)
             missing = DEPTH * paths - sum(rays for rays, _ in bounces)
             name = f"in a {body_name}, {size_name}: of {DEPTH * paths:,} rays, missing"

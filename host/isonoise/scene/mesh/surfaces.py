@@ -16,7 +16,10 @@ from isonoise.scene import structs, transforms
 from isonoise.scene.accel.bounds import analytic_extents
 from isonoise.scene.mesh.load_mesh import load_mesh
 from isonoise.scene.mesh.mesh import normalize, smooth_normals, used_vertices, vector_lengths
+from isonoise.scene.placement import FLOAT_STEP
 
+_MAX_ROUNDING = 2.0**-10
+"""Of a mesh's vertices in its own space, over its size: beyond it there is a warning."""
 _NO_NORMALS = np.zeros((0, 3), np.float32)
 
 
@@ -60,6 +63,7 @@ def make_surface(shape: dict, name: str) -> Surface:
 
 def _triangles(shape: dict, to_world: np.ndarray, name: str) -> Surface:
     mesh = load_mesh(shape)
+    _warn_if_coarse(mesh.vertices, name)
     vertices = transforms.transform_points(to_world, mesh.vertices)
     faces = mesh.faces
     if shape["type"] in ("rectangle", "cube"):
@@ -90,6 +94,18 @@ def _triangles(shape: dict, to_world: np.ndarray, name: str) -> Surface:
         attributes=mesh.attributes,
         reversed_winding=faces[:, 0] != mesh.faces[:, 0],
     )
+
+
+def _warn_if_coarse(vertices: np.ndarray, name: str):
+    """Warn if a mesh file has rounded its own vertices: 32-bit floats, far from their origin."""
+    largest, size = np.abs(vertices).max(), np.ptp(vertices, axis=0).max()
+    rounding = FLOAT_STEP * largest / size if size > 0 else 0.0
+    if rounding > _MAX_ROUNDING and (vertices == vertices.astype(np.float32)).all():
+        warnings.warn(
+            f"{name}: its vertices are 32-bit floats far from their origin, rounded to {rounding:.1%} of its size; "
+            "export it again, near the origin",
+            stacklevel=2,
+        )
 
 
 def _wind_like_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
