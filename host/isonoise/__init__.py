@@ -14,14 +14,19 @@ __version__ = "0.1.0"
 
 _PUBLIC_NAMES = {
     "Needs": "isonoise.statistics",
+    "Periodic": "isonoise.loop",
+    "RenderLoop": "isonoise.loop",
     "Renderer": "isonoise.renderer",
+    "State": "isonoise.state",
     "Statistics": "isonoise.statistics",
-    "Stops": "isonoise.loop",
+    "Stops": "isonoise.stops",
     "Strategy": "isonoise.strategies",
     "Wave": "isonoise.strategies",
     "load": "isonoise.scene",
+    "read_checkpoint": "isonoise.state.checkpoint",
     "render": "isonoise.loop",
     "render_loop": "isonoise.loop",
+    "write_checkpoint": "isonoise.state.checkpoint",
 }
 __all__ = sorted(_PUBLIC_NAMES)
 

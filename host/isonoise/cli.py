@@ -316,7 +316,7 @@ def _add_info(commands) -> None:
         description="For a scene: its contents, the features that are compiled in, and those that are left out.\n"
         "For an .exr file: its layers and the settings it was rendered with.",
     )
-    info.add_argument("source", metavar="SCENE|OUT.exr", help="a scene file, a built-in scene, or an image")
+    info.add_argument("source", metavar="SCENE|OUT.exr|CHECKPOINT", help="a scene, an image, or a file of --checkpoint")
     _add_scene_parameters(info)
     _add_allow_outside(info)
 

@@ -208,9 +208,9 @@ class RenderLoop:
         error = math.inf if self._error is None else self._error
         return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics), error, bound)
 
-    def state(self) -> State:
-        """Return all that the render is, to continue it later. Waits for the device. Raises as `Renderer.state`."""
-        state = self.renderer.state()
+    def state(self, reuse: State | None = None) -> State:
+        """Return all that the render is, to continue it later. Waits for the device. As `Renderer.state`."""
+        state = self.renderer.state(reuse)
         values = {
             "rows": [row_values(row) for row in self.rows],
             "elapsed_s": self._elapsed(),

@@ -266,8 +266,13 @@ class Renderer:
         """What the image depends on, as plain values: the settings of a `State`."""
         return render_settings(self)
 
-    def state(self) -> State:
+    def state(self, reuse: State | None = None) -> State:
         """Return all that the render is, also in the middle of a wave. Waits for the device.
+
+        Parameters
+        ----------
+        reuse : State or None
+            An earlier state of this render, whose arrays may be overwritten: new memory takes longer than the copy.
 
         Raises
         ------
@@ -276,7 +281,7 @@ class Renderer:
         UserError
             If the strategy keeps something that cannot be stored.
         """
-        reduction = self._wavefront.accumulator.state()
+        reduction = self._wavefront.accumulator.state({} if reuse is None else reuse.group("reduction"))
         samples = sum(int(reduction[name].sum(dtype=np.int64)) for name in ("count", "rejected"))
         if samples != self.samples:
             raise DeviceError(f"the device holds {samples} samples of {self.samples}: the render cannot be continued")

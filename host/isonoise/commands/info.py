@@ -1,4 +1,4 @@
-"""`isonoise info`: a scene's contents and compiled features, or an image's layers and render settings."""
+"""`isonoise info`: contents and compiled features of a scene, layers and settings of an image, or a checkpoint."""
 
 import argparse
 from pathlib import Path
@@ -13,6 +13,7 @@ from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.material import textures
 from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
+from isonoise.state.describe import describe_checkpoint, is_checkpoint
 from isonoise.tables import label_lines
 
 SHAPES = {structs.ANALYTIC_SPHERE: "spheres", structs.ANALYTIC_DISK: "disks", structs.ANALYTIC_CYLINDER: "cylinders"}
@@ -30,6 +31,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code. Raises UserError if the file cannot be read."""
     if Path(options.source).suffix.lower() == ".exr":
         _print_image(options.source)
+    elif is_checkpoint(options.source):
+        print(label_lines(describe_checkpoint(options.source)))
     else:
         _print_scene(options)
     return EXIT_DONE

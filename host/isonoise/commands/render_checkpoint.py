@@ -73,12 +73,12 @@ class Checkpoints:
 
     def periodic(self) -> list[Periodic]:
         """What the render loop does at intervals."""
-        return [Periodic(self._interval_s, self._save)] if self.path else []
+        return [Periodic(self._interval_s, self.keep)] if self.path else []
 
     def keep(self, loop: RenderLoop) -> None:
-        """Begin to write the last state of a render, which `end` completes; for `RenderLoop.on_end`."""
+        """Begin to write the state of a render, unless it has no samples; `end` completes the last one."""
         if self.path and loop.renderer.samples:
-            self._begin(loop.state())
+            self._save(loop)
 
     def end(self) -> WrittenFile | None:
         """Wait for the last checkpoint, which goes to another place if it cannot be written; None if there is none."""
@@ -97,10 +97,6 @@ class Checkpoints:
             self._lock.release()
 
     def _save(self, loop: RenderLoop) -> None:
-        if loop.renderer.samples:
-            self._begin(loop.state())
-
-    def _begin(self, state: State) -> None:
         """Begin to write a state. The render goes on if the one before could not be written."""
         try:
             self._writer.finish()
@@ -108,8 +104,9 @@ class Checkpoints:
             if not self._has_warned:
                 _warn(f"{error}; the render goes on without checkpoints until one can be written")
             self._has_warned = True
-        self._last_state = state
-        self._writer.begin(state)
+        reuse, self._last_state = self._last_state, None
+        self._last_state = loop.state(reuse)
+        self._writer.begin(self._last_state)
 
 
 def _complete(options: argparse.Namespace, state: State | None) -> None:

@@ -255,10 +255,10 @@ class Device:
         self._cl.enqueue_copy(self.queue, buffer, np.ascontiguousarray(array), dst_offset=offset)
 
     @reports_failures("reading a buffer")
-    def read(self, buffer, dtype, count: int, offset: int = 0) -> np.ndarray:
-        """Elements `offset` to `offset` + `count` of the buffer. Waits for the device."""
+    def read(self, buffer, dtype, count: int, offset: int = 0, out: np.ndarray | None = None) -> np.ndarray:
+        """Elements `offset` to `offset` + `count` of the buffer, in `out` if given. Waits for the device."""
         dtype = np.dtype(dtype)
-        array = np.empty(count, dtype)
+        array = np.empty(count, dtype) if out is None else out.reshape(-1)
         if count:
             self._cl.enqueue_copy(self.queue, array, buffer, src_offset=offset * dtype.itemsize)
             self._after_wait()

@@ -84,6 +84,7 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], None]) -> 
             _copy_permissions(target, temporary)
             _flush_to_disk(temporary)
             os.replace(temporary, target)
+            _flush_folder(target.parent)
     except OSError as error:
         raise UserError(f"cannot write '{path}': {_reason(error)}") from error
 
@@ -166,6 +167,16 @@ def _copy_permissions(source: Path, target: Path) -> None:
 def _flush_to_disk(path: Path) -> None:
     with open(path, "rb+") as file:
         os.fsync(file.fileno())
+
+
+def _flush_folder(path: Path) -> None:
+    """Let the new name survive a crash of the machine; not every system can do that."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _remove_abandoned(paths: Iterable[Path]) -> None:

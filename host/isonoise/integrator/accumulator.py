@@ -1,6 +1,8 @@
 """The per-pixel statistics on the device: the planes that the stage `reduce` updates, and reading them on the host."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -143,17 +145,18 @@ class Accumulator:
         for planes in self._planes.values():
             self._device.write(planes.buffer, np.zeros(planes.number * self.pixels, np.uint32))
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self, reuse: Mapping[str, np.ndarray] = MappingProxyType({})) -> dict[str, np.ndarray]:
         """Read the state of `reduce`: name -> (planes, height, width) float32 or uint32. Waits for the device.
 
-        With it and the sample counts, later samples have the same effect as without a stop.
+        With it and the sample counts, later samples have the same effect as without a stop. Arrays of an earlier state
+        may be given to `reuse`; they are overwritten.
         """
-        return {
-            name: self._device.read(planes.buffer, planes.dtype, planes.number * self.pixels).reshape(
-                planes.number, *self._shape
-            )
-            for name, planes in self._planes.items()
-        }
+        state = {}
+        for name, planes in self._planes.items():
+            count = planes.number * self.pixels
+            array = self._device.read(planes.buffer, planes.dtype, count, out=reuse.get(name))
+            state[name] = array.reshape(planes.number, *self._shape)
+        return state
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Write what `state` has returned. Raises ValueError if it is that of other statistics or another size."""

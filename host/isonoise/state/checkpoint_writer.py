@@ -1,11 +1,15 @@
 """Writes the checkpoints of a render in the background, so that the render goes on meanwhile."""
 
+import contextlib
 import os
 import threading
 
 from isonoise.errors import UserError
 from isonoise.state.checkpoint import write_checkpoint
 from isonoise.state.state import State
+
+_NICENESS = 10
+"""Of the thread, so that it takes the time in which the render leaves a core idle."""
 
 
 class CheckpointWriter:
@@ -38,6 +42,8 @@ class CheckpointWriter:
             raise failure
 
     def _write(self, state: State) -> None:
+        with contextlib.suppress(AttributeError, OSError):  # on Linux: of this thread alone
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
             write_checkpoint(self.path, state)
         except UserError as error:
