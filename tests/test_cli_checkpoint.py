@@ -1,0 +1,118 @@
+"""Checkpoints and merging on the command line: options, limits, the log, refusals, failing writes."""
+
+import csv
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isonoise.cli import main
+from isonoise.film.exr import read_exr
+from isonoise.state import checkpoint_writer
+from isonoise.state.checkpoint import read_checkpoint
+
+SMALL = ("render", "cornell", "--size", "16x12")
+PIXELS = 16 * 12
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def isonoise(*arguments) -> int:
+    """Run a command in this process; return its exit code."""
+    return main([str(argument) for argument in arguments])
+
+
+def rows(path: str) -> list[dict]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def channels(path: str) -> dict[str, np.ndarray]:
+    return read_exr(path)[0]
+
+
+def test_options_and_limits_come_from_the_checkpoint(capsys):
+    settings = ("--seed", 9, "--strategy", "pooled:warmup=8", "--max-depth", 4)
+    assert isonoise(*SMALL, *settings, "--spp", 20, "-o", "a.exr", "--checkpoint", "c.npz", "--log", "a.csv") == 0
+    before = rows("a.csv")
+    assert isonoise("render", "cornell", "-o", "same.exr", "--resume", "c.npz") == 0
+    assert all(
+        np.array_equal(a, b) for a, b in zip(*(channels(f).values() for f in ("a.exr", "same.exr")), strict=True)
+    )
+    capsys.readouterr()
+    assert isonoise("render", "cornell", "-o", "b.exr", "--resume", "c.npz", "--spp", 32, "--log", "a.csv") == 0
+    assert "warmup=8" in (out := capsys.readouterr().out)
+    assert "seed 9" in out
+    assert "state     c.npz" in out
+    assert int(channels("b.exr")["samples"].sum()) == 32 * PIXELS
+    after = rows("a.csv")
+    assert after[: len(before)] == before
+    assert len(after) > len(before)
+    assert read_checkpoint("c.npz").values["renderer"]["samples"] == 32 * PIXELS
+
+
+def test_only_what_belongs_together_is_continued(capsys):
+    assert isonoise(*SMALL, "--spp", 1, "-o", "a.exr", "--checkpoint", "c.npz") == 0
+    content = Path("c.npz").read_bytes()
+    for options, message in [
+        (("--checkpoint", "c.npz"), "c.npz exists"),
+        (("--resume", "c.npz", "--seed", 1), "the seed was 0 and is now 1"),
+        (("--resume", "c.npz", "--size", "8x8"), "the image size was 16x12 and is now 8x8"),
+        (("--resume", "missing.npz"), "cannot read 'missing.npz'"),
+        (("--resume", "a.exr"), "it is not a checkpoint"),
+        (("--resume", "c.npz", "--checkpoint", "b.exr"), "same file"),
+        (("--resume", "c.npz", "--reference", "a.exr"), "another --reference"),
+    ]:
+        assert isonoise("render", "cornell", "-o", "b.exr", *options) == 2, options
+        assert message in capsys.readouterr().err
+    assert isonoise("render", "penumbra", "-o", "b.exr", "--resume", "c.npz") == 2
+    assert "the scene 'cornell' differs from 'penumbra'" in capsys.readouterr().err
+    assert Path("c.npz").read_bytes() == content
+    assert not os.path.exists("b.exr")
+
+
+def test_one_file_for_both_options_begins_or_continues():
+    both = ("--checkpoint", "c.npz", "--resume", "c.npz")
+    assert isonoise(*SMALL, *both, "--spp", 1, "-o", "a.exr") == 0
+    assert isonoise(*SMALL, *both, "--spp", 3, "-o", "a.exr") == 0
+    assert int(channels("a.exr")["samples"].sum()) == 3 * PIXELS
+    assert sorted(os.listdir()) == ["a.exr", "c.npz"]
+
+
+def test_merged_renders(capsys):
+    for seed in (1, 2):
+        options = ("--seed", seed, "--spp", 8, "--strategy", "uniform")
+        assert isonoise(*SMALL, *options, "-o", f"{seed}.exr", "--checkpoint", f"{seed}.npz") == 0
+    assert isonoise("merge", "1.npz", "2.npz", "-o", "m.exr", "-o", "m.png", "--checkpoint", "m.npz") == 0
+    a, b, merged = (channels(f"{name}.exr") for name in ("1", "2", "m"))
+    for name in "RGB":
+        np.testing.assert_allclose(merged[name], (a[name].astype(float) + b[name]) / 2, rtol=1e-6, atol=0)
+    assert (merged["samples"] == 16).all()
+    capsys.readouterr()
+    for options, message in [(("1.npz", "m.npz"), "the same seed, 1"), (("1.npz", "1.npz"), "named twice")]:
+        assert isonoise("merge", *options, "-o", "n.exr") == 2
+        assert message in capsys.readouterr().err
+    assert isonoise("render", "cornell", "-o", "n.exr", "--resume", "m.npz") == 2
+    assert "a merged render cannot be continued" in capsys.readouterr().err
+    assert isonoise("info", "m.npz") == 0
+    assert "3,072, 16 per pixel" in capsys.readouterr().out
+
+
+def test_a_checkpoint_that_cannot_be_written_does_not_stop_the_render(capsys, monkeypatch):
+    def fail(path, state):
+        time.sleep(0.01)
+        raise checkpoint_writer.UserError(f"cannot write '{path}': No space left on device")
+
+    monkeypatch.setattr(checkpoint_writer, "write_checkpoint", fail)
+    options = ("--spp", 2000, "--checkpoint", "c.npz", "--checkpoint-every", 0.1)
+    assert isonoise(*SMALL, *options, "-o", "a.exr") == 2
+    err = capsys.readouterr().err
+    assert err.count("the render goes on without checkpoints") == 1
+    assert "it is in" in err
+    assert int(channels("a.exr")["samples"].sum()) == 2000 * PIXELS
+    assert read_checkpoint("c.rescued.npz").values["renderer"]["samples"] == 2000 * PIXELS
