@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from isonoise.cli import main
+from isonoise.device.opencl import Device
+from isonoise.errors import DeviceError
 from isonoise.film.exr import read_exr
 from isonoise.state import checkpoint_writer
 from isonoise.state.checkpoint import read_checkpoint
@@ -116,3 +118,31 @@ def test_a_checkpoint_that_cannot_be_written_does_not_stop_the_render(capsys, mo
     assert "it is in" in err
     assert int(channels("a.exr")["samples"].sum()) == 2000 * PIXELS
     assert read_checkpoint("c.rescued.npz").values["renderer"]["samples"] == 2000 * PIXELS
+
+
+def test_a_lost_device_leaves_the_last_checkpoint_and_the_last_image(capsys, monkeypatch):
+    """Every read fails after the first checkpoint, from which the render then continues with the same bits."""
+    options = ("--spp", 2000, "--strategy", "uniform")
+    assert isonoise(*SMALL, *options, "-o", "unbroken.exr") == 0
+
+    def failing(method):
+        def wrapper(*arguments, **named):
+            if os.path.exists("c.npz"):
+                raise DeviceError("the device was lost: CL_DEVICE_NOT_AVAILABLE")
+            return method(*arguments, **named)
+
+        return wrapper
+
+    with monkeypatch.context() as patch:
+        for name in ("read", "mapped", "begin_read"):
+            patch.setattr(Device, name, failing(getattr(Device, name)))
+        checkpoints = ("--checkpoint", "c.npz", "--checkpoint-every", 0.1)
+        assert isonoise(*SMALL, *options, *checkpoints, "-o", "a.exr") == 2
+    err = capsys.readouterr().err
+    assert "the device was lost" in err
+    assert "an earlier one stays" in err
+    assert 0 < read_checkpoint("c.npz").values["renderer"]["samples"] < 2000 * PIXELS
+    assert 0 < channels("a.exr")["samples"].sum() < 2000 * PIXELS
+    assert isonoise(*SMALL, "-o", "a.exr", "--resume", "c.npz") == 0
+    unbroken = channels("unbroken.exr")
+    assert all(np.array_equal(plane, unbroken[name]) for name, plane in channels("a.exr").items())
