@@ -25,7 +25,9 @@ NAMES = {
     "max_depth": "max_depth",
     "parameters": "scene parameters (-D)",
 }
-"""Settings with a value of their own -> name in messages. The others are compared as `scene_differences` says."""
+"""Settings with a value of their own -> name in messages."""
+_NOT_IN_THE_SCENE = ("max_depth", "sampler", "sample_count", "hash")
+"""Fields of `CompiledScene` with a setting of their own, or that follow from the others."""
 
 
 def render_settings(renderer) -> dict[str, object]:
@@ -82,29 +84,27 @@ def differences_of(stored: Mapping[str, object], current: Mapping[str, object], 
         for key in names
         if stored[key] != current[key]
     ]
-    return values + scene_differences(stored, current)
+    return values + _scene_differences(stored, current)
 
 
-def scene_differences(stored: Mapping[str, object], current: Mapping[str, object]) -> list[str]:
+def _scene_differences(stored: Mapping[str, object], current: Mapping[str, object]) -> list[str]:
     """How the scenes differ, as clauses: their files if one has changed, else the compiled arrays and settings.
 
-    Another size, sampler or depth is no difference of the scene. Files that changed without effect do not count.
+    Files that changed without an effect do not count, nor does another size or depth.
     """
-    parts, now = (dict(settings["scene_parts"]) for settings in (stored, current))
-    for name in ("camera", "max_depth", "sampler", "sample_count", "hash"):
-        if name != "camera" or stored["size"] != current["size"]:
-            parts.pop(name, None), now.pop(name, None)
-    changed_parts = [name for name in parts.keys() | now.keys() if parts.get(name) != now.get(name)]
+    parts, now = stored["scene_parts"], current["scene_parts"]
+    ignored = _NOT_IN_THE_SCENE if stored["size"] == current["size"] else (*_NOT_IN_THE_SCENE, "camera")
+    changed_parts = [name for name in parts if parts[name] != now.get(name) and name not in ignored]
     if not changed_parts:
         return []
     files, files_now = stored["files"], current["files"]
     clauses = [f"'{name}' has changed" for name in files if name in files_now and files[name] != files_now[name]]
     clauses += [f"'{name}' was read and is no longer" for name in files if name not in files_now]
     clauses += [f"'{name}' was not read before" for name in files_now if name not in files]
-    if clauses and len(clauses) < 2 * len(files):
+    has_same_name = next(iter(files), None) == next(iter(files_now), None)  # the scene's own file comes first
+    if clauses and has_same_name:
         return clauses
-    described = ", ".join(sorted(changed_parts))
-    return [f"the scene '{stored['scene']}' differs from '{current['scene']}' in: {described}"]
+    return [f"the scene '{stored['scene']}' differs from '{current['scene']}' in: {', '.join(changed_parts)}"]
 
 
 def _text(value: object) -> str:
