@@ -14,6 +14,7 @@ from isonoise.renderer import Renderer
 from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
 from isonoise.state.checkpoint_writer import CheckpointWriter
 from isonoise.state.state import State, split_strategy_state
+from isonoise.strategies.registry import is_built_in
 
 _OPTIONS = ("seed", "strategy", "sampler", "size", "max_depth", "parameters")
 """Options that a continued render takes from the checkpoint if they are not given."""
@@ -113,6 +114,11 @@ def _complete(options: argparse.Namespace, state: State | None) -> None:
     """Set the options that were not given."""
     if state is not None and "loop" in state.values:
         stored = state.settings["overrides"] | {name: state.settings[name] for name in ("seed", "strategy")}
+        if options.strategy is None and not is_built_in(stored["strategy"]):
+            raise UserError(
+                f"--resume {options.resume}: the strategy '{stored['strategy']}' is no part of isonoise, and a file "
+                "does not choose which code runs; name it again with --strategy"
+            )
         for name in _OPTIONS:
             if getattr(options, name) is None:
                 value = stored[name]

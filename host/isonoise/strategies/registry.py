@@ -59,6 +59,11 @@ def make_strategy(spec: str | Strategy) -> Strategy:
     return strategy(**_convert(head, strategy, parameters))
 
 
+def is_built_in(spec: str) -> bool:
+    """Whether the strategy that `spec` names is a part of isonoise, so that making it imports no other code."""
+    return _split(spec)[0] in BUILT_IN
+
+
 def describe(strategy: Strategy) -> str:
     """The spec that makes this strategy again, with every parameter; for file headers and listings.
 
