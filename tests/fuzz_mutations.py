@@ -102,6 +102,30 @@ def mutate_glb(data: bytes, rng: random.Random) -> bytes:
         return mutate_bytes(data, rng)
     length = int.from_bytes(data[12:16], "little")
     header, rest = json.loads(data[20 : 20 + length]), data[20 + length :]
+    _mutate_values(header, rng)
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    return (
+        data[:8]
+        + (20 + len(text) + len(rest)).to_bytes(4, "little")
+        + len(text).to_bytes(4, "little")
+        + data[16:20]
+        + text
+        + rest
+    )
+
+
+def mutate_json(data: bytes, rng: random.Random) -> bytes:
+    """Change values; in 30 % of the cases mutate any bytes."""
+    if rng.random() < 0.3:
+        return mutate_bytes(data, rng)
+    content = json.loads(data)
+    _mutate_values(content, rng)
+    return json.dumps(content).encode()
+
+
+def _mutate_values(header: dict, rng: random.Random) -> None:
+    """Remove or replace one to four values, at any depth."""
     for _ in range(rng.choice((1, 1, 2, 4))):
         containers = [header]
         for container in containers:
@@ -115,16 +139,6 @@ def mutate_glb(data: bytes, rng: random.Random) -> bytes:
             container[key] = rng.choice(
                 [*ODD_INTEGERS, 2, 3, 4, 0.5, -1e300, "", "x", "VEC3", "MAT4", [], {}, [0, 0, 0], None, True]
             )
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 4)
-    return (
-        data[:8]
-        + (20 + len(text) + len(rest)).to_bytes(4, "little")
-        + len(text).to_bytes(4, "little")
-        + data[16:20]
-        + text
-        + rest
-    )
 
 
 def mutate_xml(text: str, rng: random.Random) -> bytes:

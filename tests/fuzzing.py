@@ -18,9 +18,18 @@ from pathlib import Path
 
 import numpy as np
 import small_files
-from fuzz_mutations import mutate_bytes, mutate_glb, mutate_png, mutate_serialized, mutate_xml
+from fuzz_mutations import (
+    mutate_bytes,
+    mutate_glb,
+    mutate_json,
+    mutate_png,
+    mutate_serialized,
+    mutate_xml,
+)
 from fuzz_scenes import PART, SCENES, compile_damaged_dict
 
+from isonoise.benchmark.baseline import Baseline
+from isonoise.benchmark.measure import SCHEMA, SCHEMA_VERSION
 from isonoise.errors import UserError
 from isonoise.film.exr import read_header, read_reference
 from isonoise.scene import compile_scene, load
@@ -29,6 +38,20 @@ from isonoise.scene.image.image import read_image
 
 MAX_SECONDS = 5  # processor time per input
 MAX_EXTRA_BYTES = 2 << 30  # beyond the memory in use at the start; a large image file may take 2 GiB
+
+
+_SPREAD = {"median": 2.0, "min": 1.0, "max": 3.0}
+_IDENTITY = {"scene": "s", "scene_hash": "0f", "width": 4, "height": 3, "max_depth": 5, "samples": 12}
+_KERNELS = [{"kernel": name, "time_s": _SPREAD, "time_share": 0.5} for name in ("shade", "shadow")]
+BENCHMARK = json.dumps(
+    {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "device": {"name": "d"},
+        "scenes": [_IDENTITY | {"samples_per_s": _SPREAD, "kernels": _KERNELS}],
+    }
+).encode()
+"""What the comparison with an earlier benchmark reads of its file."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +66,11 @@ class Target:
 
 def compile_file(path: Path) -> None:
     """Compile a scene or a bare mesh to the arrays for the device, which have to be finite."""
-    scene = compile_scene(load(path))
+    _compile(load(path))
+
+
+def _compile(description: dict) -> None:
+    scene = compile_scene(description)
     for name, array in vars(scene).items():
         if isinstance(array, np.ndarray):
             fields = [array[field] for field in array.dtype.names] if array.dtype.names else [array]
@@ -89,6 +116,25 @@ def compile_shape(path: Path) -> None:
     compile_scene(load(scene))
 
 
+def compile_attributes(path: Path) -> None:
+    """Compile a shape whose materials read the vertex colours and the face attribute of the mesh file."""
+    names = ("vertex_color", "face_heat")
+    colours = [{"type": "mesh_attribute", "name": name, "scale": 0.001} for name in names]
+    shapes = {
+        f"shape {number}": {"type": "ply", "filename": str(path), "bsdf": {"type": "diffuse", "reflectance": colour}}
+        for number, colour in enumerate(colours)
+    }
+    _compile(load({"type": "scene", "sensor": {"type": "perspective"}, **shapes}))
+
+
+def read_baseline(path: Path) -> None:
+    """Compare a benchmark with the earlier one in the file."""
+    baseline, now = Baseline(str(path)), json.loads(BENCHMARK)
+    baseline.check_device(now)
+    baseline.check_scene(_IDENTITY)
+    baseline.compare(now)
+
+
 def compile_mtl(path: Path) -> None:
     compile_file(path.with_suffix(".obj"))
 
@@ -127,6 +173,8 @@ TARGETS = {
     "tga": Target(lambda: [small_files.image_file("TGA")], "m.tga", compile_with_image),
     "hdr": Target(lambda: [small_files.hdr(), small_files.hdr(packed=False)], "m.hdr", compile_with_image),
     "exr": Target(lambda: [small_files.exr(), small_files.exr(packed=False)], "m.exr", compile_with_image),
+    "ply-attributes": Target(lambda: [small_files.ply(), small_files.ply(binary=False)], "m.ply", compile_attributes),
+    "baseline": Target(lambda: [BENCHMARK], "b.json", read_baseline, mutate_json),
     "exr-picture": Target(lambda: [small_files.exr(), small_files.exr(packed=False)], "m.exr", read_picture),
 }
 

@@ -174,6 +174,9 @@ def test_numbers_of_the_library_are_limited():
         for value in (1e308, 1e-300, float("inf"), float("nan"), 0, -1):
             with pytest.raises(UserError, match=f"{name} has to be a number from 1e-30 to 1e.30"):
                 Stops(**{name: value})
+    for size in ((0, 5), (5, -1), (2**40, 1), (2**15, 2**14)):
+        with pytest.raises(UserError, match=r"size = .* is out of range"):
+            Renderer(lamp_over_floor(), size=size)
     for depth in (2**31, 10**20, -2):
         with pytest.raises(UserError, match=r"max_depth = .* is out of range"):
             Renderer(lamp_over_floor(), max_depth=depth)

@@ -77,7 +77,7 @@ class Baseline:
         """
         name = now["scene"]
         if name not in self._scenes:
-            raise UserError(f"'{self.path}' has no scene {name}; it has: {', '.join(self._scenes) or 'none'}")
+            raise UserError(f"'{self.path}' has no scene {name}; it has: {', '.join(map(str, self._scenes)) or 'none'}")
         with self._report_damage():
             before = {key: self._scenes[name][key] for key in now}
         option = {"width": "--size", "height": "--size", "max_depth": "--max-depth", "samples": "--spp"}

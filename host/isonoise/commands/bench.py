@@ -39,7 +39,7 @@ from isonoise.device import form, pool_size, program_cache
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.errors import UserError
-from isonoise.film.files import check_writable
+from isonoise.film.files import check_no_input, check_writable
 from isonoise.progress import ProgressBar
 from isonoise.scene.builtin import builtin_scenes, find_scene
 from isonoise.strategies.uniform_allocation import MAX_COUNT
@@ -89,6 +89,7 @@ def run(options: argparse.Namespace) -> int:
 def _check_options(options: argparse.Namespace) -> None:
     if options.json:
         check_writable(options.json)
+    check_no_input([options.json, options.trace, options.pytest_benchmark], map(Path, options.scenes))
     if options.spp is not None and options.spp > MAX_COUNT:
         raise UserError(f"--spp {options.spp:g} is more than a pixel can take: the limit is {MAX_COUNT}")
     if options.threshold is not None and not (options.against or options.versus):

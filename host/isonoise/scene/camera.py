@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 
+from isonoise.errors import SceneError
 from isonoise.scene import structs
 
 MAX_PIXELS = 1 << 28
@@ -23,9 +24,14 @@ _DEFAULT_FILM = {"width": 768, "height": 576}
 
 
 def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarray, str]:
-    """(structs.CAMERA record (1,), name of the filter). `size` replaces the film's size and removes its crop window."""
+    """(structs.CAMERA record (1,), name of the filter). `size` replaces the film's size and removes its crop window.
+
+    Raises SceneError if it is out of range.
+    """
     film = sensor.get("film", _DEFAULT_FILM)
     if size:
+        if min(size) < 1 or size[0] * size[1] > MAX_PIXELS:
+            raise SceneError(f"size = {size} is out of range: an image has 1 to {MAX_PIXELS:,} pixels")
         film = {"width": size[0], "height": size[1], "rfilter": film.get("rfilter", _DEFAULT_FILTER)}
     width, height, offset, crop = _crop_window(film)
     rfilter = film.get("rfilter", _DEFAULT_FILTER)
