@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from isonoise.device import precompile, program_cache
+from isonoise.device import pocl_cache, precompile, program_cache
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 
@@ -17,6 +17,8 @@ def program_cache_of_session(tmp_path_factory):
     Programs are compiled in one process: in so new a cache all seem new, although PoCL may have compiled them before.
     """
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(program_cache.FOLDER_VARIABLE, "off")
+        pocl_cache.pocl_folder()  # PoCL uses its own folder, whose kernels last from one test run to the next
         patch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("programs")))
         patch.setattr(precompile, "worker_limit", lambda: 1)
         yield

@@ -1,5 +1,6 @@
 """The program cache: stored programs are used, and damaged or foreign files do no harm."""
 
+import contextlib
 import os
 import stat
 import tempfile
@@ -97,11 +98,11 @@ def test_a_damaged_file_is_replaced(folder, compiled, monkeypatch, damage):
     else:
         file.write_bytes(contents[damage])
     forget_programs(monkeypatch, folder)
-    assert roots() == first
+    with contextlib.nullcontext() if damage == "no program" else pytest.warns(match="is damaged"):
+        assert roots() == first
     assert len(compiled) == 2
-    if damage != "a folder":
-        assert roots_in_new_process(monkeypatch, folder) == first
-        assert len(compiled) == 2
+    assert roots_in_new_process(monkeypatch, folder) == first
+    assert len(compiled) == 2
 
 
 @pytest.mark.parametrize("obstacle", ["a file", "read-only"])
@@ -128,11 +129,10 @@ def test_the_cache_can_be_off(monkeypatch, tmp_path, compiled):
     assert not list(tmp_path.iterdir())
 
 
-def test_pocl_programs_are_not_cached(folder, compiled, monkeypatch):
+def test_binaries_of_pocl_are_not_cached(folder, compiled, monkeypatch):
     monkeypatch.setattr(Device, "is_pocl", True)
     first = roots()
     assert not opencl._programs_to_store  # its binaries take as long as compiling
-    program_cache.store(program_cache.program_key(SOURCE, OPTIONS, Device()._cache_identity), b"not read")
     assert roots_in_new_process(monkeypatch, folder) == first
     assert len(compiled) == 2
 

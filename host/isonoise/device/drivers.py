@@ -7,11 +7,10 @@ import functools
 import os
 import platform
 import re
-import tempfile
 from enum import IntEnum
-from pathlib import Path
 
 from isonoise.device.failures import note_driver_use, refuse_after_fork
+from isonoise.device.pocl_cache import pocl_environment
 from isonoise.errors import DeviceError
 from isonoise.signals import raise_if_received
 
@@ -40,8 +39,7 @@ class Rank(IntEnum):
 
 @functools.cache
 def load_pyopencl():
-    """The module pyopencl, set up so that PoCL finds a cache folder."""
-    _set_pocl_cache_folder()
+    """The module pyopencl."""
     # pyopencl's own cache would duplicate the drivers' caches and fail in a read-only home
     os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
     try:
@@ -50,24 +48,6 @@ def load_pyopencl():
         raise DeviceError(f"pyopencl cannot be loaded ({error}); install it with: pip install pyopencl") from error
     raise_if_received()
     return pyopencl
-
-
-def _set_pocl_cache_folder() -> None:
-    """Point PoCL to another cache folder if it cannot create its own: without one it offers no device."""
-    if "POCL_CACHE_DIR" in os.environ:
-        return
-    try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        (home / "pocl").mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=home / "pocl"):
-            return
-    except (OSError, RuntimeError):  # RuntimeError: no home folder
-        user = os.getuid() if hasattr(os, "getuid") else 0
-        folder = Path(tempfile.gettempdir()) / f"isonoise-pocl-{user}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if folder.stat().st_uid != user:  # another user's: code must not be loaded from there
-            folder = Path(tempfile.mkdtemp(prefix="isonoise-pocl-"))
-        os.environ["POCL_CACHE_DIR"] = str(folder)
 
 
 def driver_advice() -> str:
@@ -87,10 +67,11 @@ def list_devices() -> list:
     refuse_after_fork()
     note_driver_use()
     try:
-        platforms = cl.get_platforms()
+        with pocl_environment():
+            devices = [device for each in cl.get_platforms() for device in each.get_devices()]
     except cl.Error:
         return []
-    return sorted([device for each in platforms for device in each.get_devices()], key=preference)
+    return sorted(devices, key=preference)
 
 
 def preference(device) -> tuple[int, ...]:

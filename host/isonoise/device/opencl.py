@@ -15,6 +15,7 @@ from isonoise.device import program_cache
 from isonoise.device.drivers import build_options, driver_identity, is_cpu, is_pocl, load_pyopencl
 from isonoise.device.failures import build_failure, device_failure, is_forked, refuse_after_fork, reports_failures
 from isonoise.device.form import DeviceForm, choose_form
+from isonoise.device.pocl_cache import pocl_kernels
 from isonoise.device.selection import select_device
 from isonoise.errors import DeviceError
 from isonoise.signals import raise_if_received
@@ -177,29 +178,38 @@ class Device:
     def _compile(self, source: str, options: tuple[str, ...]):
         """The program from the cache, or compiled and registered for it.
 
-        PoCL has a cache of its own. Asked for a binary, it compiles every kernel once more, for work-groups of any
-        size, which takes as long as the first time.
+        PoCL's kernels are cached as the files that it writes. Asked for a binary, it compiles every kernel once more,
+        for work-groups of any size, which takes as long as the first time.
         """
-        use_cache = program_cache.cache_folder() is not None and not self.is_pocl
-        key = program_cache.program_key(source, options, self._cache_identity)
-        binary = program_cache.load(key) if use_cache else None
+        key = self.program_key(source, options)
+        if self.is_pocl:
+            with pocl_kernels(key):
+                return self._compile_source(source, options)
+        binary = program_cache.load(key)
         if binary is not None:
             try:
                 return self._build_program(self._cl.Program(self.context, [self.device], [binary]), options)
             except self._cl.Error:  # the driver rejects its own binary: compile the source
                 pass
-        try:
-            program = self._build_program(self._cl.Program(self.context, source), options)
-        except self._cl.Error as error:
-            raise build_failure(self.name, source, options, error) from error
-        if use_cache:
+        program = self._compile_source(source, options)
+        if program_cache.cache_folder() is not None:
             _programs_to_store[key] = program
         return program
+
+    def _compile_source(self, source: str, options: tuple[str, ...]):
+        try:
+            return self._build_program(self._cl.Program(self.context, source), options)
+        except self._cl.Error as error:
+            raise build_failure(self.name, source, options, error) from error
 
     def _build_program(self, program, options: tuple[str, ...]):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", self._cl.CompilerWarning)  # some drivers report every success
             return program.build(options=list(options), cache_dir=False)
+
+    def program_key(self, source: str, options: tuple[str, ...]) -> str:
+        """Name in the program cache of a program with all its options."""
+        return program_cache.program_key(source, options, self._cache_identity)
 
     @functools.cached_property
     def _cache_identity(self) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Compiles programs in several processes at a time, for drivers that compile on one core and keep what they compile.
 
-PoCL compiles one kernel at a time in a process, at its first launch, and stores it in a folder that all processes
-share. `precompile` starts worker processes that fill this folder; the calling process takes part. Run as a module, this
-file is such a worker: `python -m isonoise.device.precompile FOLDER`.
+PoCL compiles one kernel at a time in a process, at its first launch. `precompile` starts worker processes, which store
+their kernels in the program cache at their exit; the calling process takes part. Run as a module, this file is such a
+worker: `python -m isonoise.device.precompile FOLDER`.
 """
 
 import json
@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from isonoise.device import program_cache
-from isonoise.device.drivers import driver_identity, list_devices
+from isonoise.device.drivers import build_options, driver_identity, list_devices
 from isonoise.device.opencl import Device
+from isonoise.device.pocl_cache import pocl_folder, store_pocl_kernels
 
 _JOBS_FILE = "jobs.json"
 _BUFFER_BYTES = 2**16
@@ -52,31 +53,41 @@ def precompile(device: Device, jobs: Sequence[Job]) -> None:
     fresh = {}
     for job in sorted(jobs, key=lambda job: -len(job.source)):  # the longest first, so that no core is idle at the end
         key = _key(device, job)
-        if program_cache.load(key) is None:
+        program = device.program_key(job.source, (*job.options, *build_options(device.device)))
+        are_kernels_cached = pocl_folder() is None or program_cache.has(program)
+        if program_cache.load(key) is None or not are_kernels_cached:
             fresh[key] = job
     workers = min(len(fresh), worker_limit()) - 1
     if workers < 1:
         return
-    with tempfile.TemporaryDirectory(prefix="isonoise-compile-") as folder:
-        content = {"device": list_devices().index(device.device), "jobs": list(fresh.values())}
-        (Path(folder) / _JOBS_FILE).write_text(json.dumps(content), encoding="utf-8")
-        command = [sys.executable, "-m", "isonoise.device.precompile", folder]
-        silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-        processes = []
-        try:
-            processes += [subprocess.Popen(command, **silent) for _ in range(workers)]
-            _compile_unclaimed(device, list(fresh.values()), Path(folder))
-            for process in processes:
-                process.wait()
-        except OSError:  # no process can be started
-            return
-        finally:
-            for process in processes:
-                if process.poll() is None:
-                    process.kill()
-                    process.wait()
+    own_folder = pocl_folder()
+    try:
+        with tempfile.TemporaryDirectory(prefix="compile-", dir=own_folder and own_folder.path) as folder:
+            _compile_in_processes(device, list(fresh.values()), Path(folder), workers)
+    except OSError:  # no file or process can be made
+        return
+    store_pocl_kernels()
     for key in fresh:
         program_cache.store(key, b"compiled")
+
+
+def _compile_in_processes(device: Device, jobs: Sequence[Job], folder: Path, workers: int) -> None:
+    """Compile in this process and `workers` more, which find the jobs in the folder."""
+    content = {"device": list_devices().index(device.device), "jobs": jobs}
+    (folder / _JOBS_FILE).write_text(json.dumps(content), encoding="utf-8")
+    command = [sys.executable, "-m", "isonoise.device.precompile", str(folder)]
+    silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    processes = []
+    try:
+        processes += [subprocess.Popen(command, **silent) for _ in range(workers)]
+        _compile_unclaimed(device, jobs, folder)
+        for process in processes:
+            process.wait()
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
 
 
 def worker_limit() -> int:
@@ -86,8 +97,8 @@ def worker_limit() -> int:
 
 def _key(device: Device, job: Job) -> str:
     """Name in the program cache of the note that the job is done."""
-    launches = (json.dumps(job.launches), os.environ.get("POCL_CACHE_DIR", ""))
-    return program_cache.program_key(job.source, (*job.options, *launches), driver_identity(device.device))
+    options = (*job.options, json.dumps(job.launches))
+    return program_cache.program_key(job.source, options, driver_identity(device.device))
 
 
 def _compile_unclaimed(device: Device, jobs: Sequence[Job], folder: Path) -> None:

@@ -1,14 +1,20 @@
-"""Cache of compiled programs on disk, for drivers that have none. Used by `device.opencl` and `device.pool_size`.
+"""Cache of compiled programs on disk. Used by `device.opencl`, `device.pocl_cache` and `device.tuned`.
 
 A file belongs to one source, its options and one device with its driver; it begins with a hash of its content. Invalid
-files count as missing and errors are ignored: the cache saves time and never makes a render fail.
+files count as missing, with a warning; other errors are ignored. The cache saves time and never makes a render fail.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import secrets
+import shutil
+import stat
 import sys
+import tempfile
+import time
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,6 +24,9 @@ FOLDER_VARIABLE = "ISONOISE_PROGRAM_CACHE"
 """Environment variable with another folder, or `off`."""
 MAX_SIZE_BYTES = 256 * 2**20
 """Of all files together; a program has 50 to 500 kB. The least recently used files are removed first."""
+
+MAX_WRITE_S = 3600
+"""A temporary file that is older belongs to no process."""
 
 _MAGIC = b"isonoise program 1\n"
 _HASH_SIZE = hashlib.sha256().digest_size
@@ -29,9 +38,29 @@ def cache_folder() -> Path | None:
     if chosen:
         return None if chosen.lower() == "off" else Path(chosen)
     try:
-        return _user_cache_folder() / "isonoise" / "programs"
+        folder = _user_cache_folder() / "isonoise" / "programs"
     except RuntimeError:  # no home folder
+        folder = None
+    return _writable_folder(folder)
+
+
+@functools.cache
+def _writable_folder(folder: Path | None) -> Path | None:
+    """The folder if files can be written there, else one for temporary files; None if there is none either."""
+    if folder is not None:
+        existing = next(path for path in (folder, *folder.parents) if path.exists())
+        if existing.is_dir() and os.access(existing, os.W_OK | os.X_OK):
+            return folder
+    if not hasattr(os, "getuid"):
+        return folder
+    try:
+        temporary = Path(tempfile.gettempdir()) / f"isonoise-programs-{os.getuid()}"
+        temporary.mkdir(mode=0o700, exist_ok=True)
+        status = temporary.lstat()
+    except OSError:
         return None
+    is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()  # else another user's code might be loaded
+    return temporary if is_own else None
 
 
 def _user_cache_folder() -> Path:
@@ -53,20 +82,34 @@ def program_key(source: str, options: Iterable[str], driver: Iterable[str]) -> s
 
 
 def load(key: str) -> bytes | None:
-    """The program's binary; None if there is none or it is damaged."""
+    """The program's binary; None if there is none, or with a warning if it is damaged."""
     folder = cache_folder()
     if folder is None:
         return None
     try:
         content = read_regular_file(folder / key)
-    except OSError:
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        _warn_of_damage(folder / key, error.strerror or str(error))
         return None
     header, binary = content[: len(_MAGIC) + _HASH_SIZE], content[len(_MAGIC) + _HASH_SIZE :]
     if header != _MAGIC + hashlib.sha256(binary).digest():
+        _warn_of_damage(folder / key, "wrong checksum")
         return None
     with contextlib.suppress(OSError):
         os.utime(folder / key)  # last use
     return binary
+
+
+def has(key: str) -> bool:
+    """Whether the program's file exists; it may be damaged."""
+    folder = cache_folder()
+    return folder is not None and (folder / key).is_file()
+
+
+def _warn_of_damage(path: Path, reason: str) -> None:
+    warnings.warn(f"{path} is damaged ({reason}); what it held is compiled or measured again", stacklevel=3)
 
 
 def store(key: str, binary: bytes) -> None:
@@ -79,6 +122,8 @@ def store(key: str, binary: bytes) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         try:
             temporary.write_bytes(_MAGIC + hashlib.sha256(binary).digest() + binary)
+            if (folder / key).is_dir():  # damage
+                shutil.rmtree(folder / key)
             os.replace(temporary, folder / key)
         finally:
             temporary.unlink(missing_ok=True)
@@ -96,11 +141,14 @@ def remove(key: str) -> None:
 
 
 def _remove_least_recently_used(folder: Path) -> None:
-    """Remove files until the rest is within the limit."""
+    """Remove files until the rest is within the limit, and temporary files of processes that were killed."""
     files = []
     for entry in os.scandir(folder):
         with contextlib.suppress(FileNotFoundError):  # removed by another process
             status = entry.stat()
+            if entry.name.endswith(".tmp") and status.st_mtime < time.time() - MAX_WRITE_S:
+                os.unlink(entry.path)
+                continue
             files.append((status.st_mtime, status.st_size, entry.path))
     total = sum(size for _, size, _ in files)
     for _, size, path in sorted(files):

@@ -6,6 +6,7 @@ Used by `device.opencl` and `isonoise devices`.
 import os
 
 from isonoise.device.drivers import driver_advice, list_devices, load_pyopencl
+from isonoise.device.pocl_cache import pocl_folder
 from isonoise.errors import DeviceError
 
 PYOPENCL_VARIABLE = "PYOPENCL_CTX"
@@ -31,7 +32,8 @@ def select_device(choice: str | int | None = None):
     """
     devices = list_devices()
     if not devices:
-        raise DeviceError(f"no OpenCL device found; {driver_advice()}")
+        folder = pocl_folder()
+        raise DeviceError(f"no OpenCL device found; {(folder and folder.problem) or driver_advice()}")
     variable = os.environ.get(PYOPENCL_VARIABLE, "").strip()
     if choice is not None:
         text = str(choice).strip()
