@@ -5,6 +5,7 @@ import importlib
 import signal
 import sys
 import traceback
+import warnings
 
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_ERROR_NOT_MET, EXIT_INTERNAL_ERROR
 from isonoise.errors import UserError
@@ -12,6 +13,7 @@ from isonoise.heap import keep_freed_memory
 from isonoise.signals import exit_code, handle_signals, interrupted_exit_code, raise_if_received
 from isonoise.standard_streams import SafeStream
 
+_python_format = warnings.formatwarning
 _PRINTING_COMMANDS = ("devices", "info", "plugins")
 """They do nothing but print, so a reader of standard output that has read enough, such as `head`, is no error."""
 
@@ -28,12 +30,20 @@ def run_command(options: argparse.Namespace, output: SafeStream) -> int:
 def _run(options: argparse.Namespace) -> int:
     """Run the command; return its exit code. Errors are printed."""
     try:
+        warnings.formatwarning = _format_warning
         keep_freed_memory()
         command = importlib.import_module(f"isonoise.commands.{options.command}")
         raise_if_received()
         return command.run(options)
     except BaseException as error:
         return _report(error)
+
+
+def _format_warning(message: Warning | str, category: type[Warning], *place, **options) -> str:
+    """Warnings for the user in one line; those about code as Python formats them."""
+    if category is UserWarning:
+        return f"isonoise: warning: {message}\n"
+    return _python_format(message, category, *place, **options)
 
 
 def _report(error: BaseException) -> int:

@@ -106,7 +106,7 @@ class PoclFolder:
         self._lock_file: int | None = None
         self._process = os.getpid()
         self._build_lock = threading.Lock()
-        self._programs: dict[str, set[Path]] = {}  # key in the program cache -> the program's folders
+        self._programs: dict[str, set[str]] = {}  # key in the program cache -> the program's folders
         self._stored: dict[str, set[str]] = {}  # key -> its files that the program cache has
         self._open()
 
@@ -148,21 +148,21 @@ class PoclFolder:
                 self._stored.pop(key, None)
             self._programs[key] = new or restored
 
-    def _program_folders(self) -> set[Path]:
+    def _program_folders(self) -> set[str]:
         """Folders of programs. PoCL names them by a hash, in two levels, with or without a folder around them."""
-        paths = (path for depth in ("*/*", "*/*/*") for path in self.path.glob(f"{depth}/{_PROGRAM_FILE}"))
-        return {path.parent for path in paths}
+        return {os.path.dirname(path) for path in _files_below(self.path, 4) if path.endswith(_PROGRAM_FILE)}
 
-    def _restore(self, key: str) -> set[Path]:
+    def _restore(self, key: str) -> set[str]:
         """Copy the program's files from the program cache; return its folders."""
         files = _unpack(program_cache.load(key))
-        paths = {name: self.path / name for name in files}
-        folders = {path.parent for path in paths.values() if path.name == _PROGRAM_FILE}
+        paths = {name: os.path.join(self.path, name) for name in files}
+        folders = {os.path.dirname(path) for path in paths.values() if path.endswith(_PROGRAM_FILE)}
         try:
-            for folder in {path.parent for path in paths.values()}:
-                folder.mkdir(parents=True, exist_ok=True)
+            for folder in {os.path.dirname(path) for path in paths.values()}:
+                os.makedirs(folder, exist_ok=True)
             for name, content in files.items():
-                paths[name].write_bytes(content)
+                with open(paths[name], "wb") as file:
+                    file.write(content)
         except OSError:  # the disk is full: PoCL must not find a part of them
             for folder in folders:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -175,11 +175,12 @@ class PoclFolder:
         if self.path is None or _free_bytes(self.path) < SPACE_TO_STORE_BYTES:
             return
         for key, folders in self._programs.items():
-            files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
-            paths = {str(path.relative_to(self.path)): path for path in sorted(files)}
-            if paths and paths.keys() != self._stored.get(key):
-                program_cache.store(key, _pack({name: path.read_bytes() for name, path in paths.items()}))
-                self._stored[key] = set(paths)
+            paths = sorted(path for folder in folders for path in _files_below(folder))
+            names = [os.path.relpath(path, self.path) for path in paths]
+            if names and set(names) != self._stored.get(key):
+                files = {name: Path(path).read_bytes() for name, path in zip(names, paths, strict=True)}
+                program_cache.store(key, _pack(files))
+                self._stored[key] = set(files)
 
     def close(self) -> None:
         """Store the kernels and delete the folder, unless this is a fork of the process that it belongs to."""
@@ -192,6 +193,15 @@ class PoclFolder:
             shutil.rmtree(self.path, ignore_errors=True)
             os.close(self._lock_file)
             self.path = None
+
+
+def _files_below(folder: str | Path, levels: int = 9) -> Iterator[str]:
+    """Paths of the files in a folder and in its folders, `levels` deep."""
+    for entry in os.scandir(folder):
+        if not entry.is_dir(follow_symlinks=False):
+            yield entry.path
+        elif levels > 1:
+            yield from _files_below(entry.path, levels - 1)
 
 
 def _pack(files: dict[str, bytes]) -> bytes:
