@@ -83,7 +83,9 @@ def test_pyopencls_variable_keeps_its_meaning(value, expected, monkeypatch):
         assert select_device().name == expected
 
 
-@pytest.mark.parametrize("choice", ["5", "99", "-1", "radeon", "", "0:2", "3:0", "intel:3090", "0:0:0", "1:0,1"])
+@pytest.mark.parametrize(
+    "choice", ["5", "99", "-1", "radeon", "", "0:2", "3:0", "intel:3090", "0:0:0", "1:0,1", "²", "²:0", "9" * 5000]
+)
 def test_choices_that_match_nothing_list_the_devices(choice, monkeypatch):
     with pytest.raises(DeviceError, match=f"matches '{choice}'") as caught:
         select_device(choice)

@@ -4,6 +4,7 @@ Used by `device.opencl` and `isonoise devices`.
 """
 
 import os
+import re
 
 from isonoise.device.drivers import driver_advice, list_devices, load_pyopencl
 from isonoise.device.pocl_cache import pocl_folder
@@ -40,7 +41,7 @@ def select_device(choice: str | int | None = None):
         found = _find(text, devices)
     elif variable:
         text = f"{PYOPENCL_VARIABLE}={variable}"
-        found = _find(f"{variable}:" if variable.isdigit() else variable, devices)
+        found = _find(f"{variable}:" if _is_number(variable) else variable, devices)
     else:
         return devices[0]
     if found is None:
@@ -61,7 +62,7 @@ def pyopencl_number(device) -> str:
 
 def _find(text: str, devices: list):
     """The first of the devices that the text selects; None if there is none."""
-    if text.isdigit():
+    if _is_number(text):
         return devices[int(text)] if int(text) < len(devices) else None
     kind = _TYPES.get(text.lower())
     matches = [
@@ -81,6 +82,10 @@ def _of_platform(platform: str, number: str, devices: list) -> list:
 
 def _matching(choice: str, named: list) -> list:
     """The platform or device with this number, else those with this part of a name."""
-    if choice.isdigit() and int(choice) < len(named):
+    if _is_number(choice) and int(choice) < len(named):
         return [named[int(choice)]]
     return [each for each in named if choice.lower() in each.name.lower()]
+
+
+def _is_number(text: str) -> bool:
+    return re.fullmatch("[0-9]{1,9}", text) is not None
