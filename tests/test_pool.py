@@ -18,9 +18,9 @@ from isonoise.errors import DeviceError, SceneError, UserError
 from isonoise.integrator import accumulator, scene_buffers
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.kernel_table import path_bytes
+from isonoise.limits import MAX_PIXELS
 from isonoise.renderer import Renderer
 from isonoise.scene import compile_scene, load
-from isonoise.scene.camera import MAX_PIXELS
 from isonoise.statistics import Needs
 
 UNTUNED = 1000

@@ -4,12 +4,7 @@ import argparse
 import math
 import re
 
-from isonoise.stops import MAX_LIMIT, MIN_LIMIT
-
-MAX_DEPTH = 2**31 - 1
-"""For --max-depth: the largest value of a scene file."""
-MAX_PIXELS = 1 << 28
-"""Largest image for --size. Beyond it the statistics alone need over 10 GiB, so it is probably a typing error."""
+from isonoise.limits import MAX_DEPTH, MAX_PIXELS, MAX_STOP, MIN_STOP
 
 
 def finite_number(text: str) -> float:
@@ -32,8 +27,8 @@ def positive(text: str) -> float:
     value = finite_number(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text} must be more than 0")
-    if not MIN_LIMIT <= value <= MAX_LIMIT:
-        raise argparse.ArgumentTypeError(f"{text} must be from {MIN_LIMIT:g} to {MAX_LIMIT:g}")
+    if not MIN_STOP <= value <= MAX_STOP:
+        raise argparse.ArgumentTypeError(f"{text} must be from {MIN_STOP:g} to {MAX_STOP:g}")
     return value
 
 

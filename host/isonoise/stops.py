@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 
 from isonoise.errors import UserError
-
-MIN_LIMIT, MAX_LIMIT = 1e-30, 1e30
-"""Of samples per pixel, seconds and errors: their squares and their products with pixels stay finite."""
+from isonoise.limits import MAX_STOP, MIN_STOP
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,8 @@ class Stops:
     def __post_init__(self):
         for name in ("spp", "time", "error"):
             value = getattr(self, name)
-            if value is not None and not MIN_LIMIT <= value <= MAX_LIMIT:
-                raise UserError(f"{name} has to be a number from {MIN_LIMIT:g} to {MAX_LIMIT:g}, not {value}")
+            if value is not None and not MIN_STOP <= value <= MAX_STOP:
+                raise UserError(f"{name} has to be a number from {MIN_STOP:g} to {MAX_STOP:g}, not {value}")
         if not 0 < self.quantile < 1:
             raise UserError(f"quantile has to lie between 0 and 1, not {self.quantile}")
         if not 0.5 <= self.confidence < 1:

@@ -7,10 +7,8 @@ import warnings
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.limits import MAX_PIXELS
 from isonoise.scene import structs
-
-MAX_PIXELS = 1 << 28
-"""Largest image. Beyond it the statistics alone need over 10 GiB, so the size is most likely a mistake."""
 
 _GAUSSIAN_RADIUS = 4.0  # truncation radius in standard deviations, Mitsuba 3's
 _DEFAULT_FOCAL_LENGTH = "50mm"

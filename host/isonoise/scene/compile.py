@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.limits import MAX_DEPTH
 from isonoise.scene import structs, vocabulary
 from isonoise.scene.camera import compile_camera, warn_if_clipped
 from isonoise.scene.compiled_scene import CompiledScene
@@ -122,8 +123,8 @@ def _integrator_settings(description: dict, max_depth: int | None) -> dict:
     volumetric = integrator["type"] in ("volpath", "volpathmis")
     if max_depth is None:
         max_depth = _DIRECT_MAX_DEPTH if integrator["type"] == "direct" else integrator["max_depth"]
-    if not -1 <= max_depth < 2**31:
-        raise SceneError(f"max_depth = {max_depth} is out of range: it goes from -1 (no limit) to {2**31 - 1}")
+    if not -1 <= max_depth <= MAX_DEPTH:
+        raise SceneError(f"max_depth = {max_depth} is out of range: it goes from -1 (no limit) to {MAX_DEPTH}")
     rr_depth = integrator.get("rr_depth", _DEFAULT_INTEGRATOR["rr_depth"])
     return {
         "max_depth": max_depth,

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from isonoise.scene.camera import MAX_PIXELS, crop_fits_film, is_rigid, parse_focal_length
+from isonoise.limits import MAX_PIXELS
+from isonoise.scene.camera import crop_fits_film, is_rigid, parse_focal_length
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
 from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
 from isonoise.scene.material.presets import conductors
