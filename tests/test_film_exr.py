@@ -173,6 +173,16 @@ def test_files_get_the_permissions_of_the_umask(tmp_path):
     assert stat.S_IMODE((tmp_path / "a.exr").stat().st_mode) == 0o640
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are Unicode")
+def test_names_that_are_not_utf8(tmp_path):
+    folder = tmp_path / "d\udcff"
+    folder.mkdir()
+    write_exr(folder / "\udcfe.exr", {"": image()}, {"isonoise.scene": "\udcfe.xml"})
+    channels, header = read_exr(folder / "\udcfe.exr")
+    np.testing.assert_array_equal(channels["R"], image()[..., 0])
+    assert header["isonoise.scene"] == "\\udcfe.xml"
+
+
 def test_a_link_stays_a_link(tmp_path):
     (tmp_path / "far").mkdir()
     link = tmp_path / "a.exr"

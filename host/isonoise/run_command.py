@@ -10,7 +10,7 @@ import warnings
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_ERROR_NOT_MET, EXIT_INTERNAL_ERROR
 from isonoise.errors import UserError
 from isonoise.heap import keep_freed_memory
-from isonoise.signals import exit_code, handle_signals, interrupted_exit_code, raise_if_received
+from isonoise.signals import deferred, exit_code, handle_signals, interrupted_exit_code, raise_if_received
 from isonoise.standard_streams import SafeStream
 
 _python_format = warnings.formatwarning
@@ -32,7 +32,8 @@ def _run(options: argparse.Namespace) -> int:
     try:
         warnings.formatwarning = _format_warning
         keep_freed_memory()
-        command = importlib.import_module(f"isonoise.commands.{options.command}")
+        with deferred():  # compiled modules lose a KeyboardInterrupt, or turn it into another error
+            command = importlib.import_module(f"isonoise.commands.{options.command}")
         raise_if_received()
         return command.run(options)
     except BaseException as error:

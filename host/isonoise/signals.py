@@ -1,15 +1,16 @@
 """Signals that end a command: SIGINT (Ctrl-C), SIGTERM (batch systems) and SIGHUP (a closed terminal).
 
-`cli` handles them during a whole command. The first signal raises KeyboardInterrupt, or is only recorded within
-`deferred`. Python drops a KeyboardInterrupt in destructors and callbacks of compiled code, so `raise_if_received` is
-called between the stages of set-up. A second SIGINT ends the process at once.
+`__main__` handles them from the start, `run_command` if only `isonoise.cli.main` is called. The first signal raises
+KeyboardInterrupt, or is only recorded within `deferred`. Compiled code may lose a KeyboardInterrupt, as in destructors
+and callbacks, or abort the process. So large packages are imported within `deferred`, and `raise_if_received` is called
+between the stages of set-up. A second SIGINT ends the process at once.
 """
 
 import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -19,9 +20,11 @@ REPEAT_INTERVAL_S = 0.25
 _SHOW_CURSOR = b"\x1b[?25h\n"
 """For terminals; progress bars hide the cursor."""
 
+_handlers: dict[int, object] = {}
+"""Signal -> the handler outside `handle_signals`."""
 _received: list[int] = []
 _raised: list[int] = []
-"""The signal that raised KeyboardInterrupt, if any."""
+"""The signals that raised KeyboardInterrupt."""
 _deferrals: list[None] = []
 """One entry per active `deferred`."""
 
@@ -30,24 +33,34 @@ _deferrals: list[None] = []
 def handle_signals() -> Iterator[None]:
     """Handle the signals during the `with` block; signals that are ignored, as SIGHUP under nohup, stay so.
 
-    Outside the main thread, which alone may set handlers, nothing changes.
+    Nothing changes inside another such block, or outside the main thread, which alone may set handlers.
     """
-    _received.clear()
-    _raised.clear()
-    previous = {}
+    if _handlers:
+        yield
+        return
+    with deferred():
+        _received.clear()
+        _raised.clear()
+        end_watch = _install_handlers()
+    try:
+        yield
+    finally:
+        with deferred():
+            end_watch()
+            for number, handler in _handlers.items():
+                signal.signal(number, handler)
+            _handlers.clear()
+
+
+def _install_handlers() -> Callable[[], None]:
+    """Set the handlers and watch for a second SIGINT; return what ends the watch."""
     try:
         for number in (getattr(signal, name) for name in NAMES if hasattr(signal, name)):
             if signal.getsignal(number) not in (signal.SIG_IGN, None):
-                previous[number] = signal.signal(number, _on_signal)
+                _handlers[number] = signal.signal(number, _on_signal)
     except ValueError:  # not the main thread
-        yield
-        return
-    try:
-        with _watch_repeated_interrupts():
-            yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        return lambda: None
+    return _watch_repeated_interrupts()
 
 
 @contextmanager
@@ -63,6 +76,7 @@ def deferred() -> Iterator[list[int]]:
 def raise_if_received() -> None:
     """Raise KeyboardInterrupt if a signal has been received, and its own KeyboardInterrupt may have been lost."""
     if _received and not _deferrals:
+        _raised.append(_received[0])
         raise KeyboardInterrupt
 
 
@@ -85,12 +99,13 @@ def _on_signal(number, frame) -> None:
         os._exit(128 + number)
 
 
-@contextmanager
-def _watch_repeated_interrupts() -> Iterator[None]:
-    """End the process at a second SIGINT, by a thread: the main thread handles none inside a driver's function."""
+def _watch_repeated_interrupts() -> Callable[[], None]:
+    """End the process at a second SIGINT, by a thread: the main thread handles none inside a driver's function.
+
+    Returns what ends the thread.
+    """
     if os.name != "posix":  # the interpreter writes to sockets only
-        yield
-        return
+        return lambda: None
     import threading
 
     read_end, write_end = os.pipe()
@@ -98,13 +113,14 @@ def _watch_repeated_interrupts() -> Iterator[None]:
     previous = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
     thread = threading.Thread(target=_end_at_second_interrupt, args=(read_end,), name="signals", daemon=True)
     thread.start()
-    try:
-        yield
-    finally:
+
+    def end() -> None:
         signal.set_wakeup_fd(previous)
         os.close(write_end)  # ends the thread
         thread.join()
         os.close(read_end)
+
+    return end
 
 
 def _end_at_second_interrupt(read_end: int) -> None:

@@ -12,7 +12,7 @@ from enum import IntEnum
 from isonoise.device.failures import note_driver_use, refuse_after_fork
 from isonoise.device.pocl_cache import pocl_environment
 from isonoise.errors import DeviceError
-from isonoise.signals import raise_if_received
+from isonoise.signals import deferred, raise_if_received
 
 _POCL_TARGET = re.compile(r"HSTR: \w+-(?:\w+-\w+-linux-\w+|\w+-apple-[\w.]+|\w+-\w+-windows-\w+)-(?P<cpu>.+)")
 """In CL_DEVICE_VERSION: kind of device, target triple, CPU."""
@@ -43,7 +43,8 @@ def load_pyopencl():
     # pyopencl's own cache would duplicate the drivers' caches and fail in a read-only home
     os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
     try:
-        import pyopencl
+        with deferred():  # an exception of a signal would abort the process, or be lost, in compiled code
+            import pyopencl
     except ImportError as error:
         raise DeviceError(f"pyopencl cannot be loaded ({error}); install it with: pip install pyopencl") from error
     raise_if_received()

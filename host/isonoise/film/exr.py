@@ -46,7 +46,7 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
         try:
             OpenEXR.File(attributes, channels).write(os.fsencode(temporary))
         except RuntimeError as error:  # OpenEXR's error for a full disk or a file that it cannot open
-            raise OSError(str(error)) from error
+            raise OSError(str(error).rstrip(".")) from error
 
     write_atomically(path, write)
 

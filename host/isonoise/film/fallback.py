@@ -60,9 +60,11 @@ def _other_paths(path: Path) -> Iterator[Path]:
     for folder in dict.fromkeys((path.parent.absolute(), Path.cwd())):
         yield unused_path(folder / path.name, "rescued")
     try:
-        yield Path(tempfile.mkdtemp(prefix="isonoise-"), path.name)
+        folder = Path(tempfile.mkdtemp(prefix="isonoise-"))
     except OSError:
         return
+    yield folder / path.name
+    folder.rmdir()  # not used
 
 
 def unused_path(path: Path, label: str) -> Path:

@@ -78,7 +78,7 @@ class LogWriter:
     """
 
     def __init__(self, path: str | os.PathLike, true_errors: bool, rows: Sequence[LogRow] = ()):
-        self._path = check_writable(path)
+        self._name, self._path = os.fspath(path), check_writable(path)
         self._lock = PathLock(self._path)
         self._columns = columns(true_errors)
         self._has_rows = False
@@ -88,7 +88,7 @@ class LogWriter:
         """Append one row. On an error the file stays as it was."""
         line = _line(row)
         if not self._has_rows:
-            _write_rows(self._path, self._columns, self._earlier + line)
+            _write_rows(self._name, self._columns, self._earlier + line)
             self._has_rows = True
             return
         try:
@@ -96,9 +96,9 @@ class LogWriter:
                 end = file.tell()
                 if file.write(line) != len(line):
                     file.truncate(end)
-                    raise UserError(f"cannot write '{self._path}': no space left")
+                    raise UserError(f"cannot write '{self._name}': no space left")
         except OSError as error:
-            raise UserError(f"cannot write '{self._path}': {error.strerror}") from error
+            raise UserError(f"cannot write '{self._name}': {error.strerror}") from error
 
     def close(self) -> None:
         """Let other processes write the file."""

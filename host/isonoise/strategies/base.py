@@ -59,7 +59,7 @@ class Strategy:
     ...         return distribute_in_proportion(np.sqrt(statistics.variance), budget, statistics.samples)
     """
 
-    name: ClassVar[str]
+    name: ClassVar[str] = "unnamed"
     needs: Needs = BASIC_NEEDS
 
     def __post_init__(self):
