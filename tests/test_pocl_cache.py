@@ -134,6 +134,33 @@ def test_folders_of_killed_processes_are_deleted(folders, monkeypatch):
     assert [path.name for path in folders.pocl.iterdir()] == ["something else"]
 
 
+@pytest.mark.parametrize("when", ["before it is opened", "before it is locked", "while it is locked"])
+def test_a_new_folder_that_another_process_deletes_is_made_again(when, monkeypatch):
+    made = []
+    make, lock = pocl_cache.tempfile.mkdtemp, pocl_cache.fcntl.flock
+
+    def make_folder(**options):
+        made.append(make(**options))
+        if when == "before it is opened" and len(made) == 1:
+            os.rmdir(made[0])
+        return made[-1]
+
+    def lock_folder(*arguments):
+        if len(made) == 1:
+            os.rmdir(made[0])
+            if when == "while it is locked":
+                raise BlockingIOError
+        lock(*arguments)
+
+    monkeypatch.setattr(pocl_cache.tempfile, "mkdtemp", make_folder)
+    if when != "before it is opened":
+        monkeypatch.setattr(pocl_cache.fcntl, "flock", lock_folder)
+    folder = PoclFolder()
+    assert len(made) == 2
+    assert folder.path.is_dir()
+    folder.close()
+
+
 def test_a_forked_process_does_not_delete_the_folder():
     folder = PoclFolder()
     child = os.fork()

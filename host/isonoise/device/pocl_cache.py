@@ -240,15 +240,10 @@ def _prefix() -> str:
 def _make_folder(parent: Path) -> tuple[Path, int]:
     """A new folder, and its open file with the lock. Raises OSError if it cannot be used."""
     parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    while True:
+    file = None
+    while file is None:
         path = Path(tempfile.mkdtemp(prefix=_prefix(), dir=parent))
-        file = os.open(path, os.O_RDONLY)
-        # without locks in this file system, folders of processes that were killed stay
-        with contextlib.suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.fstat(file).st_nlink:
-            break
-        os.close(file)  # another process took it for abandoned before it was locked
+        file = _lock(path)
     try:
         _check_usable(path)
     except OSError:
@@ -256,6 +251,25 @@ def _make_folder(parent: Path) -> tuple[Path, int]:
         os.close(file)
         raise
     return path, file
+
+
+def _lock(path: Path) -> int | None:
+    """Lock a new folder; None if another process took it for abandoned and deletes it."""
+    try:
+        file = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return None
+    is_deleted = False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        is_deleted = True
+    except OSError:  # a file system without locks, where folders of killed processes stay
+        pass
+    if is_deleted or not path.is_dir():
+        os.close(file)
+        return None
+    return file
 
 
 def _check_usable(path: Path) -> None:
