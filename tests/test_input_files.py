@@ -98,6 +98,7 @@ def test_errors_of_opening_say_the_reason():
         assert reason in error.value.strerror
 
 
+@pytest.mark.filterwarnings("ignore:.*is damaged")
 def test_damaged_caches_count_as_missing(monkeypatch):
     monkeypatch.setenv(program_cache.FOLDER_VARIABLE, os.getcwd())
     monkeypatch.setattr(tuned, "driver_identity", lambda device: ("driver",))
@@ -108,6 +109,16 @@ def test_damaged_caches_count_as_missing(monkeypatch):
         os.remove(tuned._key(None, "pool_size"))
         os.mkfifo(tuned._key(None, "pool_size"))
         assert tuned.load_tuned(None, "pool_size") is None
+
+
+def test_a_pipe_as_the_lock_of_a_folder_names_no_process():
+    from isonoise.comparison import folder_lock
+
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(folder_lock.LOCK_FILE)
+        assert folder_lock._read_process(Path(folder_lock.LOCK_FILE)) is None
+    Path("deep").write_bytes(DEEP)
+    assert folder_lock._read_process(Path("deep")) is None
 
 
 @pytest.mark.parametrize("text", [b"spectral", b"isonoise.note", b"content"])

@@ -122,6 +122,9 @@ def test_a_changed_file_is_named(tmp_path):
     (tmp_path / "m.obj").write_text(mesh.format(z=1))
     with pytest.raises(UserError, match=r"'m\.obj' has changed"):
         make().restore(state)
+    renderer = make()
+    (tmp_path / "m.obj").unlink()
+    assert renderer.state().settings["files"]["m.obj"] is None  # removed before the first checkpoint
 
 
 class _Forgetful(Strategy):

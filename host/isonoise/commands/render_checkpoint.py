@@ -68,6 +68,7 @@ class Checkpoints:
         """Raise UserError if the strategy keeps something that no checkpoint can hold. Warns of another device."""
         if self.path:
             split_strategy_state(renderer.strategy.name, renderer.strategy.state())
+            _ = renderer.settings  # hashes the files of the scene: they may change while it is rendered
         before = self.state.settings.get("device") if self.state else None
         if before not in (None, renderer.device_name):
             _warn(f"the render was begun on {before}; its last bits may differ on {renderer.device_name}")

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from isonoise.errors import UserError
+from isonoise.input_files import read_json
 
 try:
     import fcntl
@@ -147,10 +148,10 @@ def _this_process() -> dict:
 def _read_process(path: Path) -> dict | None:
     """What `_this_process` returned to the process that wrote the file; None if the file is damaged."""
     try:
-        process = json.loads(path.read_bytes())
+        process = read_json(path)
         is_complete = process.keys() == _this_process().keys() and 0 < process["pid"] < 2**31
         return process if is_complete else None
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, TypeError, AttributeError):
         return None
 
 

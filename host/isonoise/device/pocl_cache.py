@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from isonoise.device import program_cache
+from isonoise.input_files import parse_json
 
 try:
     import fcntl
@@ -215,7 +216,7 @@ def _unpack(packed: bytes | None) -> dict[str, bytes]:
     header, _, contents = (packed or b"").partition(b"\n")
     files, begin = {}, 0
     try:
-        for name, size in json.loads(header):
+        for name, size in parse_json(header):
             files[name] = contents[begin : begin + size]
             begin += size
     except (ValueError, TypeError):

@@ -3,6 +3,7 @@
 Called by `Renderer`, which is continued only with equal settings, and by merging.
 """
 
+import contextlib
 import hashlib
 import os
 from collections.abc import Iterable, Mapping
@@ -59,12 +60,16 @@ def render_settings(renderer) -> dict[str, object]:
     }
 
 
-def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
-    """Name -> sha256 of the files, in hexadecimal digits; names are relative to the folder of the first file."""
+def file_hashes(paths: Iterable[Path]) -> dict[str, str | None]:
+    """Name -> sha256 of the files, in hexadecimal digits; names are relative to the folder of the first file.
+
+    None for a file that cannot be read any more: a scene may be removed while it is rendered.
+    """
     hashes, base = {}, None
     for path in paths:
         base = base or path.parent
-        with open(path, "rb") as file:
+        digest = None
+        with contextlib.suppress(OSError), open(path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         hashes[os.path.relpath(path, base) if path.is_relative_to(base) else str(path)] = digest
     return hashes
