@@ -1,6 +1,7 @@
 """Compiles a scene description, as `load` returns it, to a CompiledScene: flat world-space arrays for the device."""
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,11 +9,12 @@ import numpy as np
 from isonoise.errors import SceneError
 from isonoise.limits import MAX_DEPTH
 from isonoise.scene import structs, vocabulary
+from isonoise.scene.accel.bounds import instance_extents
 from isonoise.scene.camera import compile_camera, warn_if_clipped
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.geometry import (
     Boxes,
-    first_primitives,
+    Layout,
     group_offsets,
     merge_analytics,
     merge_meshes,
@@ -20,7 +22,7 @@ from isonoise.scene.geometry import (
     shape_boxes,
 )
 from isonoise.scene.image.image import read_image
-from isonoise.scene.instances import instance_records, split_instances
+from isonoise.scene.instances import Space, Spaces, instance_records, split_instances
 from isonoise.scene.light.compile_lights import (
     ANALYTIC_LIGHTS,
     AreaLight,
@@ -32,7 +34,7 @@ from isonoise.scene.light.envmap import EnvironmentMap, build_environment_map
 from isonoise.scene.material.bsdfs import Bsdfs, mark_pass_through, reads_uvs
 from isonoise.scene.material.media import Media
 from isonoise.scene.material.textures import MeshAttributes, Textures, mesh_attributes_used
-from isonoise.scene.mesh.surfaces import Surface, make_surface
+from isonoise.scene.mesh.surfaces import Surfaces, make_surfaces
 from isonoise.scene.placement import UNPLACED, Placement, find_placement, place_scene, warn_where_rounded
 
 _DEFAULT_BSDF = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's, for a shape without a bsdf
@@ -75,14 +77,15 @@ def compile_scene(
     sensor = next(iter(_objects_of_kind(description, "sensor").values()))
     camera, filter_name = compile_camera(sensor, size)
     world = geometry.boxes[0]
-    warn_where_rounded(world.names, world.corners, camera, placement)
+    warn_where_rounded(world.name, world.corners, camera, placement)
     warn_if_clipped(camera, world.union())
     integrator = _integrator_settings(description, max_depth)
     materials = _compile_materials(geometry, sensor.get("medium"), integrator["volumetric"])
     emitters = _objects_of_kind(description, "emitter")
     environment = _environment_map(emitters)
-    area_lights = list(materials.area_lights.values())
-    lights = compile_lights(area_lights, list(emitters.values()), environment, materials.textures, world.union())
+    lights = compile_lights(
+        materials.area_lights, list(emitters.values()), environment, materials.textures, world.union()
+    )
     is_analytic = lights.records["kind"] & ANALYTIC_LIGHTS != 0
     shape_of_light = geometry.arrays["analytics"]["shape"][lights.records["primitive"][is_analytic]]
     materials.arrays["shapes"]["light"][shape_of_light] = np.flatnonzero(is_analytic)
@@ -139,14 +142,17 @@ class _Geometry:
     """All surfaces: those of the world first, then those of each shape group."""
 
     shapes: list[dict]  # of the description
-    surfaces: list[Surface]  # of the shapes
+    surfaces: list[Surfaces]
+    layout: Layout
     group_ids: list[int]  # id() of the description of each shape group
-    boxes: list[Boxes]  # of the world, then of the groups
+    boxes: list[Boxes]  # of the world, with instances after the other shapes; then of the groups
     arrays: dict[str, np.ndarray]  # fields of CompiledScene
 
-    @property
-    def meshes(self) -> list[Surface]:
-        return [surface for surface in self.surfaces if surface.analytic is None]
+    def mesh_attributes(self) -> list[MeshAttributes]:
+        """The attributes of all meshes, in the order of their shapes."""
+        values = {int(part.index[0]): part.attributes for part in self.surfaces if part.attributes}
+        counts = zip(self.layout.vertex_count.tolist(), self.layout.triangle_count.tolist(), strict=True)
+        return [MeshAttributes(*count, values.get(i, {})) for i, count in enumerate(counts) if count[1]]
 
 
 def _place_geometry(description: dict) -> tuple[dict, _Geometry, Placement]:
@@ -165,43 +171,64 @@ def _place_geometry(description: dict) -> tuple[dict, _Geometry, Placement]:
     return placed, geometry, placements[0]
 
 
-def _compile_geometry(description: dict[str, dict]) -> _Geometry:
-    world, groups, instanced = split_instances(description)
-    spaces = [{name: make_surface(shape, name) for name, shape in shapes.items()} for shapes in (world, *groups)]
-    for shapes, surfaces in zip((world, *groups), spaces, strict=True):
-        _check_mesh_attributes(shapes, surfaces)
-    instances = instance_records(instanced)
-    boxes = shape_boxes(spaces, instances, list(instanced))
-    group_ids = dict.fromkeys(id(instance["shape"]) for instance, _ in instanced.values())
-    shapes = [shape for space in (world, *groups) for shape in space.values()]
-    surfaces = [surface for space in spaces for surface in space.values()]
+def _compile_geometry(description: Mapping[str, dict]) -> _Geometry:
+    spaces = split_instances(description)
+    shapes, surfaces, sizes = [], [], []
+    for space in (spaces.world, *spaces.groups):
+        made = make_surfaces(space.shapes, len(shapes), space.name)
+        _check_mesh_attributes(space, made, len(shapes))
+        shapes += space.shapes
+        surfaces += made
+        sizes.append(len(space.shapes))
+    layout = Layout(surfaces, len(shapes))
+    instances = instance_records(spaces)
+    boxes = _boxes(spaces, shape_boxes(surfaces, len(shapes)), sizes, instances)
     arrays = {
-        **merge_meshes(surfaces),
-        "analytics": merge_analytics(surfaces),
+        **merge_meshes(surfaces, layout),
+        "analytics": merge_analytics(surfaces, layout),
         "instances": instances,
-        "group_offsets": group_offsets(spaces),
+        "group_offsets": group_offsets(layout, sizes),
         "bounds": boxes[0].union().astype(np.float32),
     }
-    return _Geometry(shapes, surfaces, list(group_ids), boxes, arrays)
+    return _Geometry(shapes, surfaces, layout, spaces.group_ids, boxes, arrays)
 
 
-def _check_mesh_attributes(shapes: dict[str, dict], surfaces: dict[str, Surface]) -> None:
+def _boxes(spaces: Spaces, boxes: np.ndarray, sizes: list[int], instances: np.ndarray) -> list[Boxes]:
+    """The boxes of the spaces; `boxes` (n, 2, 3) are those of the shapes, `sizes` the numbers of shapes of a space."""
+    parts = np.split(boxes, np.cumsum(sizes)[:-1])
+    world, *groups = [
+        Boxes(space.name, part) for space, part in zip((spaces.world, *spaces.groups), parts, strict=True)
+    ]
+    if not len(instances):
+        return [world]
+
+    def name(number: int) -> str:
+        return spaces.world.name(number) if number < sizes[0] else spaces.instances.name(number - sizes[0])
+
+    unions = np.stack([group.union() for group in groups])
+    extents = np.stack(instance_extents(instances, unions[instances["root"] - 1]), axis=1)
+    return [Boxes(name, np.concatenate([world.corners, extents])), *groups]
+
+
+def _check_mesh_attributes(space: Space, surfaces: list[Surfaces], first_index: int) -> None:
     """Raise SceneError where a bsdf or an emitter uses a mesh attribute that its shape does not have as numbers."""
     used: dict[int, set[str]] = {}
-    for name, shape in shapes.items():
+    attributes_of = {int(part.index[0]) - first_index: part.attributes for part in surfaces if part.attributes}
+    for number, shape in enumerate(space.shapes):
         for part in (shape[key] for key in ("bsdf", "emitter") if key in shape):
             if id(part) not in used:
                 used[id(part)] = mesh_attributes_used(part)
-            for attribute in sorted(used[id(part)] - surfaces[name].attributes.keys()):
-                available = ", ".join(surfaces[name].attributes) or "none"
-                raise SceneError(
-                    f"{name} has no attribute '{attribute}', which its {part['type']} uses (it has: {available})"
-                )
-            for attribute in used[id(part)]:
-                if not np.isfinite(surfaces[name].attributes[attribute]).all():
+            for attribute in sorted(used[id(part)]):
+                values = attributes_of.get(number, {})
+                if attribute not in values:
                     raise SceneError(
-                        f"{name}: its attribute '{attribute}', which its {part['type']} uses, has a value that is no "
-                        "finite 32-bit number"
+                        f"{space.name(number)} has no attribute '{attribute}', which its {part['type']} uses "
+                        f"(it has: {', '.join(values) or 'none'})"
+                    )
+                if not np.isfinite(values[attribute]).all():
+                    raise SceneError(
+                        f"{space.name(number)}: its attribute '{attribute}', which its {part['type']} uses, has a "
+                        "value that is no finite 32-bit number"
                     )
 
 
@@ -210,7 +237,7 @@ class _Materials:
     arrays: dict[str, np.ndarray]  # fields of CompiledScene
     textures: Textures
     sensor_medium: int
-    area_lights: dict[int, AreaLight]  # by index of the shape
+    area_lights: list[AreaLight]  # in the order of their shapes
 
 
 def _compile_materials(geometry: _Geometry, sensor_medium: dict | None, volumetric: bool) -> _Materials:
@@ -219,29 +246,26 @@ def _compile_materials(geometry: _Geometry, sensor_medium: dict | None, volumetr
     bsdfs = Bsdfs(textures.index)
     media = Media(bsdfs)
     sensor_medium_index = media.index(sensor_medium if volumetric else None)
+    layout = geometry.layout
     shapes = np.zeros(len(geometry.shapes), structs.SHAPE)
-    area_lights = {}
-    primitives = first_primitives(geometry.surfaces)
-    for i, (shape, surface) in enumerate(zip(geometry.shapes, geometry.surfaces, strict=True)):
-        flags = structs.SHAPE_VERTEX_NORMALS if len(surface.normals) else 0
-        flags |= structs.SHAPE_FLIP_NORMALS if surface.flip_normals else 0
-        sides = media.sides(shape) if volumetric else structs.NONE
-        bsdf = bsdfs.index(shape.get("bsdf", _EMITTER_BSDF if "emitter" in shape else _DEFAULT_BSDF))
-        shapes[i] = (bsdf, structs.NONE, primitives[i], flags, sides)
+    shapes["light"] = structs.NONE
+    shapes["first_primitive"] = layout.first_primitive
+    shapes["flags"] = structs.SHAPE_VERTEX_NORMALS * layout.has_normals + structs.SHAPE_FLIP_NORMALS * layout.is_flipped
+    radiance_textures = {}  # by index of the shape
+    for i, shape in enumerate(geometry.shapes):
+        shapes["media"][i] = media.sides(shape) if volumetric else structs.NONE
+        shapes["bsdf"][i] = bsdfs.index(shape.get("bsdf", _EMITTER_BSDF if "emitter" in shape else _DEFAULT_BSDF))
         if "emitter" in shape:
-            texture = radiance_texture(shape["emitter"], textures)
-            area_lights[i] = AreaLight(shape["emitter"], surface, primitives[i], texture)
+            radiance_textures[i] = radiance_texture(shape["emitter"], textures)
     bsdf_records = bsdfs.records
     if volumetric:
         shapes["flags"][mark_pass_through(bsdf_records)[shapes["bsdf"]]] |= structs.SHAPE_PASS_THROUGH
-    texture_arrays = textures.arrays(
-        [MeshAttributes(len(m.vertices), len(m.faces), m.attributes) for m in geometry.meshes]
-    )
+    texture_arrays = textures.arrays(geometry.mesh_attributes() if textures.reads_attributes else ())
     uvs, reversed_winding = np.zeros((0, 2), np.float32), np.zeros(0, bool)
-    if reads_uvs(bsdf_records) or any(light.texture != structs.NONE for light in area_lights.values()):
-        uvs, reversed_winding = merge_uvs(geometry.meshes)
+    if reads_uvs(bsdf_records) or any(texture != structs.NONE for texture in radiance_textures.values()):
+        uvs, reversed_winding = merge_uvs(geometry.surfaces, layout)
         if len(uvs):
-            shapes["flags"][[len(surface.uvs) > 0 for surface in geometry.surfaces]] |= structs.SHAPE_UVS
+            shapes["flags"][layout.has_uvs] |= structs.SHAPE_UVS
     arrays = {
         "shapes": shapes,
         "bsdfs": bsdf_records,
@@ -254,7 +278,18 @@ def _compile_materials(geometry: _Geometry, sensor_medium: dict | None, volumetr
         "texel_floats": texture_arrays.floats,
         "attributes": texture_arrays.attributes,
     }
-    return _Materials(arrays, textures, sensor_medium_index, area_lights)
+    return _Materials(arrays, textures, sensor_medium_index, _area_lights(geometry, radiance_textures))
+
+
+def _area_lights(geometry: _Geometry, radiance_textures: dict[int, int]) -> list[AreaLight]:
+    """The emissive shapes. `radiance_textures` has the texture of each, NONE without, by its index."""
+    lights = {}
+    for part in geometry.surfaces:
+        for number, index in enumerate(part.index.tolist()):
+            if index in radiance_textures:
+                first, emitter = int(geometry.layout.first_primitive[index]), geometry.shapes[index]["emitter"]
+                lights[index] = AreaLight(emitter, part.select(number), first, radiance_textures[index])
+    return [lights[index] for index in sorted(lights)]
 
 
 def _environment_map(emitters: dict[str, dict]) -> EnvironmentMap | None:

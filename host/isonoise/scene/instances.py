@@ -4,6 +4,7 @@ Called by `compile.py`.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,35 +16,59 @@ _MAX_ROUND_TRIP_GAIN = 2.0**24
 left in 32-bit floats."""
 
 
-def split_instances(
-    shapes: Mapping[str, dict],
-) -> tuple[dict[str, dict], list[dict[str, dict]], dict[str, tuple[dict, int]]]:
-    """(shapes of the world, shapes of each group, instances with the index of their group), by names for errors.
+@dataclass(frozen=True)
+class Space:
+    """The shapes of the world or of a shape group, or all instances."""
 
-    Groups without an instance are left out.
-    """
-    names = {id(shape): name for name, shape in shapes.items()}
-    world, groups, instances = {}, [], {}
-    group_indices: dict[int, int] = {}  # by id: a resolved reference is the same dict as its target
-    for name, shape in shapes.items():
-        if shape["type"] == "instance":
-            group = shape["shape"]
-            index = group_indices.setdefault(id(group), len(groups))
-            if index == len(groups):
-                suffix = f"of shapegroup '{names.get(id(group), name)}'"
-                groups.append({f"{key} {suffix}": part for key, part in group.items() if isinstance(part, dict)})
-            instances[f"instance '{name}'"] = (shape, index)
-        elif shape["type"] != "shapegroup":
-            world[f"shape '{name}'"] = shape
-    return world, groups, instances
+    keys: list[str]  # in the description
+    shapes: list[dict]
+    label: str  # the name of a shape in errors, with its key as {}
+
+    def name(self, number: int) -> str:
+        """The name of a shape in errors."""
+        return self.label.replace("{}", self.keys[number])
+
+    @classmethod
+    def of(cls, shapes: Mapping[str, dict], label: str) -> "Space":
+        return cls(list(shapes), list(shapes.values()), label)
 
 
-def instance_records(instances: Mapping[str, tuple[dict, int]]) -> np.ndarray:
+@dataclass(frozen=True)
+class Spaces:
+    """All shapes of a scene."""
+
+    world: Space
+    groups: list[Space]
+    instances: Space
+    group_of_instance: list[int]
+    group_ids: list[int]  # id() of the description of each group
+
+
+def split_instances(shapes: Mapping[str, dict]) -> Spaces:
+    """Sort the shapes of a description into spaces. Groups without an instance are left out."""
+    groups = {id(shape): name for name, shape in shapes.items() if shape["type"] == "shapegroup"}
+    world = {name: shape for name, shape in shapes.items() if shape["type"] not in ("shapegroup", "instance")}
+    instances = {name: shape for name, shape in shapes.items() if shape["type"] == "instance"}
+    spaces, index_of_group = [], {}  # by id: a resolved reference is the same dict as its target
+    for name, instance in instances.items():
+        group = instance["shape"]
+        if id(group) not in index_of_group:
+            index_of_group[id(group)] = len(spaces)
+            parts = {key: part for key, part in group.items() if isinstance(part, dict)}
+            spaces.append(Space.of(parts, "{} of shapegroup '" + groups.get(id(group), name) + "'"))
+    group_of_instance = [index_of_group[id(instance["shape"])] for instance in instances.values()]
+    world, instances = Space.of(world, "shape '{}'"), Space.of(instances, "instance '{}'")
+    return Spaces(world, spaces, instances, group_of_instance, list(index_of_group))
+
+
+def instance_records(spaces: Spaces) -> np.ndarray:
     """(i,) structs.INSTANCE. Raises SceneError if a transform exceeds the range of 32-bit floats."""
+    instances = spaces.instances.shapes
     records = np.zeros(len(instances), structs.INSTANCE)
     if not len(records):
         return records
-    matrices = np.stack([instance.get("to_world", np.eye(4)) for instance, _ in instances.values()])
+    identity = np.eye(4)
+    matrices = np.stack([instance.get("to_world", identity) for instance in instances])
     with np.errstate(over="ignore"):
         matrices[:, :3] = matrices[:, :3].astype(np.float32)  # invert the matrix that the device has
         records["to_world"] = matrices[:, :3].reshape(-1, 12)
@@ -54,7 +79,7 @@ def instance_records(instances: Mapping[str, tuple[dict, int]]) -> np.ndarray:
     gain = np.abs(matrices[:, :3, :3]) @ np.abs(inverses[:, :3, :3])
     is_valid &= np.isfinite(records["to_object"]).all(axis=1) & (gain <= _MAX_ROUND_TRIP_GAIN).all(axis=(1, 2))
     if not is_valid.all():
-        name = list(instances)[int(np.argmin(is_valid))]
+        name = spaces.instances.name(int(np.argmin(is_valid)))
         raise SceneError(f"{name}: its to_world exceeds the range of 32-bit floats; use a smaller scale or shear")
-    records["root"] = [1 + group for _, group in instances.values()]
+    records["root"] = 1 + np.array(spaces.group_of_instance)
     return records

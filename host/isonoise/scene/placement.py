@@ -6,7 +6,7 @@ every bit.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,12 +156,12 @@ _CHANGES = {
 }
 
 
-def warn_where_rounded(names: list[str], boxes: np.ndarray, camera: np.ndarray, world: Placement) -> None:
+def warn_where_rounded(name: Callable[[int], str], boxes: np.ndarray, camera: np.ndarray, world: Placement) -> None:
     """Warn of what floats cannot resolve in a placed scene.
 
     Parameters
     ----------
-    names : of the shapes, for the warning
+    name : gives the name of a shape
     boxes : (n, 2, 3) of the shapes
     camera : (1,) structs.CAMERA
     world : the placement of the scene
@@ -170,7 +170,7 @@ def warn_where_rounded(names: list[str], boxes: np.ndarray, camera: np.ndarray, 
     extended = np.flatnonzero(size > 0)
     if not len(extended):
         return
-    _warn_of_shapes(names, boxes, size, extended)
+    _warn_of_shapes(name, boxes, size, extended)
     rounding = DOUBLE_STEP * np.abs(world.origin).max() * world.scale / np.median(size[extended])
     if rounding > _MAX_SCENE_ROUNDING:
         _warn(f"the scene is far from the origin: 64-bit floats round its shapes to {rounding:.2%} of their size")
@@ -184,14 +184,14 @@ def warn_where_rounded(names: list[str], boxes: np.ndarray, camera: np.ndarray, 
         )
 
 
-def _warn_of_shapes(names: list[str], boxes: np.ndarray, size: np.ndarray, extended: np.ndarray) -> None:
+def _warn_of_shapes(name: Callable[[int], str], boxes: np.ndarray, size: np.ndarray, extended: np.ndarray) -> None:
     """Warn of shapes, among those `extended`, that are coarse where they are."""
     rounding = FLOAT_STEP * _distances(boxes[extended], size[extended])
     count = np.count_nonzero(rounding > _MAX_SHAPE_ROUNDING)
     if count:
         more = f" (and {count - 1} other shapes)" if count > 1 else ""
         _warn(
-            f"{names[extended[np.argmax(rounding)]]}{more}: far from the other shapes for its size; 32-bit floats "
+            f"{name(int(extended[np.argmax(rounding)]))}{more}: far from the other shapes for its size; 32-bit floats "
             f"round its corners to {rounding.max():.1%} of its size; make it larger or move it closer"
         )
 

@@ -59,16 +59,20 @@ def rotation_from_z(normal: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def polar_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(Q, S) with matrix[:3, :3] = Q S, Q a rotation and S symmetric; S is negative definite if the matrix mirrors."""
-    u, sigma, vt = np.linalg.svd(matrix[:3, :3])
-    sign = 1.0 if np.linalg.det(u @ vt) > 0 else -1.0
-    return sign * (u @ vt), sign * (vt.T * sigma) @ vt
+def polar_decomposition(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(Q, S), both (n, 3, 3), of affine matrices (n, 4, 4): their linear parts are Q S, with Q a rotation.
+
+    S is symmetric, and negative definite if the matrix mirrors.
+    """
+    u, sigma, vt = np.linalg.svd(matrices[:, :3, :3])
+    rotation = u @ vt
+    sign = np.where(np.linalg.det(rotation) > 0, 1.0, -1.0)[:, None, None]
+    return sign * rotation, sign * ((vt.transpose(0, 2, 1) * sigma[:, None]) @ vt)
 
 
 def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) transformed by an affine matrix."""
-    return np.einsum("ij,kj->ik", points, matrix[:3, :3]) + matrix[:3, 3]
+    """Points (..., k, 3) transformed by affine matrices (..., 4, 4)."""
+    return np.einsum("...ij,...kj->...ik", points, matrix[..., :3, :3]) + matrix[..., None, :3, 3]
 
 
 def transform_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from isonoise.scene.light.envmap import EnvironmentMap
 from isonoise.scene.light.light_kinds import bits_where, kind_of_analytic, light_bits
 from isonoise.scene.light.parallelograms import find_parallelograms
 from isonoise.scene.material.textures import Textures, is_constant
-from isonoise.scene.mesh.surfaces import Surface
+from isonoise.scene.mesh.surfaces import Surfaces
 
 ANALYTIC_LIGHTS = bits_where(lambda kind: kind.analytic is not None)
 _LIGHTS_AT_INFINITY = bits_where(lambda kind: kind.is_environment) | light_bits("directional")
@@ -27,7 +27,7 @@ class AreaLight:
     """A shape with an area emitter."""
 
     emitter: dict
-    surface: Surface
+    surface: Surfaces  # of this shape alone
     first_primitive: int  # index of its first triangle, or of its analytic primitive
     texture: int  # index of the radiance texture, NONE if the radiance is constant
 
@@ -91,21 +91,21 @@ def raise_too_dim() -> None:
 def _area_lights(light: AreaLight, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Records (n,) of an emissive shape's lights, and their centers (n, 3)."""
     surface = light.surface
-    if surface.analytic is not None:
-        name = kind_of_analytic(int(surface.analytic["kind"][0])).name
-        records, centers = lighting.surface_lights(name, np.zeros(1), surface.areas), surface.bounds.mean(axis=0)[None]
+    if len(surface.analytics):
+        name = kind_of_analytic(int(surface.analytics["kind"][0])).name
+        records, centers = lighting.surface_lights(name, np.zeros(1), surface.areas()[0]), surface.boxes().mean(axis=1)
     else:
         records = _mesh_lights(surface)
-        centers = surface.vertices[surface.faces[records["primitive"]]].mean(axis=1)
+        centers = surface.vertices[0][surface.faces[0, records["primitive"]]].mean(axis=1)
     records["primitive"] += np.uint32(light.first_primitive)
     records["radiance"], records["texture"] = radiance, light.texture
     return records, centers
 
 
-def _mesh_lights(surface: Surface) -> np.ndarray:
+def _mesh_lights(surface: Surfaces) -> np.ndarray:
     """Records of the lights of a mesh: parallelograms, then the other triangles."""
-    areas = surface.areas
-    first, apexes = find_parallelograms(surface.vertices, surface.faces)
+    (areas,) = surface.areas()
+    first, apexes = find_parallelograms(surface.vertices[0], surface.faces[0])
     is_single = np.ones(len(areas), bool)
     is_single[first] = is_single[first + 1] = False
     single = np.flatnonzero(is_single)

@@ -137,6 +137,11 @@ class Textures:
         """Mean linear RGB (3,) float64 over one period of the texture; for a mesh attribute its scale."""
         return self._means[index]
 
+    @property
+    def reads_attributes(self) -> bool:
+        """Whether a texture reads attributes of meshes: then `arrays` needs them."""
+        return bool(self._attribute_names)
+
     def arrays(self, meshes: Sequence[MeshAttributes] = ()) -> TextureArrays:
         """Everything that was collected; `meshes` are those of the scene, in order."""
         records = np.concatenate(self._records) if self._records else np.zeros(0, TEXTURE)

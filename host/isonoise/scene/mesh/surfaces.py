@@ -1,76 +1,128 @@
-"""Turns a shape of the description into world-space triangles or an analytic primitive, oriented as in Mitsuba 3.
+"""Turns shapes of the description into world-space triangles or analytic primitives, oriented as in Mitsuba 3.
 
 Mitsuba 3 takes the side of the shading normal as the front (for emission and one-sided bsdfs). isonoise takes the
 geometric normal, which follows from a triangle's winding. So where shading and geometric normal disagree, because of a
 mirroring transform or the file itself, the winding is reversed.
 """
 
-import math
 import warnings
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from isonoise.errors import SceneError
 from isonoise.scene import structs, transforms
 from isonoise.scene.accel.bounds import analytic_extents
+from isonoise.scene.mesh.analytic import analytic_areas, cylinder_records, disk_records, sphere_records
 from isonoise.scene.mesh.load_mesh import load_mesh
 from isonoise.scene.mesh.mesh import normalize, smooth_normals, used_vertices, vector_lengths
 from isonoise.scene.placement import FLOAT_STEP
 
 _MAX_ROUNDING = 2.0**-10
 """Of a mesh's vertices in its own space, over its size: beyond it there is a warning."""
+_CHUNK_SHAPES = 2**13
+"""Shapes made at once: keeps their float64 temporaries small."""
 _NO_NORMALS = np.zeros((0, 3), np.float32)
+_NO_UVS = np.zeros((0, 2), np.float32)
+_ANALYTIC = {"sphere": sphere_records, "disk": disk_records, "cylinder": cylinder_records}
 
 
 @dataclass
-class Surface:
-    """One shape: triangles, or one analytic primitive (then `analytic` is set and there are no triangles)."""
+class Surfaces:
+    """Shapes of one kind: n meshes with v vertices and t triangles each, or n analytic primitives, with v and t 0."""
 
-    vertices: np.ndarray  # (v, 3) float32, world space
-    faces: np.ndarray  # (t, 3) uint32
-    normals: np.ndarray  # (v, 3) float32 unit vectors, or (0, 3) for flat shading
-    analytic: np.ndarray | None = None  # (1,) structs.ANALYTIC; the index of the shape is not set
-    flip_normals: bool = False  # analytic primitives only: the front is the other side
-    uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))  # (v, 2) float32, or (0, 2)
-    attributes: dict[str, np.ndarray] = field(default_factory=dict)  # 'vertex_...', 'face_...': see `mesh.Mesh`
-    # (t,) bool: the corners are in reverse order of the mesh file
-    reversed_winding: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    index: np.ndarray  # (n,) of the shapes
+    vertices: np.ndarray  # (n, v, 3) float32, in the space of the shapes
+    faces: np.ndarray  # (n, t, 3) uint32: vertices of the same mesh
+    normals: np.ndarray  # (n, v, 3) float32 unit vectors, or (n, 0, 3) for flat shading
+    analytics: np.ndarray  # (n,) structs.ANALYTIC without the index of the shape, or (0,)
+    is_flipped: np.ndarray  # (n,) bool, analytic primitives only: the front is the other side
+    reversed_winding: np.ndarray  # (n, t) bool: the corners are in reverse order of the mesh file
+    uvs: np.ndarray  # (v, 2) float32, or (0, 2); the same for all
+    attributes: dict[str, np.ndarray]  # 'vertex_...', 'face_...': see `mesh.Mesh`; the same for all
 
-    @property
     def areas(self) -> np.ndarray:
-        """World-space areas of the primitives, float64."""
-        if self.analytic is None:
-            return triangle_areas(self.vertices, self.faces)
-        return np.array([_analytic_area(self.analytic[0])])
+        """Areas (n, t) float64 of the triangles, or (n, 1) of the analytic primitives."""
+        if len(self.analytics):
+            return analytic_areas(self.analytics)[:, None]
+        return np.stack([triangle_areas(*mesh) for mesh in zip(self.vertices, self.faces, strict=True)])
 
-    @property
-    def bounds(self) -> np.ndarray:
-        """(2, 3) float64 corners of the bounding box."""
-        if self.analytic is None:
-            used = used_vertices(self.vertices, self.faces)
-            return np.stack([used.min(axis=0), used.max(axis=0)]).astype(float)
-        return np.concatenate(analytic_extents(self.analytic))
+    def boxes(self) -> np.ndarray:
+        """(n, 2, 3) float64 corners of the bounding boxes."""
+        if len(self.analytics):
+            return np.stack(analytic_extents(self.analytics), axis=1)
+        vertices = self.vertices if len(self.index) > 1 else used_vertices(self.vertices[0], self.faces[0])[None]
+        return np.stack([vertices.min(axis=1), vertices.max(axis=1)], axis=1).astype(float)
+
+    def select(self, number: int) -> "Surfaces":
+        """One of the shapes."""
+        one = slice(number, number + 1)
+        arrays = ("index", "vertices", "faces", "normals", "analytics", "is_flipped", "reversed_winding")
+        return replace(self, **{name: getattr(self, name)[one] for name in arrays})
 
 
-def make_surface(shape: dict, name: str) -> Surface:
-    """The surface of a shape of the description. `name` names it in errors."""
-    to_world = shape.get("to_world", np.eye(4))
-    make = {"sphere": _sphere, "disk": _disk, "cylinder": _cylinder}.get(shape["type"], _triangles)
+def make_surfaces(shapes: list[dict], first_index: int, name: Callable[[int], str]) -> list[Surfaces]:
+    """The surfaces of the shapes of a space; `first_index` is the index of the first one among all shapes.
+
+    Shapes without a file are made many at once. `name` names a shape in errors, by its position in the list.
+    """
+    by_type: dict[str, list[int]] = {}
+    for position, shape in enumerate(shapes):
+        by_type.setdefault(shape["type"], []).append(position)
+    surfaces = []
     with np.errstate(over="ignore", invalid="ignore"):  # checked here and when the bounds are computed
-        return make(shape, to_world, name)
+        for type_, positions in by_type.items():
+            for begin in range(0, len(positions), _CHUNK_SHAPES):
+                chunk = positions[begin : begin + _CHUNK_SHAPES]
+                surfaces += _make_chunk(type_, [shapes[i] for i in chunk], np.array(chunk), first_index, name)
+    return surfaces
 
 
-def _triangles(shape: dict, to_world: np.ndarray, name: str) -> Surface:
+def _make_chunk(
+    type_: str, shapes: list[dict], positions: np.ndarray, first_index: int, name: Callable[[int], str]
+) -> list[Surfaces]:
+    """The surfaces of shapes of one type, which have `positions` in their space."""
+    index, identity = positions + first_index, np.eye(4)
+    if type_ not in (*_ANALYTIC, "rectangle", "cube"):
+        return [_mesh_file(shape, i, name(p)) for shape, i, p in zip(shapes, index, positions, strict=True)]
+    to_world = np.array([shape.get("to_world", identity) for shape in shapes])
+    is_flipped = np.array([shape["flip_normals"] for shape in shapes])
+    if type_ not in _ANALYTIC:
+        return [_rectangles_or_cubes(shapes[0], index, to_world, is_flipped)]
+    records = _ANALYTIC[type_](shapes, to_world, lambda number: name(int(positions[number])))
+    if type_ == "sphere":
+        is_flipped = is_flipped != (np.linalg.det(to_world[:, :3, :3]) < 0)
+    none = np.zeros((len(shapes), 0, 3), np.float32)
+    no_faces, no_windings = none.astype(np.uint32), none[:, :, 0].astype(bool)
+    return [Surfaces(index, none, no_faces, none, records, is_flipped, no_windings, _NO_UVS, {})]
+
+
+def _rectangles_or_cubes(shape: dict, index: np.ndarray, to_world: np.ndarray, is_flipped: np.ndarray) -> Surfaces:
+    mesh = load_mesh(shape)
+    vertices = transforms.transform_points(to_world, mesh.vertices)
+    # mirrored normals are transformed with the shape
+    is_reversed = (np.linalg.det(to_world[:, :3, :3]) < 0) != is_flipped
+    faces = np.where(is_reversed[:, None, None], mesh.faces[:, ::-1], mesh.faces)
+    return Surfaces(
+        index,
+        vertices.astype(np.float32),
+        faces.astype(np.uint32),
+        np.zeros((len(index), 0, 3), np.float32),
+        np.zeros(0, structs.ANALYTIC),
+        np.zeros(len(index), bool),
+        faces[:, :, 0] != mesh.faces[:, 0],
+        mesh.uvs,
+        {},
+    )
+
+
+def _mesh_file(shape: dict, index: int, name: str) -> Surfaces:
     mesh = load_mesh(shape)
     _warn_if_coarse(mesh.vertices, name)
+    to_world = shape.get("to_world", np.eye(4))
     vertices = transforms.transform_points(to_world, mesh.vertices)
     faces = mesh.faces
-    if shape["type"] in ("rectangle", "cube"):
-        is_mirrored = np.linalg.det(to_world[:3, :3]) < 0
-        faces = faces[:, ::-1] if is_mirrored else faces  # their normals are transformed with them
-        normals = _NO_NORMALS
-    elif shape["face_normals"]:
+    if shape["face_normals"]:
         normals = _NO_NORMALS
     elif len(mesh.normals):
         normals = normalize(transforms.transform_normals(to_world, mesh.normals))
@@ -86,13 +138,16 @@ def _triangles(shape: dict, to_world: np.ndarray, name: str) -> Surface:
         normals = np.where(normals.any(axis=1)[:, None], normals, (0.0, 0.0, 1.0))
     if shape["flip_normals"]:
         faces, normals = faces[:, ::-1], -normals
-    return Surface(
-        np.ascontiguousarray(vertices, np.float32),
-        np.ascontiguousarray(faces, np.uint32),
-        np.ascontiguousarray(normals, np.float32),
-        uvs=mesh.uvs,
-        attributes=mesh.attributes,
-        reversed_winding=faces[:, 0] != mesh.faces[:, 0],
+    return Surfaces(
+        np.array([index]),
+        np.ascontiguousarray(vertices, np.float32)[None],
+        np.ascontiguousarray(faces, np.uint32)[None],
+        np.ascontiguousarray(normals, np.float32)[None],
+        np.zeros(0, structs.ANALYTIC),
+        np.zeros(1, bool),
+        (faces[:, 0] != mesh.faces[:, 0])[None],
+        mesh.uvs,
+        mesh.attributes,
     )
 
 
@@ -119,65 +174,3 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Areas (t,) in float64."""
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
     return 0.5 * vector_lengths(np.cross(b - a, c - a))
-
-
-def _analytic_record(kind: int, to_world: np.ndarray, name: str) -> np.ndarray:
-    record = np.zeros(1, structs.ANALYTIC)
-    record["kind"] = kind
-    record["to_world"] = to_world[:3].ravel()
-    record["to_object"] = np.linalg.inv(to_world)[:3].ravel()
-    if not (np.isfinite(record["to_world"]).all() and np.isfinite(record["to_object"]).all()):
-        raise SceneError(f"{name}: its size exceeds the range of 32-bit floats")
-    return record
-
-
-def _sphere(shape: dict, to_world: np.ndarray, name: str) -> Surface:
-    rotation, stretch = transforms.polar_decomposition(to_world)
-    _warn_if_non_uniform(stretch, (0, 1, 2), name)
-    radius = shape["radius"] * abs(stretch[0, 0])
-    sphere_to_world = np.eye(4)
-    sphere_to_world[:3, :3] = rotation * radius
-    sphere_to_world[:3, 3] = transforms.transform_points(to_world, np.array([shape["center"]]))[0]
-    record = _analytic_record(structs.ANALYTIC_SPHERE, sphere_to_world, name)
-    record["center"], record["radius"] = sphere_to_world[:3, 3], radius
-    is_mirrored = np.linalg.det(to_world[:3, :3]) < 0
-    return _analytic_surface(record, shape["flip_normals"] != is_mirrored)
-
-
-def _disk(shape: dict, to_world: np.ndarray, name: str) -> Surface:
-    return _analytic_surface(_analytic_record(structs.ANALYTIC_DISK, to_world, name), shape["flip_normals"])
-
-
-def _cylinder(shape: dict, to_world: np.ndarray, name: str) -> Surface:
-    p0, axis = np.array(shape["p0"]), np.subtract(shape["p1"], shape["p0"])
-    length, radius = np.linalg.norm(axis), shape["radius"]
-    rotation = transforms.rotation_from_z(axis / length)
-    cylinder_to_world = to_world @ transforms.translate(p0) @ rotation @ transforms.scale((radius, radius, length))
-    if not np.isfinite(cylinder_to_world).all():
-        raise SceneError(f"{name}: its size exceeds the range of 64-bit floats")
-    rotation, stretch = transforms.polar_decomposition(cylinder_to_world)
-    _warn_if_non_uniform(stretch, (0, 1), name)
-    size = (stretch[0, 0], stretch[0, 0], stretch[2, 2])  # negative if mirrored: then the axis is mirrored too
-    cylinder_to_world[:3, :3] = rotation * size
-    record = _analytic_record(structs.ANALYTIC_CYLINDER, cylinder_to_world, name)
-    return _analytic_surface(record, shape["flip_normals"])
-
-
-def _warn_if_non_uniform(stretch: np.ndarray, axes: tuple[int, ...], name: str):
-    """Mitsuba 3 warns as well and uses the scale of the first axis; the images agree."""
-    diagonal = stretch.diagonal()[list(axes)]
-    if np.abs(diagonal - diagonal[0]).max() > 1e-4 * abs(diagonal[0]):
-        warnings.warn(f"{name}: non-uniform scale; the scale of the first axis is used, as in Mitsuba 3", stacklevel=2)
-
-
-def _analytic_surface(record: np.ndarray, flip_normals: bool) -> Surface:
-    return Surface(_NO_NORMALS, _NO_NORMALS.astype(np.uint32), _NO_NORMALS, record, bool(flip_normals))
-
-
-def _analytic_area(record) -> float:
-    if record["kind"] == structs.ANALYTIC_SPHERE:
-        return 4.0 * math.pi * float(record["radius"]) ** 2
-    x, y, z = record["to_world"].reshape(3, 4)[:, :3].astype(float).T
-    if record["kind"] == structs.ANALYTIC_DISK:
-        return math.pi * float(np.linalg.norm(np.cross(x, y)))
-    return 2.0 * math.pi * float(np.linalg.norm(x) * np.linalg.norm(z))
