@@ -6,6 +6,7 @@ Nothing slow is imported here, so that `isonoise --help` answers at once.
 import argparse
 import importlib
 import signal
+import sys
 
 from isonoise import __version__, argument_types
 from isonoise.run_command import run_command
@@ -19,6 +20,7 @@ def main(argv: list[str] | None = None) -> int:
         with safe_streams() as output:
             return run_command(_parser().parse_args(argv), output)
     except KeyboardInterrupt:  # before or after the command
+        print("isonoise: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT
 
 

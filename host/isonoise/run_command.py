@@ -75,4 +75,4 @@ def _code_of_output(command: str, failure: OSError | None, code: int) -> int:
     if failure is None or (isinstance(failure, BrokenPipeError) and command in _PRINTING_COMMANDS):
         return code
     print(f"isonoise: cannot write to standard output: {failure.strerror}", file=sys.stderr)
-    return code if code > EXIT_ERROR_NOT_MET else EXIT_BAD_INPUT
+    return code if code > EXIT_ERROR_NOT_MET or exit_code() else EXIT_BAD_INPUT
