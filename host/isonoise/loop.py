@@ -226,6 +226,8 @@ class RenderLoop:
 
     def _restore(self, state: State) -> None:
         self.renderer.restore(state)
+        if "loop" not in state.values:
+            raise UserError("the render cannot be continued: its state is that of a Renderer, without log and time")
         values = state.values["loop"]
         if values["reference_floor"] != self._reference_floor:
             raise UserError("the render cannot be continued: it had another --reference, or one of both has none")

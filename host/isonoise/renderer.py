@@ -306,6 +306,12 @@ class Renderer:
         if "renderer" not in state.values:
             raise UserError("a merged render cannot be continued; render the scene with another seed, and merge both")
         check_settings(state.settings, self.settings)
+        try:
+            self._restore(state)
+        except (LookupError, TypeError, ValueError, AttributeError, StopIteration) as error:  # also of the strategy
+            raise UserError(f"the render cannot be continued: its state is damaged ({error!r})") from error
+
+    def _restore(self, state: State) -> None:
         values, wave = state.values["renderer"], state.values["renderer"]["wave"]
         self._wavefront.accumulator.set_state(state.group("reduction"))
         self._planner.set_state(values["planner"])

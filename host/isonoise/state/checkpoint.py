@@ -1,8 +1,8 @@
 """Checkpoint files: a `State` as an uncompressed .npz archive, without pickled objects.
 
-An archive has a member `GROUP/NAME.npy` for every array of the state, and `state.json` with the rest and with type and
-shape of every array. The zip format has a CRC-32 of every member, which is checked when it is read. Other programs read
-the arrays with `numpy.load`.
+An archive has a member `GROUP/NAME.npy` for every array of the state, and `state.json` with the rest and with type,
+shape and CRC-32 of every array. The zip format has a CRC-32 of every member, which is checked when it is read. Other
+programs read the arrays with `numpy.load`.
 """
 
 import json
@@ -17,6 +17,7 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
+from isonoise.state.consistency import check_consistency
 from isonoise.state.state import State
 
 FORMAT = 1
@@ -45,7 +46,7 @@ def write_checkpoint(path: str | os.PathLike, state: State) -> None:
 
     def write(temporary: Path) -> None:
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-            archive.writestr(_JSON_NAME, json.dumps(_description(state)))
+            forms = {}
             for name, array in state.arrays.items():
                 with archive.open(name + _ARRAY_SUFFIX, "w", force_zip64=True) as member:
                     contiguous = np.ascontiguousarray(array)
@@ -53,6 +54,9 @@ def write_checkpoint(path: str | os.PathLike, state: State) -> None:
                     content = contiguous.reshape(-1).view(np.uint8).data
                     for begin in range(0, len(content), _CHUNK_BYTES):
                         member.write(content[begin : begin + _CHUNK_BYTES])
+                forms[name] = array.dtype.str, array.shape, archive.getinfo(name + _ARRAY_SUFFIX).CRC
+            parts = {"settings": state.settings, "values": state.values, "arrays": forms}
+            archive.writestr(_JSON_NAME, json.dumps({"format": FORMAT} | parts))
 
     write_atomically(path, write)
 
@@ -72,7 +76,9 @@ def read_checkpoint(path: str | os.PathLike) -> State:
                 name: _read_array(archive, name, *form, Path(path).stat().st_size)
                 for name, form in description["arrays"].items()
             }
-            return State(dict(description["settings"]), dict(description["values"]), arrays)
+            state = State(dict(description["settings"]), dict(description["values"]), arrays)
+            check_consistency(state)
+            return state
         except _DAMAGE as error:
             raise _damaged(path, error) from error
         except OSError as error:
@@ -80,17 +86,13 @@ def read_checkpoint(path: str | os.PathLike) -> State:
 
 
 def read_description(path: str | os.PathLike) -> dict[str, object]:
-    """Read what a checkpoint holds besides arrays: `settings`, `values`, and `arrays`, name -> [type, shape].
+    """Read what a checkpoint holds besides arrays: `settings`, `values`, and `arrays`, name -> [type, shape,
+    CRC-32 of the member].
 
     Raises UserError as `read_checkpoint` does; arrays are not checked.
     """
     with _open(path) as archive:
         return _read_description(archive, path)
-
-
-def _description(state: State) -> dict[str, object]:
-    arrays = {name: [array.dtype.str, array.shape] for name, array in state.arrays.items()}
-    return {"format": FORMAT, "settings": state.settings, "values": state.values, "arrays": arrays}
 
 
 def _open(path: str | os.PathLike) -> zipfile.ZipFile:
@@ -125,13 +127,17 @@ def _read_description(archive: zipfile.ZipFile, path: str | os.PathLike) -> dict
         raise _damaged(path, error) from error
 
 
-def _read_array(archive: zipfile.ZipFile, name: str, dtype: str, shape: list[int], file_bytes: int) -> np.ndarray:
+def _read_array(
+    archive: zipfile.ZipFile, name: str, dtype: str, shape: list[int], crc: int, file_bytes: int
+) -> np.ndarray:
     """An array of the archive; ValueError or another of `_DAMAGE` if it is not as described."""
     if dtype not in _TYPES or not all(isinstance(side, int) and 0 <= side < 2**40 for side in shape):
         raise ValueError(f"'{name}' has type {dtype} and shape {shape}")
     size_bytes = math.prod(shape) * np.dtype(dtype).itemsize
     if size_bytes > file_bytes:
         raise ValueError(f"'{name}' is larger than the file")
+    if crc != archive.getinfo(name + _ARRAY_SUFFIX).CRC:
+        raise ValueError(f"'{name}' is that of another checkpoint")
     with _stored(archive, name + _ARRAY_SUFFIX) as member:
         version = np.lib.format.read_magic(member)
         header = np.lib.format.read_array_header_1_0(member) if version == (1, 0) else None

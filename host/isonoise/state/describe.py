@@ -54,6 +54,6 @@ def _joined(texts) -> str:
     return ", ".join(dict.fromkeys(map(str, texts)))
 
 
-def _array_text(dtype: str, shape: list[int]) -> str:
+def _array_text(dtype: str, shape: list[int], _crc: int) -> str:
     size = math.prod(shape) * np.dtype(dtype).itemsize
     return f"{np.dtype(dtype).name} {'x'.join(map(str, shape))}, {size / 2**20:.1f} MiB"

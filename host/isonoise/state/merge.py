@@ -61,7 +61,10 @@ def merge_states(states: Iterable[State], names: Sequence[str], device: Device) 
                     "renders with different --seed"
                 )
             renders[seed] = name, render
-        part = state_statistics(state, device)
+        try:
+            part = state_statistics(state, device)
+        except ValueError as error:
+            raise UserError(f"'{name}' is damaged: {error}") from error
         statistics = part if statistics is None else merge_two(statistics, part)
     planes = {field.name: getattr(statistics, field.name) for field in fields(Statistics)}
     arrays = with_group("statistics", {name: plane for name, plane in planes.items() if plane is not None})

@@ -75,7 +75,14 @@ class Strategy:
         return {name: value for name, value in vars(self).items() if name not in parameters}
 
     def set_state(self, state: dict[str, object]) -> None:
-        """Continue from what `state` has returned. Called after as many waves as then have been taken from `waves`."""
+        """Continue from what `state` has returned. Called after as many waves as then have been taken from `waves`.
+
+        Raises ValueError if a name is missing, or is that of a parameter or method.
+        """
+        names = self.state().keys()
+        for name in names ^ state.keys():
+            if name in names or name in inspect.signature(type(self)).parameters or hasattr(type(self), name):
+                raise ValueError(f"'{name}' of the strategy is {'missing' if name in names else 'unknown'}")
         vars(self).update(state)
 
     def waves(self) -> Iterator[Wave]:
