@@ -25,7 +25,7 @@ from isonoise.strategies.registry import BUILT_IN
 
 RENDERERS = 300
 """Renderers in one process: its memory and open files after the first 50 are compared with those after the last."""
-MAX_GROWTH_BYTES = 8 << 20
+MAX_GROWTH_BYTES = 16 << 20
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 STRATEGIES = [name for name in BUILT_IN if name != "oracle"]
 SCENE = """<scene version="3.0.0">
@@ -43,7 +43,6 @@ SCENE = """<scene version="3.0.0">
 
 def main_soak(minutes: float, seed: int) -> None:
     rng, end = random.Random(seed), time.monotonic() + 60 * minutes
-    measure_growth()
     counts = collections.Counter()
     losses = []
     while time.monotonic() < end:
@@ -57,6 +56,7 @@ def main_soak(minutes: float, seed: int) -> None:
             except BaseException:
                 print(f"job {job_seed} failed; its files are in {shutil.copytree(name, tempfile.mkdtemp() + '/soak')}")
                 raise
+    measure_growth()
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(f"{minutes:g} minutes, seed {seed}: " + ", ".join(f"{n} {what}" for what, n in sorted(counts.items())))
     print(f"rendering time lost by a SIGKILL, beside the interval: at most {max(losses, default=0.0):.3f} s")

@@ -1,6 +1,5 @@
 """A render's image files: their layers, the file format by extension, and writing them while and after it renders."""
 
-import contextlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -60,8 +59,8 @@ def write_image(path: str | os.PathLike, layers: Mapping[str, np.ndarray], heade
 class ImageFiles:
     """The image files of one render. They may be written several times while it runs, and once when it has ended.
 
-    An image in which some pixels have no sample replaces no existing file: it gets the name `NAME.partial.EXTENSION`,
-    and is removed when the complete image is written.
+    An image in which some pixels have no sample replaces no existing file: at the end it gets the name
+    `NAME.partial.EXTENSION`. During the render it is not written, because a killed process would leave it behind.
 
     Parameters
     ----------
@@ -74,7 +73,6 @@ class ImageFiles:
             check_output(path)
         self._paths = paths
         self._written: set[str] = set()
-        self._partial: dict[str, Path] = {}  # path -> the partial image written in its place
 
     def write(
         self,
@@ -96,7 +94,7 @@ class ImageFiles:
         Returns
         -------
         list of WrittenFile
-            One per path.
+            One per path; its path is None without a failure if the image is left out during the render.
         """
         layers = _layers_within_memory(statistics, floor)
         is_partial = not may_be_partial and not ((statistics.count > 0) | (statistics.rejected > 0)).all()
@@ -108,17 +106,11 @@ class ImageFiles:
 
     def _write_one(self, path: str, write, has_ended: bool, is_partial: bool) -> WrittenFile:
         write_safely = write_with_fallback if has_ended else _try_to_write
-        partial = self._partial.get(path)
         if is_partial and path not in self._written and os.path.lexists(path):
-            partial = self._partial.setdefault(path, unused_path(Path(path), "partial"))
-            return write_safely(partial, write)
+            return write_safely(unused_path(Path(path), "partial"), write) if has_ended else WrittenFile(None)
         written = write_safely(path, write)
         if not written.failure:
             self._written.add(path)
-            if partial:
-                del self._partial[path]
-                with contextlib.suppress(OSError):
-                    partial.unlink()
         return written
 
 
