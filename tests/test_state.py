@@ -1,5 +1,6 @@
 """The state of a render: continued renders have the bits of unbroken ones, and merged ones are exact."""
 
+import copy
 import dataclasses
 import itertools
 
@@ -125,6 +126,30 @@ def test_a_changed_file_is_named(tmp_path):
     renderer = make()
     (tmp_path / "m.obj").unlink()
     assert renderer.state().settings["files"]["m.obj"] is None  # removed before the first checkpoint
+
+
+@pytest.mark.parametrize(
+    ("group", "name", "value"),
+    [
+        ("renderer", "planner", {}),
+        ("renderer", "wave", {"kind": "uniform"}),
+        ("strategy", "waves", 1),
+        ("strategy", "warmup", 3),
+        ("loop", None, None),
+        (None, "reduction/sums", np.zeros((10, 5, 6), np.float32)),
+        (None, "reduction/sums", np.zeros((10, 5, 7))),
+    ],
+)
+def test_states_that_do_not_fit_are_refused(group, name, value):
+    state = copy.deepcopy(finished_state())
+    if group is None:
+        state.arrays[name] = value
+    elif name is None:
+        del state.values[group]
+    else:
+        state.values[group][name] = value
+    with pytest.raises(UserError, match="the render cannot be continued: its state is"):
+        make_loop("pooled", Stops(spp=8), state=state)
 
 
 class _Forgetful(Strategy):

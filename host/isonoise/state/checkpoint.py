@@ -8,15 +8,18 @@ programs read the arrays with `numpy.load`.
 import json
 import math
 import os
+import struct
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
+from isonoise.input_files import open_regular_file, size_bytes
 from isonoise.state.consistency import check_consistency
 from isonoise.state.state import State
 
@@ -30,6 +33,7 @@ _MAX_JSON_BYTES = 2**28
 _TYPES = ("<f4", "<f8", "<u4", "<i4", "<i8", "<u8", "|b1", "|u1", "|i1", "<u2", "<i2", "<f2")
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, ValueError, KeyError, TypeError, EOFError, NotImplementedError, RuntimeError,
+    struct.error, OverflowError,
 )  # fmt: skip
 """What zipfile, json and numpy raise for a damaged file. UnicodeDecodeError is a ValueError, RecursionError a
 RuntimeError."""
@@ -69,62 +73,53 @@ def read_checkpoint(path: str | os.PathLike) -> State:
     UserError
         If the file is missing, damaged, or not a checkpoint of this version of isonoise.
     """
-    with _open(path) as archive:
+    with _opened(path) as (archive, file_bytes):
         description = _read_description(archive, path)
-        try:
-            arrays = {
-                name: _read_array(archive, name, *form, Path(path).stat().st_size)
-                for name, form in description["arrays"].items()
-            }
-            state = State(dict(description["settings"]), dict(description["values"]), arrays)
-            check_consistency(state)
-            return state
-        except _DAMAGE as error:
-            raise _damaged(path, error) from error
-        except OSError as error:
-            raise UserError(f"cannot read '{path}': {error.strerror or error}") from error
+        arrays = {name: _read_array(archive, name, *form, file_bytes) for name, form in description["arrays"].items()}
+        state = State(dict(description["settings"]), dict(description["values"]), arrays)
+        check_consistency(state)
+        return state
 
 
 def read_description(path: str | os.PathLike) -> dict[str, object]:
-    """Read what a checkpoint holds besides arrays: `settings`, `values`, and `arrays`, name -> [type, shape,
-    CRC-32 of the member].
+    """Read what a checkpoint holds besides arrays: `settings`, `values`, and `arrays`, name -> [type, shape, CRC-32].
 
     Raises UserError as `read_checkpoint` does; arrays are not checked.
     """
-    with _open(path) as archive:
+    with _opened(path) as (archive, _):
         return _read_description(archive, path)
 
 
-def _open(path: str | os.PathLike) -> zipfile.ZipFile:
-    path = Path(path)
+@contextmanager
+def _opened(path: str | os.PathLike) -> Iterator[tuple[zipfile.ZipFile, int]]:
+    """The archive and the size of its file in bytes. Within the `with` block, damage raises UserError."""
     try:
-        if path.exists() and not path.is_file():
-            raise UserError(f"cannot read '{path}': it is not a regular file")
-        return zipfile.ZipFile(path)
-    except OSError as error:
-        raise UserError(f"cannot read '{path}': {error.strerror or error}") from error
+        with open_regular_file(path) as file:
+            if not zipfile.is_zipfile(file):
+                raise UserError(f"cannot read '{path}': it is not a checkpoint, or it is cut off")
+            with zipfile.ZipFile(file) as archive:
+                yield archive, size_bytes(file)
     except _DAMAGE as error:
-        raise UserError(f"cannot read '{path}': it is not a checkpoint, or it is cut off ({error})") from error
+        raise UserError(f"cannot read '{path}': the checkpoint is damaged ({error})") from error
+    except OSError as error:  # damaged offsets have EINVAL
+        raise UserError(f"cannot read '{path}': {error.strerror or error}") from error
 
 
 def _read_description(archive: zipfile.ZipFile, path: str | os.PathLike) -> dict[str, object]:
-    try:
-        if _JSON_NAME not in archive.namelist():
-            raise UserError(f"cannot read '{path}': it is not a checkpoint of isonoise")
-        if archive.getinfo(_JSON_NAME).file_size > _MAX_JSON_BYTES:
-            raise ValueError(f"{_JSON_NAME} is too large")
-        description = json.loads(_stored(archive, _JSON_NAME).read())
-        if description["format"] != FORMAT:
-            raise UserError(
-                f"cannot read '{path}': it has format {description['format']}, and this version of isonoise reads "
-                f"format {FORMAT}; use the version that wrote it"
-            )
-        for part in ("settings", "values", "arrays"):
-            if not isinstance(description[part], Mapping):
-                raise TypeError(f"'{part}' is no object")
-        return description
-    except _DAMAGE as error:
-        raise _damaged(path, error) from error
+    if _JSON_NAME not in archive.namelist():
+        raise UserError(f"cannot read '{path}': it is not a checkpoint of isonoise")
+    if archive.getinfo(_JSON_NAME).file_size > _MAX_JSON_BYTES:
+        raise ValueError(f"{_JSON_NAME} is too large")
+    description = json.loads(_stored(archive, _JSON_NAME).read())
+    if description["format"] != FORMAT:
+        raise UserError(
+            f"cannot read '{path}': it has format {description['format']}, and this version of isonoise reads "
+            f"format {FORMAT}; use the version that wrote it"
+        )
+    for part in ("settings", "values", "arrays"):
+        if not isinstance(description[part], Mapping):
+            raise TypeError(f"'{part}' is no object")
+    return description
 
 
 def _read_array(
@@ -156,7 +151,3 @@ def _stored(archive: zipfile.ZipFile, name: str):
     if info.compress_type != zipfile.ZIP_STORED:
         raise ValueError(f"'{name}' is compressed")
     return archive.open(info)
-
-
-def _damaged(path: str | os.PathLike, error: Exception) -> UserError:
-    return UserError(f"cannot read '{path}': the checkpoint is damaged ({error})")
