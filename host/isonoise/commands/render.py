@@ -167,6 +167,11 @@ class _Log:
 
     def end(self, rows: list[LogRow]) -> WrittenFile | None:
         """After a write error write all rows to another place; None if there was none."""
+        if self._writer and not self._failure:
+            try:
+                self._writer.end()
+            except UserError as error:
+                self._failure = error
         if not self._failure:
             return None
         return write_elsewhere(self._path, lambda path: write_log(path, rows, self._true_errors), self._failure)

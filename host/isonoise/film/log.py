@@ -74,7 +74,7 @@ class LogWriter:
     Raises
     ------
     UserError
-        If the file cannot be written, here or in `write`, or another process is writing it.
+        If the file cannot be written, here, in `write` or in `end`, or another process is writing it.
     """
 
     def __init__(self, path: str | os.PathLike, true_errors: bool, rows: Sequence[LogRow] = ()):
@@ -99,6 +99,11 @@ class LogWriter:
                     raise UserError(f"cannot write '{self._name}': no space left")
         except OSError as error:
             raise UserError(f"cannot write '{self._name}': {error.strerror}") from error
+
+    def end(self) -> None:
+        """Write the earlier rows if the continued render has added none."""
+        if self._earlier and not self._has_rows:
+            _write_rows(self._name, self._columns, self._earlier)
 
     def close(self) -> None:
         """Let other processes write the file."""
