@@ -79,10 +79,11 @@ class Strategy:
 
         Raises ValueError if a name is missing, or is that of a parameter or method.
         """
-        names = self.state().keys()
-        for name in names ^ state.keys():
-            if name in names or name in inspect.signature(type(self)).parameters or hasattr(type(self), name):
-                raise ValueError(f"'{name}' of the strategy is {'missing' if name in names else 'unknown'}")
+        if missing := self.state().keys() - state.keys():
+            raise ValueError(f"'{min(missing)}' of the strategy is missing")
+        for name in state:
+            if name in inspect.signature(type(self)).parameters or callable(getattr(type(self), name, None)):
+                raise ValueError(f"the strategy remembers no '{name}'")
         vars(self).update(state)
 
     def waves(self) -> Iterator[Wave]:
