@@ -183,12 +183,14 @@ def _compile_geometry(description: Mapping[str, dict]) -> _Geometry:
     layout = Layout(surfaces, len(shapes))
     instances = instance_records(spaces)
     boxes = _boxes(spaces, shape_boxes(surfaces, len(shapes)), sizes, instances)
+    with np.errstate(over="ignore"):  # `Boxes.check` reports it
+        bounds = boxes[0].union().astype(np.float32)
     arrays = {
         **merge_meshes(surfaces, layout),
         "analytics": merge_analytics(surfaces, layout),
         "instances": instances,
         "group_offsets": group_offsets(layout, sizes),
-        "bounds": boxes[0].union().astype(np.float32),
+        "bounds": bounds,
     }
     return _Geometry(shapes, surfaces, layout, spaces.group_ids, boxes, arrays)
 
