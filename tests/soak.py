@@ -4,7 +4,9 @@
 """
 
 import collections
+import contextlib
 import gc
+import io
 import os
 import random
 import resource
@@ -162,7 +164,8 @@ def check_total(files: Files, size: tuple[int, int], spp: float) -> None:
 
 
 def run(*arguments: str) -> None:
-    assert main(list(arguments)) == 0, arguments
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main(list(arguments)) == 0, arguments
 
 
 def measure_growth() -> None:

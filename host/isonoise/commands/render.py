@@ -59,6 +59,7 @@ class _Render:
         self._options, self._renderer, self._reference = options, renderer, reference
         self._images, self._log, self._checkpoints = images, log, checkpoints
         self._stops = _stops(options, renderer)
+        self._warned: set[str] = set()  # of images that could not be written during the render
 
     def run(self, received: list[int]) -> int:
         """Render until a limit, or a signal in `received`; return the exit code."""
@@ -101,8 +102,9 @@ class _Render:
         """Write the images in the middle of the render."""
         outcome = loop.outcome_so_far("unfinished")
         if outcome.statistics.samples:
-            for image in self._write_images(outcome, has_ended=False):
-                if image.failure:
+            for path, image in zip(self._options.output, self._write_images(outcome, has_ended=False), strict=True):
+                if image.failure and path not in self._warned:
+                    self._warned.add(path)
                     print(f"isonoise: warning: {image.failure}; the render goes on", file=sys.stderr)
 
     def _write_images(self, outcome: Outcome, has_ended: bool) -> list[WrittenFile]:
