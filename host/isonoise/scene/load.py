@@ -7,7 +7,7 @@ from isonoise.errors import SceneError
 from isonoise.scene.builtin import find_scene
 from isonoise.scene.files import scene_folder
 from isonoise.scene.parse.dict_reader import read_dict
-from isonoise.scene.parse.validate import normalise
+from isonoise.scene.parse.validate import SceneNormaliser, normalise
 from isonoise.scene.parse.xml_reader import read_xml
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -58,4 +58,5 @@ def load(
         if parameters:
             raise SceneError(f"{path}: parameters belong to XML scenes, this is a mesh")
         return normalise(read_dict(default_scene(path, folder)))
-    return normalise(read_xml(path, parameters, folder))
+    scene = SceneNormaliser()
+    return scene.finish(read_xml(path, parameters, folder, scene.add))

@@ -9,7 +9,7 @@ from isonoise.scene.camera import crop_fits_film, is_rigid, parse_focal_length
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
 from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
 from isonoise.scene.material.presets import conductors
-from isonoise.scene.parse.elements import SourceLocation, closest_name
+from isonoise.scene.parse.elements import Location, closest_name
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.sensors import SENSORS
 
@@ -28,7 +28,7 @@ _MUTUALLY_EXCLUSIVE = {
 }
 
 
-def check_constraints(kind: str, result: dict, location: SourceLocation):
+def check_constraints(kind: str, result: dict, location: Location):
     """Raise SceneError if the parameters of a normalised object contradict each other."""
     name = result["type"]
     for first, second in _MUTUALLY_EXCLUSIVE.get(name, ()):
@@ -40,25 +40,25 @@ def check_constraints(kind: str, result: dict, location: SourceLocation):
         _CHECKS[name](result, location)
 
 
-def _check_invertible(to_world: np.ndarray, location: SourceLocation):
+def _check_invertible(to_world: np.ndarray, location: Location):
     with np.errstate(all="ignore"):
         determinant = np.linalg.det(to_world[:3, :3])
     if not np.isfinite(determinant) or determinant == 0 or np.any(to_world[3] != (0, 0, 0, 1)):
         location.raise_error("to_world cannot be inverted, or its last row is not 0 0 0 1")
 
 
-def _check_sensor(sensor: dict, location: SourceLocation):
+def _check_sensor(sensor: dict, location: Location):
     if sensor["near_clip"] >= sensor["far_clip"]:
         location.raise_error("near_clip has to be smaller than far_clip")
 
 
-def _check_orthographic(sensor: dict, location: SourceLocation):
+def _check_orthographic(sensor: dict, location: Location):
     _check_sensor(sensor, location)
     if "to_world" in sensor:
         _check_invertible(sensor["to_world"], location)
 
 
-def _check_perspective(sensor: dict, location: SourceLocation):
+def _check_perspective(sensor: dict, location: Location):
     _check_sensor(sensor, location)
     if "focal_length" in sensor and parse_focal_length(sensor["focal_length"]) is None:
         location.raise_error(f"focal_length has to be millimetres, such as '50mm', got '{sensor['focal_length'][:40]}'")
@@ -66,7 +66,7 @@ def _check_perspective(sensor: dict, location: SourceLocation):
         location.raise_error("to_world scales or shears; a camera can only be translated, rotated and mirrored")
 
 
-def _check_thin_lens(sensor: dict, location: SourceLocation):
+def _check_thin_lens(sensor: dict, location: Location):
     _check_perspective(sensor, location)
     if sensor["aperture_radius"] > _MAX_APERTURE_RATIO * sensor.get("focus_distance", sensor["far_clip"]):
         location.raise_error(
@@ -74,7 +74,7 @@ def _check_thin_lens(sensor: dict, location: SourceLocation):
         )
 
 
-def _check_hdrfilm(film: dict, location: SourceLocation):
+def _check_hdrfilm(film: dict, location: Location):
     if not crop_fits_film(film):
         location.raise_error("the crop window extends beyond the film: reduce crop_offset or crop size")
     width, height = film.get("crop_width", film["width"]), film.get("crop_height", film["height"])
@@ -82,34 +82,34 @@ def _check_hdrfilm(film: dict, location: SourceLocation):
         location.raise_error(f"the image has {width} x {height} pixels; the limit is {MAX_PIXELS:,}")
 
 
-def _check_conductor(bsdf: dict, location: SourceLocation):
+def _check_conductor(bsdf: dict, location: Location):
     material = bsdf.get("material")
     if material is not None and material not in conductors():
         location.raise_error(f"unknown conductor '{material}'; did you mean '{closest_name(material, conductors())}'?")
 
 
-def _check_dielectric(bsdf: dict, location: SourceLocation):
+def _check_dielectric(bsdf: dict, location: Location):
     if not _MIN_FLOAT32 <= bsdf["int_ior"] / bsdf["ext_ior"] <= 1.0 / _MIN_FLOAT32:
         location.raise_error("int_ior / ext_ior exceeds the range of 32-bit floats")
 
 
-def _check_rough_boundary(bsdf: dict, location: SourceLocation):
+def _check_rough_boundary(bsdf: dict, location: Location):
     _check_dielectric(bsdf, location)
     if np.float32(bsdf["int_ior"] / bsdf["ext_ior"]) == 1:
         location.raise_error("int_ior and ext_ior have to differ: a rough boundary of equal indices does not refract")
 
 
-def _check_alpha_u_and_v(bsdf: dict, location: SourceLocation):
+def _check_alpha_u_and_v(bsdf: dict, location: Location):
     if ("alpha_u" in bsdf) != ("alpha_v" in bsdf):
         location.raise_error("give both 'alpha_u' and 'alpha_v', or 'alpha' alone")
 
 
-def _check_rough_conductor(bsdf: dict, location: SourceLocation):
+def _check_rough_conductor(bsdf: dict, location: Location):
     _check_conductor(bsdf, location)
     _check_alpha_u_and_v(bsdf, location)
 
 
-def _check_rough_dielectric(bsdf: dict, location: SourceLocation):
+def _check_rough_dielectric(bsdf: dict, location: Location):
     _check_rough_boundary(bsdf, location)
     _check_alpha_u_and_v(bsdf, location)
 
@@ -126,35 +126,35 @@ def _nested_bsdfs(bsdf: dict) -> Iterator[dict]:
             queue.append(nested)
 
 
-def _check_twosided(bsdf: dict, location: SourceLocation):
+def _check_twosided(bsdf: dict, location: Location):
     for nested in _nested_bsdfs(bsdf):
         transmits = KIND_OF_PLUGIN[nested["type"]].transmits
         if transmits and transmits(nested):
             location.raise_error(f"twosided cannot contain the transmissive bsdf '{nested['type']}' (nor in Mitsuba 3)")
 
 
-def _check_bump_or_normal_map(bsdf: dict, location: SourceLocation):
+def _check_bump_or_normal_map(bsdf: dict, location: Location):
     for nested in _nested_bsdfs(bsdf):
         if nested["type"] in ("bumpmap", "normalmap"):
             location.raise_error(f"a {bsdf['type']} cannot contain a {nested['type']}, not even inside another bsdf")
 
 
-def _check_cylinder(shape: dict, location: SourceLocation):
+def _check_cylinder(shape: dict, location: Location):
     if shape["p0"] == shape["p1"]:
         location.raise_error("p0 and p1 have to differ")
 
 
-def _check_directional(emitter: dict, location: SourceLocation):
+def _check_directional(emitter: dict, location: Location):
     if not any(emitter.get("direction", (0.0, 0.0, 1.0))):
         location.raise_error("the direction is zero")
 
 
-def _check_spot(emitter: dict, location: SourceLocation):
+def _check_spot(emitter: dict, location: Location):
     if emitter.get("beam_width", 0.0) > emitter["cutoff_angle"]:
         location.raise_error("beam_width has to be at most cutoff_angle")
 
 
-def _check_mesh(shape: dict, location: SourceLocation):
+def _check_mesh(shape: dict, location: Location):
     count, faces = len(shape["vertices"]), shape["faces"]
     if len(shape.get("normals", shape["vertices"])) != count:
         location.raise_error("the number of normals has to equal the number of vertices")
@@ -162,19 +162,19 @@ def _check_mesh(shape: dict, location: SourceLocation):
         location.raise_error(f"it has no faces, or a face uses a vertex that does not exist (there are {count})")
 
 
-def _check_shapegroup(group: dict, location: SourceLocation):
+def _check_shapegroup(group: dict, location: Location):
     if any(isinstance(shape, dict) and "emitter" in shape for shape in group.values()):
         location.raise_error(
             "a shape of a shapegroup cannot have an emitter (nor can it in Mitsuba 3); move it out of the group"
         )
 
 
-def _check_homogeneous(medium: dict, location: SourceLocation):
+def _check_homogeneous(medium: dict, location: Location):
     if not colour_to_rgb(medium["sigma_t"], "unbounded").max() * medium["scale"] <= _MAX_SIGMA_T:
         location.raise_error(f"sigma_t times scale exceeds {_MAX_SIGMA_T:g}: 32-bit floats overflow")
 
 
-def _check_scene(scene: dict, location: SourceLocation):
+def _check_scene(scene: dict, location: Location):
     environments = {plugin for plugin, kind in LIGHT_OF_PLUGIN.items() if kind.is_environment}
     if sum(isinstance(value, dict) and value["type"] in environments for value in scene.values()) > 1:
         location.raise_error("a scene can have only one constant emitter or environment map")

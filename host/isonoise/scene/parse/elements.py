@@ -11,9 +11,21 @@ _MAX_MESSAGE_CHARS = 2000  # files may contain names of any length
 _MAX_COMPARED_CHARS, _MAX_COMPARED_NAMES = 60, 1000  # comparing names takes time quadratic in their length
 
 
-@dataclass(frozen=True)
-class SourceLocation:
-    """A location in the scene: a file and a line, or a path of keys in a Python dict."""
+class Location:
+    """A place in the scene that errors name, as its text."""
+
+    __slots__ = ()
+
+    def raise_error(self, message: str) -> NoReturn:
+        """Raise a SceneError whose message begins with this location."""
+        prefix = str(self)
+        text = (f"{prefix}: {message}" if prefix else message).replace("\n", " ")
+        raise SceneError(text if len(text) <= _MAX_MESSAGE_CHARS else text[:_MAX_MESSAGE_CHARS] + " ...")
+
+
+@dataclass(frozen=True, slots=True)
+class SourceLocation(Location):
+    """A file and a line, or a path of keys in a Python dict."""
 
     file: str = ""
     line: int = 0
@@ -23,27 +35,23 @@ class SourceLocation:
         file = f"{self.file}:{self.line}" if self.line else self.file
         return ": ".join(part for part in (file, self.element) if part)
 
-    def raise_error(self, message: str) -> NoReturn:
-        """Raise a SceneError whose message begins with this location."""
-        prefix = str(self)
-        text = (f"{prefix}: {message}" if prefix else message).replace("\n", " ")
-        raise SceneError(text if len(text) <= _MAX_MESSAGE_CHARS else text[:_MAX_MESSAGE_CHARS] + " ...")
 
-
-@dataclass
+@dataclass(slots=True)
 class Element:
     """One unchecked object of the scene, from an XML element or a Python dict."""
 
-    location: SourceLocation
+    location: Location
     kind: str  # the XML tag ('bsdf', 'shape', ...); '' for Python dicts, where it follows from the type
     type: str
     id: str
-    entries: list[tuple[str, object, SourceLocation]] = field(default_factory=list)
+    entries: list[tuple[str, object, Location]] = field(default_factory=list)
     """(name, value, location): a value is an Element, a Reference or plain data. The name of an object may be ''."""
     aliases: dict[str, str] = field(default_factory=dict)  # of the root: alias -> id
+    normalised: dict | None = None  # set by `validate.py`: the checked object
+    height: int = 1  # levels of nested objects in it, including its own; known once it is normalised
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Reference:
     """A reference to the object with this id."""
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.scene.material.presets import refractive_indices
-from isonoise.scene.parse.elements import SourceLocation, closest_name
+from isonoise.scene.parse.elements import Location, closest_name
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter
 
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 
 
-def check_value(parameter: Parameter, value, location: SourceLocation):
+def check_value(parameter: Parameter, value, location: Location):
     """The value as the parameter's Python type. Raises SceneError if it has another type or is out of range."""
     type_ = parameter.type
     if type_ in COLOURS:
@@ -82,7 +82,7 @@ _TYPES = {
 }
 
 
-def _check_index(value, location: SourceLocation) -> float:
+def _check_index(value, location: Location) -> float:
     """An index of refraction, given by number or by name."""
     by_name = refractive_indices()
     if isinstance(value, str):
@@ -96,7 +96,7 @@ def _check_index(value, location: SourceLocation) -> float:
     return number
 
 
-def _check_colour(kind: str, value, location: SourceLocation):
+def _check_colour(kind: str, value, location: Location):
     """A float, or a dict of type 'rgb' (three floats) or 'spectrum' (one float, or pairs of wavelength and value)."""
     if isinstance(value, dict) and value["type"] == "spectrum":
         return {"type": "spectrum", "value": _check_spectrum(kind, value, location)}
@@ -115,7 +115,7 @@ def _check_colour(kind: str, value, location: SourceLocation):
     return number
 
 
-def _check_spectrum(kind: str, value: dict, location: SourceLocation):
+def _check_spectrum(kind: str, value: dict, location: Location):
     values = value.get("value")
     number = _to_float(values)
     if number is not None:
@@ -133,7 +133,7 @@ def _check_spectrum(kind: str, value: dict, location: SourceLocation):
     return pairs
 
 
-def _check_colour_range(kind: str, channels, location: SourceLocation):
+def _check_colour_range(kind: str, channels, location: Location):
     if min(channels) < 0:
         noun = "colour" if kind == "unbounded" else kind
         location.raise_error(f"a {noun} cannot be negative, got {_shortened(channels)}")

@@ -3,14 +3,12 @@
 All checks of names, types and ranges are here, so XML files and Python dicts get the same ones.
 """
 
-from collections import Counter
-
 from isonoise.scene import vocabulary
 from isonoise.scene.parse.constraints import check_constraints
-from isonoise.scene.parse.elements import Element, Reference, SourceLocation, closest_name, with_article
+from isonoise.scene.parse.elements import Element, Location, Reference, SourceLocation, closest_name, with_article
 from isonoise.scene.parse.parameter_values import check_value
 from isonoise.scene.parse.xml_tags import MAX_DEPTH
-from isonoise.scene.vocabulary.plugin import IGNORED, SUPPORTED, UNSUPPORTED, Child, Parameter, Plugin
+from isonoise.scene.vocabulary.plugin import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
 
 
 def normalise(root: Element) -> dict:
@@ -19,20 +17,41 @@ def normalise(root: Element) -> dict:
     A reference becomes the dict of the object that it refers to, one dict for all references. Raises SceneError for
     anything outside the vocabulary.
     """
-    if root.type != "scene":
-        root.location.raise_error(f"the root of a scene has to be of type 'scene', not '{root.type}'")
-    return _Normaliser(root).normalise_object(root, "scene")
+    scene = SceneNormaliser()
+    for entry in root.entries:
+        scene.add(*entry)
+    return scene.finish(root)
 
 
-class _Normaliser:
-    """One pass over the Elements. Normalised objects are stored, so that an object referred to twice is one dict."""
+class SceneNormaliser:
+    """Checks the entries of a scene one by one, in order, so that their Elements can be dropped.
 
-    def __init__(self, root: Element):
+    From the first entry on that refers to an object further below, entries wait until the scene is complete.
+    """
+
+    def __init__(self):
+        self.plugin = vocabulary.plugins_of("scene")["scene"]
+        self.scene: dict = {"type": "scene"}
+        self.child_counts: dict[str, int] = {}
+        self.waiting: list[tuple[str, object, Location]] = []
         self.element_by_id: dict[str, Element] = {}
-        self.done: dict[int, dict] = {}  # by id() of the Element
-        self.heights: dict[int, int] = {}  # levels of nested objects in those that are done, including their own
-        self.active: set[int] = set()
-        self._collect_ids(root)
+        self.active: set[int] = {0}  # by id() of Elements, and the scene
+
+    def add(self, name: str, value, location: Location) -> None:
+        """Add an entry of the scene: see `Element.entries`."""
+        is_complete = self._collect_ids(value)
+        if self.waiting or not is_complete:
+            self.waiting.append((name, value, location))
+            return
+        self._add_entry(self.plugin, self.scene, self.child_counts, name, value, location)
+        if isinstance(value, Element) and value.id:  # keep what a reference or an error needs
+            value.entries = []
+            value.location = SourceLocation(element=str(value.location))
+
+    def finish(self, root: Element) -> dict:
+        """The description of the scene. `root` has its location and its aliases."""
+        if root.type != "scene":
+            root.location.raise_error(f"the root of a scene has to be of type 'scene', not '{root.type}'")
         for alias, target in root.aliases.items():
             if target not in self.element_by_id or alias in self.element_by_id:
                 problem = (
@@ -40,40 +59,54 @@ class _Normaliser:
                 )
                 root.location.raise_error(f"the alias '{alias}' {problem}")
             self.element_by_id[alias] = self.element_by_id[target]
+        for entry in self.waiting:
+            self._add_entry(self.plugin, self.scene, self.child_counts, *entry)
+        _complete(self.plugin, self.scene, self.child_counts, root.location)
+        return self.scene
 
-    def _collect_ids(self, root: Element):
-        queue = [root]
+    def _collect_ids(self, value) -> bool:
+        """Store the ids of an object and of all inside it. Whether all that it refers to is normalised."""
+        is_complete, queue = True, [value]
         while queue:
-            element = queue.pop()
-            if element.id and self.element_by_id.setdefault(element.id, element) is not element:
-                first = self.element_by_id[element.id].location
-                element.location.raise_error(f"the id '{element.id}' is already used by {first}")
-            queue.extend(value for _, value, _ in element.entries if isinstance(value, Element))
+            part = queue.pop()
+            if isinstance(part, Element):
+                if part.id and self.element_by_id.setdefault(part.id, part) is not part:
+                    first = self.element_by_id[part.id].location
+                    part.location.raise_error(f"the id '{part.id}' is already used by {first}")
+                queue.extend(entry[1] for entry in part.entries)
+            elif isinstance(part, Reference):
+                target = self.element_by_id.get(part.id)
+                is_complete &= target is not None and target.normalised is not None
+        return is_complete
 
-    def normalise_object(self, element: Element, *kinds: str) -> dict:
+    def _normalise_object(self, element: Element, *kinds: str) -> dict:
         """The normalised dict of an Element of one of the given kinds."""
-        if id(element) in self.done:
-            return self.done[id(element)]
+        if element.normalised is not None:
+            return element.normalised
         if id(element) in self.active:
             element.location.raise_error("refers to itself, directly or through other objects")
         self.active.add(id(element))
         plugin = self._find_plugin(element, kinds)
-        result = {"type": plugin.name}
-        child_counts: Counter[str] = Counter()  # by kind
-        height = 1
-        for name, value, location in element.entries:
-            if isinstance(value, (Element, Reference)):
-                _check_depth(len(self.active), location)  # before descending; below, for objects done earlier
-                self._add_object(plugin, result, child_counts, name, value, location)
-                height = max(height, 1 + self.heights.get(id(self._resolve(value)), 0))
-                _check_depth(height, location)
-            else:
-                _add_parameter(plugin, result, name, value, location)
+        result, child_counts = {"type": plugin.name}, {}
+        for entry in element.entries:
+            element.height = max(element.height, self._add_entry(plugin, result, child_counts, *entry))
         _complete(plugin, result, child_counts, element.location)
         self.active.discard(id(element))
-        self.done[id(element)] = result
-        self.heights[id(element)] = height
+        element.normalised = result
         return result
+
+    def _add_entry(
+        self, plugin: Plugin, result: dict, child_counts: dict[str, int], name: str, value, location: Location
+    ) -> int:
+        """Add a parameter or an object to its parent. Returns the levels of objects that the parent has with it."""
+        if not isinstance(value, (Element, Reference)):
+            _add_parameter(plugin, result, name, value, location)
+            return 1
+        _check_depth(len(self.active), location)  # before descending; below, for objects done earlier
+        self._add_object(plugin, result, child_counts, name, value, location)
+        height = 1 + self._resolve(value).height
+        _check_depth(height, location)
+        return height
 
     def _find_plugin(self, element: Element, kinds: tuple[str, ...]) -> Plugin:
         kind = self._find_kind(element, kinds)
@@ -108,7 +141,7 @@ class _Normaliser:
         return self.element_by_id.get(value.id) if isinstance(value, Reference) else value
 
     def _add_object(
-        self, plugin: Plugin, result: dict, child_counts: Counter[str], name: str, value, location: SourceLocation
+        self, plugin: Plugin, result: dict, child_counts: dict[str, int], name: str, value, location: Location
     ):
         """Add a nested or referenced object to its parent: as a parameter or as a child."""
         element = self._resolve(value)
@@ -116,7 +149,7 @@ class _Normaliser:
             hint = closest_name(value.id, self.element_by_id)
             did_you_mean = f"; did you mean '{hint}'?" if hint else ""
             location.raise_error(f"there is no object with the id '{value.id}'{did_you_mean}")
-        kinds = tuple(child.kind for child in plugin.children)
+        kinds = plugin.child_kinds
         kind = self._find_kind(element, kinds)
         parameter = plugin.parameter(name)
         if parameter is not None and parameter.status == IGNORED:
@@ -124,10 +157,10 @@ class _Normaliser:
         _check_supported(plugin, parameter, location)
         if parameter is not None and parameter.texture and kind == "texture":
             _check_not_given(result, name, location)
-            result[name] = self.normalise_object(element, kind)
+            result[name] = self._normalise_object(element, kind)
             return
         if parameter is not None and parameter.volume and kind == "volume":
-            _add_parameter(plugin, result, name, self.normalise_object(element, kind)["value"], location)
+            _add_parameter(plugin, result, name, self._normalise_object(element, kind)["value"], location)
             return
         child = plugin.child(kind)
         if child is None:
@@ -136,27 +169,27 @@ class _Normaliser:
             parent = f"{with_article(plugin.kind)} '{plugin.name}'"
             allowed = ", ".join(kinds) or "no objects"
             location.raise_error(f"{parent} cannot contain {with_article(kind)} (allowed: {allowed})")
-        nested = self.normalise_object(element, *kinds)
+        nested = self._normalise_object(element, *kinds)
         if child.types and nested["type"] not in child.types:
             location.raise_error(
                 f"{plugin.name} cannot contain {with_article(kind)} '{nested['type']}' "
                 f"(allowed: {', '.join(child.types)})"
             )
-        _add_child(plugin, child, result, child_counts[kind], name or element.id, nested, location)
-        child_counts[kind] += 1
+        _add_child(plugin, child, result, child_counts.get(kind, 0), name or element.id, nested, location)
+        child_counts[kind] = child_counts.get(kind, 0) + 1
 
 
-def _check_depth(levels: int, location: SourceLocation):
+def _check_depth(levels: int, location: Location):
     if levels > MAX_DEPTH:
         location.raise_error(f"nested more than {MAX_DEPTH} levels deep through references")
 
 
-def _check_not_given(result: dict, name: str, location: SourceLocation):
+def _check_not_given(result: dict, name: str, location: Location):
     if name in result:
         location.raise_error(f"'{name}' is given twice")
 
 
-def _check_supported(plugin: Plugin, parameter: Parameter | None, location: SourceLocation):
+def _check_supported(plugin: Plugin, parameter: Parameter | None, location: Location):
     if parameter is not None and parameter.status == UNSUPPORTED:
         location.raise_error(
             f"parameter '{parameter.name}' of {plugin.kind} '{plugin.name}' is not supported (Mitsuba 3 has it): "
@@ -164,9 +197,7 @@ def _check_supported(plugin: Plugin, parameter: Parameter | None, location: Sour
         )
 
 
-def _add_child(
-    plugin: Plugin, child: Child, result: dict, count: int, name: str, nested: dict, location: SourceLocation
-):
+def _add_child(plugin: Plugin, child: Child, result: dict, count: int, name: str, nested: dict, location: Location):
     """Add a nested object under its key. `count`: how many of its kind the parent already has."""
     if plugin.kind == "scene":
         if count >= child.max_count:
@@ -190,7 +221,7 @@ def _add_child(
     result[key] = nested
 
 
-def _add_parameter(plugin: Plugin, result: dict, name: str, value, location: SourceLocation):
+def _add_parameter(plugin: Plugin, result: dict, name: str, value, location: Location):
     parameter = plugin.parameter(name)
     if parameter is None:
         if plugin.any_parameter:
@@ -207,17 +238,16 @@ def _add_parameter(plugin: Plugin, result: dict, name: str, value, location: Sou
     result[name] = check_value(parameter, value, location)
 
 
-def _complete(plugin: Plugin, result: dict, child_counts: Counter[str], location: SourceLocation):
+def _complete(plugin: Plugin, result: dict, child_counts: dict[str, int], location: Location):
     """Fill in defaults, then check that nothing is missing and that the parameters fit together."""
-    for parameter in plugin.parameters:
-        if parameter.name in result or parameter.status != SUPPORTED:
+    for parameter in plugin.completed_parameters:
+        if parameter.name in result:
             continue
         if parameter.required:
             location.raise_error(f"{plugin.kind} '{plugin.name}' needs a '{parameter.name}'")
-        if parameter.default is not None:
-            result[parameter.name] = check_value(parameter, parameter.default, location)
-    for child in plugin.children:
-        if child_counts[child.kind] < child.min_count:
+        result[parameter.name] = check_value(parameter, parameter.default, location)
+    for child in plugin.required_children:
+        if child_counts.get(child.kind, 0) < child.min_count:
             noun = child.types[0] if len(child.types) == 1 else child.kind
             required = f"a nested {noun}" if child.min_count == 1 else f"{child.min_count} nested {noun}s"
             location.raise_error(f"{plugin.kind} '{plugin.name}' needs {required}")

@@ -4,15 +4,16 @@ Called by `load`. Every error names the file and the line.
 """
 
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.files import is_inside, outside_message
-from isonoise.scene.parse.elements import Element, Reference, closest_name, path_exists
-from isonoise.scene.parse.xml_tags import MAX_DEPTH, Tag, parse_tags
-from isonoise.scene.parse.xml_upgrade import needs_upgrade, upgrade_element, upgrade_tags
+from isonoise.scene.parse.elements import Element, Location, Reference, closest_name, path_exists
+from isonoise.scene.parse.xml_tags import MAX_DEPTH, Tag, iterate_tags
+from isonoise.scene.parse.xml_upgrade import needs_upgrade, upgrade_element, upgrade_tag
 from isonoise.scene.parse.xml_values import TRANSFORM_OPERATIONS, check_attributes, parse_value, transform_matrix
 from isonoise.scene.vocabulary import kinds_of
 
@@ -24,15 +25,19 @@ _OBJECTS += ("medium", "phase", "volume")
 _VALUES = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum")
 _DIRECTIVES = ("ref", "include", "alias", "default", "path")
 
+Sink = Callable[[str, object, Location], None]
+"""Takes an entry of the scene: see `Element.entries`."""
 
-def read_xml(path: Path, parameters: dict[str, str], folder: Path | None = None) -> Element:
+
+def read_xml(path: Path, parameters: dict[str, str], folder: Path | None = None, sink: Sink | None = None) -> Element:
     """The Element tree of a scene file; `parameters` replace `$name` and override <default>.
 
-    Files that it names have to be inside `folder`, unless that is None. Raises SceneError, with file, line and
-    element, if the scene is invalid.
+    With a `sink`, the entries of the scene go there as soon as they are read, and not into the root Element. Files
+    that it names have to be inside `folder`, unless that is None. Raises SceneError, with file, line and element, if
+    the scene is invalid.
     """
-    reader = _SceneReader(parameters, folder)
-    root = reader.read_file(path, ())
+    reader = _SceneReader(parameters, folder, sink)
+    root = reader.read_file(path, (), is_scene=True)
     for name in parameters:
         if name not in reader.used:
             known = ", ".join(sorted(reader.used | set(reader.parameters) - set(parameters))) or "none"
@@ -50,9 +55,10 @@ def _suggestion(name: str, choices: tuple[str, ...]) -> str:
 class _SceneReader:
     """State that all files of one scene share."""
 
-    def __init__(self, parameters: dict[str, str], folder: Path | None):
+    def __init__(self, parameters: dict[str, str], folder: Path | None, sink: Sink | None):
         self.parameters = dict(parameters)
         self.folder = folder  # all files have to be inside it, unless it is None
+        self.sink = sink
         self.used: set[str] = set()  # names of parameters
         self.aliases: dict[str, str] = {}
         self.open_files: list[Path] = []
@@ -60,18 +66,19 @@ class _SceneReader:
         self.depth = 0  # of nested objects, across files
         self.name_lengths = sorted({len(name) for name in self.parameters}, reverse=True)
 
-    def read_file(self, path: Path, folders: tuple[Path, ...]) -> Element:
+    def read_file(self, path: Path, folders: tuple[Path, ...], is_scene: bool) -> Element:
+        """The root Element of a file. Its entries go to the sink if it `is_scene`: the scene itself or a part of it."""
         self.file_count += 1
         if path.resolve() in self.open_files:
             raise SceneError(f"{path}: includes itself, directly or through other files")
         if len(self.open_files) > _MAX_INCLUDE_DEPTH or self.file_count > _MAX_FILES:
             raise SceneError(f"{path}: too many includes")
         self.open_files.append(path.resolve())
-        tag = parse_tags(path)
+        tags = iterate_tags(path)
+        tag = next(tags)
         is_old = needs_upgrade(tag)
-        if is_old:
-            upgrade_tags(tag)
-        root = _FileReader(self, [path.parent, *folders], is_old).read_object(tag, is_root=True)
+        file = _FileReader(self, [path.parent, *folders], is_old, self.sink if is_scene else None)
+        root = file.read_object(tag, tags)
         self.open_files.pop()
         return root
 
@@ -92,67 +99,86 @@ class _SceneReader:
                 return name
         name = re.match(r"\w*", text[start:])[0]
         hint = closest_name(name, self.parameters)
-        tag.location.raise_error(f"undefined parameter ${name}" + (f"; did you mean ${hint}?" if hint else ""))
+        tag.raise_error(f"undefined parameter ${name}" + (f"; did you mean ${hint}?" if hint else ""))
 
 
 class _FileReader:
     """Turns the tags of one file into Elements. Relative file names are searched in `folders`."""
 
-    def __init__(self, scene: _SceneReader, folders: list[Path], is_old: bool):
-        self.scene, self.folders, self.is_old = scene, folders, is_old
+    def __init__(self, scene: _SceneReader, folders: list[Path], is_old: bool, sink: Sink | None):
+        self.scene, self.folders, self.is_old, self.sink = scene, folders, is_old, sink
 
-    def read_object(self, tag: Tag, is_root: bool = False) -> Element:
+    def read_object(self, tag: Tag, root_children: Iterator[Tag] | None = None) -> Element:
+        """The Element of a tag. That of the root gets its children by an iterator."""
         self.scene.depth += 1
         if self.scene.depth > MAX_DEPTH:
-            tag.location.raise_error(f"nested more than {MAX_DEPTH} levels deep")
-        self.substitute_parameters(tag)
-        if tag.name not in (*_OBJECTS, "spectrum"):
-            tag.location.raise_error(f"unknown element; did you mean {_suggestion(tag.name, _OBJECTS)}?")
+            tag.raise_error(f"nested more than {MAX_DEPTH} levels deep")
+        is_root = root_children is not None
+        if is_root:
+            self.prepare(tag)
+        if tag.name not in _OBJECTS and tag.name != "spectrum":
+            tag.raise_error(f"unknown element; did you mean {_suggestion(tag.name, _OBJECTS)}?")
         required = () if is_root and tag.name == "scene" else ("type",)
         check_attributes(tag, required, ("version", "id", "name", "type") if is_root else ("id", "name"))
         kind = "texture" if tag.name == "spectrum" else tag.name
-        type_ = tag.attributes.get("type", "scene")
-        element = Element(tag.location, kind, type_, tag.attributes.get("id", ""))
-        for child in tag.children:
+        element = Element(tag, kind, tag.attributes.get("type", "scene"), tag.attributes.get("id", ""))
+        sink = self.sink if is_root and element.type == "scene" else None
+        for child in root_children if is_root else tag.children:
             self.read_entry(element, child, is_root)
-        if self.is_old:
-            upgrade_element(element)
+            if sink:
+                self.finish(element)
+                for entry in element.entries:
+                    sink(*entry)
+                element.entries.clear()
+        self.finish(element)
         self.scene.depth -= 1
         return element
 
+    def prepare(self, tag: Tag):
+        """Bring a tag to its present form: of an old file its name, of all files the values of parameters."""
+        if self.is_old:
+            upgrade_tag(tag)
+        for key, text in tag.attributes.items():
+            if "$" in text:
+                tag.attributes[key] = self._substituted(tag, text)
+
+    def finish(self, element: Element):
+        if self.is_old:
+            upgrade_element(element)
+
     def read_entry(self, parent: Element, tag: Tag, is_in_root: bool):
         """Add the content of a child tag to its parent."""
-        self.substitute_parameters(tag)
+        self.prepare(tag)
         name = tag.attributes.get("name", "")
         if tag.name in _OBJECTS or (tag.name == "spectrum" and "type" in tag.attributes):
-            parent.entries.append((name, self.read_object(tag), tag.location))
+            parent.entries.append((name, self.read_object(tag), tag))
         elif tag.name == "transform":
             check_attributes(tag, ("name",))
-            parent.entries.append((name, self.read_transform(tag), tag.location))
+            parent.entries.append((name, self.read_transform(tag), tag))
         elif tag.name in _VALUES:
             value = parse_value(tag)
             if tag.name == "string" and name == "filename":
                 value = str(self.find_path(tag, value))
-            parent.entries.append((name, value, tag.location))
+            parent.entries.append((name, value, tag))
             self.check_no_children(tag)
         elif tag.name in _DIRECTIVES:
             getattr(self, f"read_{tag.name}")(parent, tag, is_in_root)
             self.check_no_children(tag)
         elif tag.name in TRANSFORM_OPERATIONS:
-            tag.location.raise_error("has to be inside a <transform>")
+            tag.raise_error("has to be inside a <transform>")
         else:
             choices = (*_OBJECTS, *_VALUES, "transform", *_DIRECTIVES)
-            tag.location.raise_error(f"unknown element; did you mean {_suggestion(tag.name, choices)}?")
+            tag.raise_error(f"unknown element; did you mean {_suggestion(tag.name, choices)}?")
 
     def check_no_children(self, tag: Tag):
         if tag.children:
-            tag.children[0].location.raise_error(f"cannot be inside <{tag.name}>")
+            tag.children[0].raise_error(f"cannot be inside <{tag.name}>")
 
     def read_transform(self, tag: Tag) -> np.ndarray:
         """Operations apply in the order in which they are written: each is multiplied from the left."""
         matrix = np.eye(4)
         for child in tag.children:
-            self.substitute_parameters(child)
+            self.prepare(child)
             self.check_no_children(child)
             with np.errstate(all="ignore"):  # check_value rejects a result that is not finite
                 matrix = transform_matrix(child) @ matrix
@@ -160,20 +186,21 @@ class _FileReader:
 
     def read_ref(self, parent: Element, tag: Tag, is_in_root: bool):
         check_attributes(tag, ("id",), ("name",))
-        parent.entries.append((tag.attributes.get("name", ""), Reference(tag.attributes["id"]), tag.location))
+        parent.entries.append((tag.attributes.get("name", ""), Reference(tag.attributes["id"]), tag))
 
     def read_include(self, parent: Element, tag: Tag, is_in_root: bool):
         check_attributes(tag, ("filename",), ("name",))
-        included = self.scene.read_file(self.find_path(tag, tag.attributes["filename"]), tuple(self.folders))
+        path = self.find_path(tag, tag.attributes["filename"])
+        included = self.scene.read_file(path, tuple(self.folders), is_scene=is_in_root and self.sink is not None)
         if included.type == "scene":
             parent.entries.extend(included.entries)
         else:
-            parent.entries.append((tag.attributes.get("name", ""), included, tag.location))
+            parent.entries.append((tag.attributes.get("name", ""), included, tag))
 
     def read_alias(self, parent: Element, tag: Tag, is_in_root: bool):
         check_attributes(tag, ("id", "as"))
         if tag.attributes["as"] in self.scene.aliases:
-            tag.location.raise_error(f"the id '{tag.attributes['as']}' already exists")
+            tag.raise_error(f"the id '{tag.attributes['as']}' already exists")
         self.scene.aliases[tag.attributes["as"]] = tag.attributes["id"]
 
     def read_default(self, parent: Element, tag: Tag, is_in_root: bool):
@@ -183,29 +210,23 @@ class _FileReader:
     def read_path(self, parent: Element, tag: Tag, is_in_root: bool):
         check_attributes(tag, ("value",))
         if not is_in_root:
-            tag.location.raise_error("has to be directly below the root")
+            tag.raise_error("has to be directly below the root")
         folder = self.find_path(tag, tag.attributes["value"])
         if not folder.is_dir():
-            tag.location.raise_error(f"'{folder}' is not a folder")
+            tag.raise_error(f"'{folder}' is not a folder")
         self.folders.insert(0, folder)
 
     def find_path(self, tag: Tag, name: str) -> Path:
         """The file or folder of this name in the first folder that has it."""
         if "\0" in name or not name:
-            tag.location.raise_error("a file name is missing")
+            tag.raise_error("a file name is missing")
         for path in (folder / name for folder in self.folders):
             if path_exists(path):
                 if not is_inside(path, self.scene.folder):
-                    tag.location.raise_error(outside_message(path, self.scene.folder))
+                    tag.raise_error(outside_message(path, self.scene.folder))
                 return path
         searched = ", ".join(str(folder) for folder in self.folders)
-        tag.location.raise_error(f"there is no '{name}' (searched in {searched})")
-
-    def substitute_parameters(self, tag: Tag):
-        """Replace $name in the attributes; \\$ is a literal $."""
-        for key, text in tag.attributes.items():
-            if "$" in text:
-                tag.attributes[key] = self._substituted(tag, text)
+        tag.raise_error(f"there is no '{name}' (searched in {searched})")
 
     def _substituted(self, tag: Tag, text: str) -> str:
         pieces, position, size = [], 0, 0
@@ -216,5 +237,5 @@ class _FileReader:
             position = dollar + 1 + len(name)
             size += len(pieces[-1])
             if size > _MAX_ATTRIBUTE_CHARS:
-                tag.location.raise_error("an attribute exceeds a million characters after parameter substitution")
+                tag.raise_error("an attribute exceeds a million characters after parameter substitution")
         return "".join([*pieces, text[position:]])

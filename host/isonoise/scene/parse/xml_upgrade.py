@@ -26,28 +26,22 @@ _REMOVED = {
 def needs_upgrade(root: Tag) -> bool:
     """Whether a file needs an upgrade. Raises SceneError if its version is missing or not supported."""
     if "version" not in root.attributes:
-        root.location.raise_error('the root element needs a version, such as <scene version="3.0.0">')
+        root.raise_error('the root element needs a version, such as <scene version="3.0.0">')
     version = root.attributes["version"].strip()
     if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,9}){0,2}", version):
-        root.location.raise_error(f"'{version[:20]}' is not a version such as 3.0.0")
+        root.raise_error(f"'{version[:20]}' is not a version such as 3.0.0")
     major = int(version.split(".")[0])
     if major > _MAX_MAJOR_VERSION:
-        root.location.raise_error(
-            f"version {version} is not supported; isonoise reads files up to version {_MAX_MAJOR_VERSION}"
-        )
+        root.raise_error(f"version {version} is not supported; isonoise reads files up to version {_MAX_MAJOR_VERSION}")
     return major < _MIN_UNCHANGED_VERSION
 
 
-def upgrade_tags(root: Tag):
-    """Rename elements of an old file. Raises SceneError for elements that Mitsuba 3 removed."""
-    queue = [root]
-    while queue:
-        tag = queue.pop()
-        if tag.name in _REMOVED:
-            tag.location.raise_error(f"was removed in Mitsuba 3; {_REMOVED[tag.name]}")
-        if tag.name == "lookAt":
-            tag.name = "lookat"
-        queue.extend(reversed(tag.children))
+def upgrade_tag(tag: Tag):
+    """Rename an element of an old file. Raises SceneError if Mitsuba 3 removed it."""
+    if tag.name in _REMOVED:
+        tag.raise_error(f"was removed in Mitsuba 3; {_REMOVED[tag.name]}")
+    if tag.name == "lookAt":
+        tag.name = "lookat"
 
 
 def upgrade_element(element: Element):

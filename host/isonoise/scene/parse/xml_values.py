@@ -15,11 +15,11 @@ def check_attributes(tag: Tag, required: tuple[str, ...], optional: tuple[str, .
     """Raise SceneError if an attribute is missing or unknown."""
     for name in required:
         if name not in tag.attributes:
-            tag.location.raise_error(f"the attribute '{name}' is missing")
+            tag.raise_error(f"the attribute '{name}' is missing")
     for name in tag.attributes:
         if name not in required and name not in optional:
             known = ", ".join((*required, *optional))
-            tag.location.raise_error(f"unexpected attribute '{name}' (known here: {known})")
+            tag.raise_error(f"unexpected attribute '{name}' (known here: {known})")
 
 
 def parse_number(tag: Tag, text: str) -> float:
@@ -29,7 +29,7 @@ def parse_number(tag: Tag, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or "_" in text:
-        tag.location.raise_error(f"'{text[:60]}' is not a finite number (no units, no formulas)")
+        tag.raise_error(f"'{text[:60]}' is not a finite number (no units, no formulas)")
     return value
 
 
@@ -44,7 +44,7 @@ def parse_vector(tag: Tag, default: float | None, *others: str) -> tuple[float, 
         check_attributes(tag, ("value", *others))
         values = parse_numbers(tag, tag.attributes["value"])
         if len(values) not in (1, 3):
-            tag.location.raise_error(f"'value' has to be one or three numbers, got {len(values)}")
+            tag.raise_error(f"'value' has to be one or three numbers, got {len(values)}")
         return tuple(values * 3 if len(values) == 1 else values)
     axes = ("x", "y", "z")
     check_attributes(tag, (*others, *axes) if default is None else others, axes)
@@ -54,39 +54,39 @@ def parse_vector(tag: Tag, default: float | None, *others: str) -> tuple[float, 
 def _parse_integer(tag: Tag) -> int:
     text = tag.attributes["value"].strip()
     if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
-        tag.location.raise_error(f"'{text[:60]}' is not a whole number")
+        tag.raise_error(f"'{text[:60]}' is not a whole number")
     return int(text)
 
 
 def _parse_boolean(tag: Tag) -> bool:
     text = tag.attributes["value"].strip().lower()
     if text not in ("true", "false"):
-        tag.location.raise_error(f"'{text[:60]}' is neither true nor false")
+        tag.raise_error(f"'{text[:60]}' is neither true nor false")
     return text == "true"
 
 
 def _parse_rgb(tag: Tag) -> dict:
     values = parse_numbers(tag, tag.attributes["value"])
     if len(values) not in (1, 3):
-        tag.location.raise_error(f"an rgb colour is one or three numbers, got {len(values)}")
+        tag.raise_error(f"an rgb colour is one or three numbers, got {len(values)}")
     return {"type": "rgb", "value": values}
 
 
 def _parse_spectrum(tag: Tag) -> dict:
     check_attributes(tag, ("name",), ("value", "filename"))
     if "value" not in tag.attributes:
-        tag.location.raise_error("spectra from files are not supported; give pairs of wavelength and value in 'value'")
+        tag.raise_error("spectra from files are not supported; give pairs of wavelength and value in 'value'")
     text = tag.attributes["value"]
     if ":" not in text:
         values = parse_numbers(tag, text)
         if len(values) != 1:
-            tag.location.raise_error("a spectrum is one number or pairs such as 400:0.3, 500:0.7")
+            tag.raise_error("a spectrum is one number or pairs such as 400:0.3, 500:0.7")
         return {"type": "spectrum", "value": values[0]}
     pairs = []
     for part in re.split(r"[\s,]+", text.strip()):
         wavelength, separator, value = part.partition(":")
         if part and not separator:
-            tag.location.raise_error(f"'{part[:60]}' is not a pair of wavelength and value such as 400:0.3")
+            tag.raise_error(f"'{part[:60]}' is not a pair of wavelength and value such as 400:0.3")
         if part:
             pairs.append((parse_number(tag, wavelength), parse_number(tag, value)))
     return {"type": "spectrum", "value": pairs}
@@ -101,7 +101,7 @@ def transform_matrix(tag: Tag) -> np.ndarray:
     if tag.name == "rotate":
         axis = parse_vector(tag, 0.0, "angle")
         if not any(axis):
-            tag.location.raise_error("the axis of a rotation cannot be zero")
+            tag.raise_error("the axis of a rotation cannot be zero")
         return transforms.rotate(axis, parse_number(tag, tag.attributes["angle"]))
     if tag.name == "lookat":
         return _parse_look_at(tag)
@@ -109,12 +109,12 @@ def transform_matrix(tag: Tag) -> np.ndarray:
         check_attributes(tag, ("value",))
         values = parse_numbers(tag, tag.attributes["value"])
         if len(values) not in (9, 16):
-            tag.location.raise_error(f"a matrix has 16 or 9 numbers, got {len(values)}")
+            tag.raise_error(f"a matrix has 16 or 9 numbers, got {len(values)}")
         size = 4 if len(values) == 16 else 3
         matrix = np.eye(4)
         matrix[:size, :size] = np.reshape(values, (size, size))
         return matrix
-    tag.location.raise_error(f"unknown operation; a transform consists of {', '.join(TRANSFORM_OPERATIONS)}")
+    tag.raise_error(f"unknown operation; a transform consists of {', '.join(TRANSFORM_OPERATIONS)}")
 
 
 def _parse_look_at(tag: Tag) -> np.ndarray:
@@ -123,11 +123,11 @@ def _parse_look_at(tag: Tag) -> np.ndarray:
         parse_numbers(tag, tag.attributes[name]) for name in ("origin", "target", "up") if name in tag.attributes
     ]
     if any(len(v) != 3 for v in vectors):
-        tag.location.raise_error("origin, target and up have to be three numbers each")
+        tag.raise_error("origin, target and up have to be three numbers each")
     try:
         return transforms.look_at(*vectors)
     except ValueError:
-        tag.location.raise_error("target equals origin, or up is parallel to the line between them")
+        tag.raise_error("target equals origin, or up is parallel to the line between them")
 
 
 def parse_value(tag: Tag):

@@ -6,6 +6,7 @@ derived from these declarations.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 SUPPORTED, IGNORED, UNSUPPORTED = "supported", "ignored", "unsupported"
 
@@ -30,10 +31,15 @@ class Parameter:
         """Whether a number lies in the interval."""
         if not self.interval:
             return True
-        low, high = (float(end) for end in self.interval[1:-1].split(","))
+        low, high = self._ends
         above = value >= low if self.interval[0] == "[" else value > low
         below = value <= high if self.interval[-1] == "]" else value < high
         return above and below and not math.isnan(value)
+
+    @cached_property
+    def _ends(self) -> tuple[float, float]:
+        low, high = self.interval[1:-1].split(",")
+        return float(low), float(high)
 
 
 COLOURS = ("reflectance", "radiance", "unbounded")
@@ -63,8 +69,30 @@ class Plugin:
     status: str = SUPPORTED  # IGNORED: it does not change the image
     meaning: str = ""  # one line; IGNORED: the reason
 
+    @cached_property
+    def _parameters(self) -> dict[str, Parameter]:
+        return {parameter.name: parameter for parameter in reversed(self.parameters)}
+
+    @cached_property
+    def _children(self) -> dict[str, Child]:
+        return {child.kind: child for child in reversed(self.children)}
+
+    @cached_property
+    def child_kinds(self) -> tuple[str, ...]:
+        return tuple(child.kind for child in self.children)
+
+    @cached_property
+    def completed_parameters(self) -> tuple[Parameter, ...]:
+        """Those that are required or have a default."""
+        supported = [parameter for parameter in self.parameters if parameter.status == SUPPORTED]
+        return tuple(parameter for parameter in supported if parameter.required or parameter.default is not None)
+
+    @cached_property
+    def required_children(self) -> tuple[Child, ...]:
+        return tuple(child for child in self.children if child.min_count)
+
     def parameter(self, name: str) -> Parameter | None:
-        return next((p for p in self.parameters if p.name == name), None)
+        return self._parameters.get(name)
 
     def child(self, kind: str) -> Child | None:
-        return next((c for c in self.children if c.kind == kind), None)
+        return self._children.get(kind)
