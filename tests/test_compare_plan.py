@@ -207,6 +207,7 @@ def test_options_override_a_preset():
         (("--seeds", "0"), "1 or more"),
         (("--seeds", "1.5"), "not a whole number"),
         (("--seed", 2**63), "seeds go up to"),
+        (("--seeds", 10**9), "at most 1,000,000 runs"),
         (("--strategies", "relative-meen"), "relative-mean"),
         (("--strategies", "uniform:warmap=3"), "warmup"),
         (("--strategies", "uniform"), "'uniform' is named twice"),

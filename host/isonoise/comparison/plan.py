@@ -19,6 +19,8 @@ from isonoise.scene.builtin import find_scene
 PLAN_FILE = "plan.json"
 FIRST_REFERENCE_SEED = 2**63
 """Seeds from here on are reserved for references; those of runs are below."""
+MAX_SEEDS = 10**6
+"""Runs of a strategy on a scene."""
 REFERENCE_BUDGET_FACTOR = 20
 """Default budget of a reference, over the budget of a run. The number of samples alone reduces its standard error to
 0.22 of a run's, below the quarter that `reference_too_noisy` of summary.json checks."""
@@ -95,6 +97,8 @@ def make_plan(request: Request, stored: Plan | None = None) -> Plan:
     """
     from isonoise.device.opencl import Device
 
+    if request.seeds > MAX_SEEDS:
+        raise UserError(f"--seeds {request.seeds} is too many: at most {MAX_SEEDS:,} runs of a strategy on a scene")
     if request.first_seed + request.seeds > FIRST_REFERENCE_SEED:
         raise UserError(f"seeds go up to {FIRST_REFERENCE_SEED - 1}: larger ones are reserved for references")
     if request.time is not None and request.spp is not None:
