@@ -24,6 +24,7 @@ from isonoise.state.state import State
 from isonoise.statistics import Statistics
 from isonoise.stops import Stops
 from isonoise.strategies.measures import image_floor
+from isonoise.strips import LARGE_IMAGE_PIXELS
 
 LOG_QUANTILES = (0.5, 0.95, 0.99)
 """Quantiles of the stated error in the log."""
@@ -292,6 +293,8 @@ class RenderLoop:
 
     def _end_wave(self) -> None:
         last_elapsed = self.rows[-1].elapsed_s if self.rows else 0.0
+        if self._pixels >= LARGE_IMAGE_PIXELS:
+            self.statistics = None  # those before the wave: there is no room for both
         record = self.renderer.end_wave()
         self.statistics = self.renderer.statistics()
         row = self._add_row(record)

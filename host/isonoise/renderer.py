@@ -3,6 +3,7 @@
 import functools
 import os
 import time
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -245,7 +246,7 @@ class Renderer:
         def on_reduced(traced: int) -> None:
             wave.traced, self.samples = traced, samples_before + traced
 
-        self._statistics = None
+        self._forget_statistics()
         try:
             self._wavefront.trace(wave.allocation, should_continue or (lambda samples: True), wave.traced, on_reduced)
         finally:
@@ -257,7 +258,7 @@ class Renderer:
         start, wave = time.perf_counter(), self._wave
         if self._uniform is not None and wave.kind == "uniform":
             self._uniform.end_wave(self.statistics())
-        self._wave = None
+        self._wave = wave.allocation = None
         self._statistics = self._with_uniform(self.statistics())
         return WaveRecord(wave.kind, wave.traced, wave.planned, wave.seconds + time.perf_counter() - start)
 
@@ -313,18 +314,19 @@ class Renderer:
 
     def _restore(self, state: State) -> None:
         values, wave = state.values["renderer"], state.values["renderer"]["wave"]
+        self._forget_statistics()
         self._wavefront.accumulator.set_state(state.group("reduction"))
         self._planner.set_state(values["planner"])
         self.strategy.set_state(state.values["strategy"] | state.group("strategy"))
         self._wave = None if wave is None else _WaveInProgress(allocation=state.arrays["wave/allocation"], **wave)
         if self._uniform is not None:
             self._uniform.sums = state.arrays["uniform/sums"].copy()
-        self.samples, self._statistics = values["samples"], None
+        self.samples = values["samples"]
 
     def statistics(self) -> Statistics:
         """Return the statistics of all samples so far, in the scene's units. Waits for the device."""
         if self._statistics is None:
-            statistics = self._wavefront.accumulator.statistics(self.scene.radiance_scale)
+            statistics = self._wavefront.accumulator.statistics(self.scene.radiance_scale, defer_rgb=True)
             self._statistics = self._with_uniform(statistics)
         return self._statistics
 
@@ -336,7 +338,16 @@ class Renderer:
         statistics = self.statistics()  # which the device reads
         if not floor > 0:
             return error_distribution(statistics, floor)
+        self._wavefront.accumulator.update_luminance()
         return self._wavefront.errors.distribution(floor * self.scene.radiance_scale)
+
+    def _forget_statistics(self) -> None:
+        """Samples will be added. Statistics that are still in use get their RGB now."""
+        in_use = (lambda: None) if self._statistics is None else weakref.ref(self._statistics)
+        self._statistics = None
+        statistics = in_use()
+        if statistics is not None:
+            _ = statistics.rgb
 
     def _with_uniform(self, statistics: Statistics) -> Statistics:
         """The statistics with those of uniform waves, if the strategy needs them. They are not known during one."""

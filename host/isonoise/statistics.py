@@ -1,6 +1,7 @@
 """Per-pixel sample statistics: which of them a strategy needs, and the arrays that the host reads from the device."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +71,24 @@ BASIC_NEEDS = Needs()
 """Only the statistics that are always kept."""
 
 
+class _ReadWhenUsed:
+    """An array attribute that may be set to a function: it is called at the first use, for the array."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __set__(self, instance: object, value: np.ndarray | Callable[[], np.ndarray]) -> None:
+        vars(instance)[self._name] = value
+
+    def __get__(self, instance: object, owner: type) -> np.ndarray:
+        if instance is None:
+            raise AttributeError(self._name)  # so that a dataclass has no default
+        value = vars(instance)[self._name]
+        if callable(value):
+            value = vars(instance)[self._name] = value()
+        return value
+
+
 @dataclass(frozen=True)
 class Statistics:
     """Statistics of the samples of every pixel, in the scene's units.
@@ -84,10 +103,10 @@ class Statistics:
     rejected : (height, width) uint32
         Samples that were negative or not finite.
     rgb : (height, width, 3) float32
-        Mean linear RGB; 0 where n = 0.
+        Mean linear RGB; 0 where n = 0. A renderer reads it when it is first used, or before its next wave.
     mean : (height, width) float64
         Mean of x; 0 where n = 0.
-    variance : (height, width) float64
+    variance : (height, width) float32 or float64
         Sample variance s^2 of x, with n - 1; 0 where n < 2.
     median : (height, width) float64 or None
         M_x, the running mean of the chunk medians; None unless needed. Before the first full chunk it is the median of
@@ -110,7 +129,7 @@ class Statistics:
 
     count: np.ndarray
     rejected: np.ndarray
-    rgb: np.ndarray
+    rgb: np.ndarray | Callable[[], np.ndarray] = _ReadWhenUsed()
     mean: np.ndarray
     variance: np.ndarray
     median: np.ndarray | None
@@ -121,10 +140,11 @@ class Statistics:
     neighbour_variance: np.ndarray | None = None
     uniform: "Statistics | None" = None
 
-    def variance_of_mean(self) -> np.ndarray:
+    def variance_of_mean(self, rows: slice = slice(None)) -> np.ndarray:
         """d s^2 / n, d the design effect: the squared standard error of the mean of x, a new array; inf where n < 2."""
-        result = np.full(self.shape, np.inf)
-        return np.divide(self.variance_per_sample(), self.count, out=result, where=self.count >= 2)
+        count = self.count[rows]
+        result = np.full(count.shape, np.inf)
+        return np.divide(self.variance_per_sample(rows), count, out=result, where=count >= 2)
 
     def variance_per_sample(self, rows: slice = slice(None), dtype: type = np.float64) -> np.ndarray:
         """d s^2: the variance of independent samples, as many, with the same error of the mean. Do not write to it."""

@@ -2,6 +2,10 @@
 
 from collections.abc import Iterator
 
+LARGE_IMAGE_PIXELS = 2**22
+"""From this size on, images give memory back whenever it is not needed. To allocate and clear it again takes 1 ms per
+megapixel and wave."""
+
 
 def pixel_strips(size: int, strip_pixels: int) -> Iterator[slice]:
     """Parts of a flat image of `size` pixels, of `strip_pixels` each; the last one may be shorter."""

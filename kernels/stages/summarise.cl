@@ -2,7 +2,7 @@
 // the scene (host/isonoise/scene/compiled_scene.py). A strip has at most `stride` pixels, a work-item
 // PIXELS_PER_ITEM of them.
 // Reads the state; writes `summary`, one plane after another:
-// mean of x (high, low), variance, mean RGB (three floats a pixel), M_x, mean power (high, low), mean RGB of the half.
+// mean of x (high, low), variance, M_x, mean power (high, low), mean RGB of the half (three floats a pixel).
 #include "util/statistics.h"
 #include "util/vec.h"
 
@@ -28,9 +28,6 @@ __kernel void summarise(
         out += stride;
         luminance[pixel] = mean.high;
         luminance[total_pixels + pixel] = s2;
-        const Vec3 rgb = divide_rgb_sum(moments.rgb, divisor);
-        STORE3(rgb, i, out);
-        out += 3 * stride;
 
 #if FEATURE_CHUNK_MEDIANS
         __global const float* median_state = medians + pixel;
@@ -67,5 +64,19 @@ __kernel void summarise(
         const Vec3 half_rgb = divide_rgb_sum(load_rgb_sum(halves + pixel, total_pixels), MAX(n / 2u, 1u));
         STORE3(half_rgb, i, out);
 #endif
+    }
+}
+
+// Writes the mean RGB to `summary`, three floats a pixel.
+__kernel void summarise_rgb(
+#include "generated/summarise_rgb_parameters.h"
+)
+{
+    const uint begin = get_global_id(0) * PIXELS_PER_ITEM, end = MIN(begin + PIXELS_PER_ITEM, pixels);
+    VECTORIZE_PIXELS
+    for (int i = (int)begin; i < (int)end; ++i) {
+        const int pixel = (int)first_pixel + i;
+        const Vec3 rgb = divide_rgb_sum(load_rgb_sum(sums + pixel, total_pixels), MAX(count[pixel], 1u));
+        STORE3(rgb, i, summary);
     }
 }

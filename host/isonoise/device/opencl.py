@@ -246,6 +246,11 @@ class Device:
         self._cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint32), 0, padded_bytes)
         return buffer
 
+    def release(self, buffer) -> None:
+        """Give the memory of a buffer back, after its launches."""
+        self.allocated -= buffer.size
+        buffer.release()
+
     def launch(
         self, kernel, items: int, arguments: tuple, per_work_item: int = 1, local_size: int = LOCAL_SIZE
     ) -> None:

@@ -85,7 +85,10 @@ def error_distribution(statistics: Statistics, floor: float) -> ErrorDistributio
 
 def relative_standard_error(statistics: Statistics, floor: float) -> np.ndarray:
     """se / max(mean, floor) of every pixel's luminance, not shrunk, (height, width) float32; inf where n < 2."""
-    return relative_mean(statistics, floor).astype(np.float32)
+    result = np.empty(statistics.shape, np.float32)
+    for strip in row_strips(statistics.shape, HISTOGRAM_STRIP_PIXELS):
+        result[strip] = relative_mean(statistics, floor, strip)
+    return result
 
 
 def half_width_95(statistics: Statistics) -> np.ndarray:

@@ -1,7 +1,8 @@
 """The per-pixel statistics on the device: the planes that the stage `reduce` updates, and reading them on the host."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from isonoise.device.form import DeviceForm
 from isonoise.errors import UserError
+from isonoise.integrator.image_scratch import GRID_BINS, TILE_SIZE, ImageScratch, tile_count
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
 
@@ -20,9 +22,6 @@ SUMMARY_STRIP_PIXELS = 2**16
 
 NET_COUNT_LOG2 = 3
 """log2 of the nets of a pixel whose means are kept at a time."""
-
-TILE_SIZE, GRID_BINS = 16, 25
-"""Pixels per side of a tile, and bins of the relative variance, over which design effects are pooled."""
 
 MAX_STATISTICS = 2**32
 """Numbers in a buffer of per-pixel statistics: kernels index them with unsigned 32-bit numbers. Only chunk medians have
@@ -83,9 +82,8 @@ class Accumulator:
 
         self.count = planes("count", 1, "the sample counts", np.uint32)
         self.rejected = planes("rejected", 1, "the counts of rejected samples", np.uint32)
-        summary = (
-            6 + needs.median + 2 * (needs.power is not None) + 3 * needs.half + 2 * needs.nets
-        )  # kernels/stages/summarise.cl
+        # kernels/stages/summarise.cl
+        summary = 3 + needs.median + 2 * (needs.power is not None) + 3 * needs.half
         self._summary_floats = summary * SUMMARY_STRIP_PIXELS
         self._summaries = [
             self._device.buffer(4 * self._summary_floats, "the summary of the statistics")
@@ -98,7 +96,6 @@ class Accumulator:
             sums=planes("sums", _SUMS, "the statistics"),
             sample_block_sums=planes("sample_block_sums", _BLOCK_SUMS, "the statistics of unfinished sample blocks"),
             summary=self._summaries[0],
-            luminance=self._device.buffer(8 * self.pixels, "the luminance"),
             image_width=np.uint32(shape[1]),
             stride=np.uint32(SUMMARY_STRIP_PIXELS),
         )
@@ -111,31 +108,19 @@ class Accumulator:
             stages.arguments["halves"] = planes("halves", 6, "the sums of every second sample")
 
         if needs.neighbours:
-            stages.arguments["neighbours"] = self._device.buffer(8 * self.pixels, "the averages of the neighbours")
             stages.arguments["neighbour_radius"] = np.uint32(needs.neighbours // 2)
         if needs.nets:
             stages.arguments["net_means"] = planes("net_means", 2**NET_COUNT_LOG2 - 1, "the means over nets")
-            self._make_design_effect_buffers()
-
-    def _make_design_effect_buffers(self) -> None:
-        height, width = self._shape
-        self._tiles = -(-height // TILE_SIZE) * -(-width // TILE_SIZE)
-        what = "the design effect"
-        scratch = self._device.buffer(4 * self.pixels, what)  # the effect replaces the ratios that it follows from
-        self._stages.arguments.update(
-            tile_count=np.uint32(self._tiles),
-            net_ratios=scratch,
-            grid=self._device.buffer(16 * GRID_BINS * self._tiles, what),
-            steps=self._device.buffer(4 * GRID_BINS * self._tiles, what),
-            design_effect=scratch,
-        )
+        self._scratch = ImageScratch(stages, shape, needs)
+        self._has_luminance = False  # whether `luminance` is that of the present samples
 
     def _launch_dependent_stages(self) -> None:
         """Design effect and averages of the neighbours, which need the summary of the whole image."""
         height, width = self._shape
         if self._needs.nets:
-            self._stages.launch("sum_tiles", self._tiles)
-            self._stages.launch("fit_steps", self._tiles)
+            tiles = tile_count(self._shape, TILE_SIZE)
+            self._stages.launch("sum_tiles", tiles)
+            self._stages.launch("fit_steps", tiles)
             self._stages.launch("compute_design_effect", height * (-(-width // TILE_SIZE) + 1))
         if self._needs.neighbours:
             self._stages.launch("average_neighbours", height * -(-width // self._device.form.neighbour_run))
@@ -168,36 +153,30 @@ class Accumulator:
                     f"the state has no array '{name}' of shape {expected} and type {planes.dtype.__name__}"
                 )
             self._device.write(planes.buffer, array)
+        self.expire_luminance()
         self._device.finish()
 
-    def statistics(self, scale: float = 1.0) -> Statistics:
+    def statistics(self, scale: float = 1.0, defer_rgb: bool = False) -> Statistics:
         """Read the statistics as read-only arrays, in the scene's units. Waits for the device.
 
-        `scale`: samples on the device are this power of two times those of the scene.
+        `scale`: samples on the device are this power of two times those of the scene. `defer_rgb`: read `rgb` when it
+        is first asked for, which has to be before samples are added.
         """
         n, needs = self.pixels, self._needs
+        self._scratch.allocate()
         flat = Statistics(
             count=self._device.read(self.count, np.uint32, n),
-            rejected=self._device.read(self.rejected, np.uint32, n),
-            rgb=np.empty((n, 3), np.float32),
+            rejected=self._read_rejected(),
+            rgb=None,
             mean=np.empty(n),
-            variance=np.empty(n),
+            variance=np.empty(n, _plane_type(1 / scale)),
             median=np.empty(n) if needs.median else None,
             power=np.empty(n) if needs.power is not None else None,
             half=np.empty((n, 3), np.float32) if needs.half else None,
         )
-        begins = range(0, n, SUMMARY_STRIP_PIXELS)
-        self._launch_summarise(0)
-        for begin in begins:
-            buffer = self._summaries[begin // SUMMARY_STRIP_PIXELS % 2]
-            with self._device.mapped(buffer, np.float32, self._summary_floats) as summary:
-                if begin != begins[-1]:
-                    self._launch_summarise(begin + SUMMARY_STRIP_PIXELS)
-                else:
-                    self._launch_dependent_stages()
-                self._device.flush()
-                strip = slice(begin, min(begin + SUMMARY_STRIP_PIXELS, n))
-                self._read_strip(flat, strip, summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
+        for strip, summary in self._summary_strips("summarise", self._launch_dependent_stages):
+            self._read_strip(flat, strip, summary.reshape(-1, SUMMARY_STRIP_PIXELS), scale)
+        self._has_luminance = True
         if needs.nets:
             design_effect = self._device.read(self._stages.arguments["design_effect"], np.float32, n)
             flat = replace(flat, design_effect=design_effect)
@@ -207,11 +186,60 @@ class Accumulator:
         for name, plane in planes.items():
             planes[name] = plane.reshape(*self._shape, *plane.shape[1:])
             planes[name].flags.writeable = False
+        planes["rgb"] = partial(self._read_rgb, scale) if defer_rgb else self._read_rgb(scale)
         return Statistics(**{"median": None} | planes)
 
+    def update_luminance(self) -> None:
+        """Make `luminance` that of the present samples, for the stage `relative_errors`."""
+        if self._has_luminance:
+            return
+        self._scratch.allocate()
+        for begin in range(0, self.pixels, SUMMARY_STRIP_PIXELS):
+            self._launch_strip("summarise", begin)
+        self._launch_dependent_stages()
+        self._has_luminance = True
+
+    def release_scratch(self) -> None:
+        """Give back what only `statistics` needs, if the image is large; it is allocated again when it is needed."""
+        if self._scratch.release():
+            self._has_luminance = False
+
+    def expire_luminance(self) -> None:
+        """Samples are added: `luminance` no longer belongs to them."""
+        self._has_luminance = False
+
+    def _read_rejected(self) -> np.ndarray:
+        """The counts of rejected samples: without any, an array that takes no memory."""
+        with self._device.mapped(self.rejected, np.uint32, self.pixels) as rejected:
+            return rejected.copy() if rejected.any() else np.broadcast_to(np.uint32(0), rejected.shape)
+
+    def _read_rgb(self, scale: float) -> np.ndarray:
+        """The mean RGB, in the scene's units. Large images release the scratch buffers first."""
+        self.release_scratch()
+        rgb = np.empty((self.pixels, 3), np.float32)
+        for strip, summary in self._summary_strips("summarise_rgb"):
+            _in_scene_units(summary[: 3 * SUMMARY_STRIP_PIXELS], 1 / scale, rgb[strip])
+        rgb.flags.writeable = False
+        return rgb.reshape(*self._shape, 3)
+
+    def _summary_strips(
+        self, stage: str, launch_last: Callable[[], None] = lambda: None
+    ) -> Iterator[tuple[slice, np.ndarray]]:
+        """Launch a stage that fills `summary` strip by strip, and `launch_last` behind it: pixels and their summary."""
+        begins = range(0, self.pixels, SUMMARY_STRIP_PIXELS)
+        self._launch_strip(stage, 0)
+        for begin in begins:
+            buffer = self._summaries[begin // SUMMARY_STRIP_PIXELS % 2]
+            with self._device.mapped(buffer, np.float32, self._summary_floats) as summary:
+                if begin != begins[-1]:
+                    self._launch_strip(stage, begin + SUMMARY_STRIP_PIXELS)
+                else:
+                    launch_last()
+                self._device.flush()
+                yield slice(begin, min(begin + SUMMARY_STRIP_PIXELS, self.pixels)), summary
+
     def _with_neighbours(self, flat: Statistics, unit: float) -> Statistics:
-        # squares of other units may be beyond float32
-        dtype = np.float32 if 2.0**-30 <= unit <= 2.0**30 else np.float64
+        dtype = _plane_type(unit)
         with self._device.mapped(self._stages.arguments["neighbours"], np.float32, 2 * self.pixels) as planes:
             mean, variance = planes.reshape(2, -1)
             mean = np.multiply(mean, unit, dtype=dtype)
@@ -219,12 +247,12 @@ class Accumulator:
         variance *= unit
         return replace(flat, neighbour_mean=mean, neighbour_variance=variance)
 
-    def _launch_summarise(self, begin: int) -> None:
-        """Summarise the strip of pixels from `begin` on."""
+    def _launch_strip(self, stage: str, begin: int) -> None:
+        """Launch a stage that fills `summary` for the strip of pixels from `begin` on."""
         pixels = min(SUMMARY_STRIP_PIXELS, self.pixels - begin)
         bounds = {"first_pixel": np.uint32(begin), "pixels": np.uint32(pixels)}
         summary = self._summaries[begin // SUMMARY_STRIP_PIXELS % 2]
-        self._stages.launch("summarise", pixels, self._device.form.pixels_per_item, summary=summary, **bounds)
+        self._stages.launch(stage, pixels, self._device.form.pixels_per_item, summary=summary, **bounds)
 
     def _read_strip(self, statistics: Statistics, strip: slice, summary: np.ndarray, scale: float) -> None:
         """Fill the pixels `strip` of `statistics`, in the scene's units, from the planes of `summary`."""
@@ -239,23 +267,17 @@ class Accumulator:
             high, low = planes(2)[:, :pixels]
             np.add(high, low, out=out, dtype=np.float64)
 
-        def read_rgb(out: np.ndarray) -> None:
-            # a power of two: float32 rounds as float64 would, and takes a quarter of the time
-            dtype = np.float32 if 2.0**-100 <= unit <= 2.0**100 else np.float64
-            np.multiply(planes(3).reshape(-1, 3)[:pixels], unit, out=out, dtype=dtype, casting="same_kind")
-
         read_mean(statistics.mean[strip])
         statistics.mean[strip] *= unit
-        np.multiply(planes(1)[0, :pixels], unit, out=statistics.variance[strip], dtype=np.float64)
+        np.multiply(planes(1)[0, :pixels], unit, out=statistics.variance[strip])
         statistics.variance[strip] *= unit
-        read_rgb(statistics.rgb[strip])
         if statistics.median is not None:
             np.multiply(planes(1)[0, :pixels], unit, out=statistics.median[strip], dtype=np.float64)
         if statistics.power is not None:
             read_mean(statistics.power[strip])
             self._power_in_scene_units(statistics.power[strip], statistics.mean[strip], scale)
         if statistics.half is not None:
-            read_rgb(statistics.half[strip])
+            _in_scene_units(planes(3), unit, statistics.half[strip])
 
     def _power_in_scene_units(self, power: np.ndarray, mean: np.ndarray, scale: float) -> None:
         """In place; `mean` is that of x, in the scene's units."""
@@ -267,3 +289,15 @@ class Accumulator:
             with np.errstate(over="ignore"):
                 power *= 2.0 ** min(max(-exponent * q, -1022), 1023)
             np.minimum(power, np.finfo(np.float64).max, out=power)
+
+
+def _plane_type(unit: float) -> type:
+    """Type of the variances, which the device has in float32: their squared units may be beyond it."""
+    return np.float32 if 2.0**-30 <= unit <= 2.0**30 else np.float64
+
+
+def _in_scene_units(colours: np.ndarray, unit: float, out: np.ndarray) -> None:
+    """Write colours, three floats a pixel, times a power of two to `out` (pixels, 3)."""
+    # float32 rounds as float64 would, and takes a quarter of the time
+    dtype = np.float32 if 2.0**-100 <= unit <= 2.0**100 else np.float64
+    np.multiply(colours.reshape(-1, 3)[: len(out)], unit, out=out, dtype=dtype, casting="same_kind")

@@ -9,6 +9,7 @@ from isonoise.error import shrinkage
 from isonoise.error.distribution import NORMAL_BINS, ErrorDistribution, histogram_position
 from isonoise.error.shrinkage import LEVELS, TILE_SIZE
 from isonoise.integrator.stages import Stages
+from isonoise.strips import pixel_strips
 
 BINS_PER_OCTAVE_LOG2 = 6
 """log2 of the bins of the mean square error per octave; a pixel's error is rounded by at most 0.4 %."""
@@ -20,6 +21,8 @@ TILE_PIXELS = TILE_SIZE * TILE_SIZE
 SCRATCH_PYRAMIDS = 14
 """Arrays of a tile (kernels/error/tile.h), each with one element per pixel and group."""
 PYRAMID_SIZE = sum(TILE_PIXELS >> 2 * level for level in range(LEVELS + 1))
+BINS_STRIP = 2**20
+"""Pixels that are counted at a time: numpy converts their bins to 64 bits."""
 GROUPS_PER_CORE = 4
 """Work-groups that process tiles at a time: enough to share them evenly."""
 
@@ -40,7 +43,10 @@ def build_constants(work_items: int) -> dict[str, int | str]:
 
 
 class ErrorStage:
-    """The stage `relative_errors` for an image of shape (height, width), with so many work-items per tile."""
+    """The stage `relative_errors` for an image of shape (height, width), with so many work-items per tile.
+
+    It writes the buffer `error_bins` (`image_scratch`).
+    """
 
     def __init__(self, stages: Stages, shape: tuple[int, int], work_items: int):
         self._stages, self._device, self._work_items = stages, stages.device, work_items
@@ -54,7 +60,6 @@ class ErrorStage:
             error_floor=np.float32(1),
             inverse_unit=np.float32(1),
             error_scratch=self._device.buffer(scratch, "the tiles of the errors"),
-            error_bins=self._device.buffer(4 * self._cells, "the errors"),
         )
 
     def distribution(self, floor: float) -> ErrorDistribution:
@@ -67,7 +72,9 @@ class ErrorStage:
             inverse_unit=np.float32(1 / unit),
         )
         with self._device.mapped(self._stages.arguments["error_bins"], np.uint32, self._cells) as bins:
-            number = np.bincount(bins, minlength=ERROR_BINS + 2)
+            number = np.zeros(ERROR_BINS + 2, np.int64)
+            for strip in pixel_strips(bins.size, BINS_STRIP):
+                number += np.bincount(bins[strip], minlength=ERROR_BINS + 2)
         result = ErrorDistribution(self._pixels)
         result.noiseless = int(number[ERROR_BINS])
         occupied = np.flatnonzero(number[:ERROR_BINS])

@@ -7,7 +7,10 @@ from isonoise.integrator.kernel_table import KERNELS
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs
 
-_NAMES = ("reduce", "summarise", "sum_tiles", "fit_steps", "compute_design_effect", "average_neighbours")
+_NAMES = (
+    *("reduce", "summarise", "summarise_rgb"),
+    *("sum_tiles", "fit_steps", "compute_design_effect", "average_neighbours"),
+)
 
 
 def make_statistics_stages(device: Device, needs: Needs) -> Stages:

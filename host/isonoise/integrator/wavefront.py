@@ -191,6 +191,7 @@ class Wavefront:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
             samples = self._trace_paths(samples, should_continue)
+        self.accumulator.expire_luminance()
         self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         self.device.finish()
         return samples

@@ -8,10 +8,11 @@ from isonoise.device.opencl import Device
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
 from isonoise.integrator.error_stage import ErrorStage, build_constants
+from isonoise.integrator.image_scratch import scratch_bytes
 from isonoise.integrator.kernel_table import KERNELS
 from isonoise.integrator.stages import Stages
 from isonoise.selftest.cases import Case, Check, Context, array_case, count_case
-from isonoise.statistics import Statistics
+from isonoise.statistics import BASIC_NEEDS, Statistics
 
 QUANTILES = (0.05, 0.5, 0.9, 0.99)
 BIN = 0.005
@@ -32,6 +33,7 @@ def device_distribution(
         total_pixels=np.uint32(height * width),
         count=device.buffer(statistics.count, "the counts"),
         luminance=device.buffer(planes, "the luminance"),
+        error_bins=device.buffer(scratch_bytes((height, width), BASIC_NEEDS)["per_pixel"], "the errors"),
     )
     return ErrorStage(stages, statistics.shape, work_items).distribution(floor)
 

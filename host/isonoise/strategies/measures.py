@@ -67,9 +67,11 @@ def standard_error(statistics: Statistics) -> np.ndarray:
     return np.sqrt(error, out=error)
 
 
-def relative_mean(statistics: Statistics, floor: float) -> np.ndarray:
-    """e_a = se / max(mean, floor)."""
-    return _divide(standard_error(statistics), np.maximum(statistics.mean, floor))
+def relative_mean(statistics: Statistics, floor: float, rows: slice = slice(None)) -> np.ndarray:
+    """e_a = se / max(mean, floor) of the pixels of some rows."""
+    error = statistics.variance_of_mean(rows)
+    np.sqrt(error, out=error)
+    return _divide(error, np.maximum(statistics.mean[rows], floor))
 
 
 def relative_median(statistics: Statistics, floor: float, kappa: float = 8.0) -> np.ndarray:

@@ -2,8 +2,12 @@
 
 import numpy as np
 
+from isonoise.strips import pixel_strips
+
 MAX_COUNT = 2**32 - 1
 """Samples that a pixel can count (uint32), all waves together."""
+STRIP_PIXELS = 2**16
+"""Pixels that are hashed at a time."""
 
 
 def uniform_allocation(shape: tuple[int, int], budget: int, wave_index: int) -> np.ndarray:
@@ -32,7 +36,9 @@ def uniform_allocation(shape: tuple[int, int], budget: int, wave_index: int) -> 
     check_budget(budget, pixels * MAX_COUNT)
     each, remainder = divmod(int(budget), pixels)
     allocation = np.full(pixels, each, dtype=np.uint32)
-    allocation[first_in_hashed_order(np.arange(pixels, dtype=np.uint32), remainder, wave_index)] += np.uint32(1)
+    if remainder:
+        order = _hashed_order(np.arange(pixels, dtype=np.uint32), wave_index)
+        allocation += order <= np.partition(order, remainder - 1)[remainder - 1]  # there are no ties
     return allocation.reshape(shape)
 
 
@@ -45,8 +51,16 @@ def first_in_hashed_order(pixels: np.ndarray, k: int, wave_index: int) -> np.nda
     """Indices into `pixels` (uint32, distinct) of the k that come first in the wave's pseudo-random order."""
     if k == 0 or k == pixels.size:
         return np.arange(k)
+    return np.argpartition(_hashed_order(pixels, wave_index), k)[:k]
+
+
+def _hashed_order(pixels: np.ndarray, wave_index: int) -> np.ndarray:
+    """Distinct numbers (uint32), in whose order the pixels come in this wave."""
     salt = _hash(np.array([wave_index & MAX_COUNT], dtype=np.uint32)) ^ np.uint32((wave_index >> 32) & MAX_COUNT)
-    return np.argpartition(_hash(_hash(pixels) ^ salt), k)[:k]
+    order = np.empty_like(pixels)
+    for strip in pixel_strips(pixels.size, STRIP_PIXELS):
+        order[strip] = _hash(_hash(pixels[strip]) ^ salt)
+    return order
 
 
 def _hash(x: np.ndarray) -> np.ndarray:
