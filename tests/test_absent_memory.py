@@ -174,4 +174,4 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
     pixels = {"medians": 4 * 5 + 4 + 8, "powers": 8, "halves": 24, "neighbours": 8}
     assert {each: sizes[each] for each in pixels} == {each: size * 9 * 7 for each, size in pixels.items()}
     unchecked = {each for feature in FEATURES.values() for each in feature.buffers} - set(number) - set(pixels)
-    assert unchecked == {"texel_floats", "corners", "corner_indices", "light_bounds", "net_means", "design_effect"}
+    assert unchecked == {"texel_floats", "corners", "corner_indices", "light_bounds", "net_means"}

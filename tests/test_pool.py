@@ -90,7 +90,7 @@ def test_tables_and_statistics_that_kernels_cannot_index_are_refused():
     table = np.broadcast_to(np.float32(0), (2**31 + 1,))
     with pytest.raises(SceneError, match="the triangles need 8"):
         scene_buffers._table(None, table, "the triangles")
-    assert max(accumulator._SUMS, 2**accumulator.NET_COUNT_LOG2) * MAX_PIXELS < accumulator.MAX_STATISTICS
+    assert max(accumulator.state_planes(Needs(half=True, nets=True)).values()) * MAX_PIXELS < accumulator.MAX_STATISTICS
     with pytest.raises(UserError, match="chunks of 31 entries"):
         accumulator.Accumulator(SimpleNamespace(device=None), (2**14, 2**14), Needs(median=True, chunk=31))
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -151,6 +151,11 @@ class Statistics:
         if self.design_effect is None:
             return self.variance[rows].astype(dtype, copy=False)
         return np.multiply(self.design_effect[rows], self.variance[rows], dtype=dtype, casting="same_kind")
+
+    def planes(self) -> dict[str, np.ndarray]:
+        """The arrays by name, without those that are None."""
+        planes = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "uniform"}
+        return {name: plane for name, plane in planes.items() if plane is not None}
 
     @property
     def shape(self) -> tuple[int, int]:

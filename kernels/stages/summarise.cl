@@ -67,7 +67,7 @@ __kernel void summarise(
     }
 }
 
-// Writes the mean RGB to `summary`, three floats a pixel.
+// Writes the mean RGB to planes of `summary`.
 __kernel void summarise_rgb(
 #include "generated/summarise_rgb_parameters.h"
 )
@@ -77,6 +77,8 @@ __kernel void summarise_rgb(
     for (int i = (int)begin; i < (int)end; ++i) {
         const int pixel = (int)first_pixel + i;
         const Vec3 rgb = divide_rgb_sum(load_rgb_sum(sums + pixel, total_pixels), MAX(count[pixel], 1u));
-        STORE3(rgb, i, summary);
+        summary[i] = rgb.x;
+        summary[stride + (uint)i] = rgb.y;
+        summary[2u * stride + (uint)i] = rgb.z;
     }
 }

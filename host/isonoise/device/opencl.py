@@ -162,6 +162,16 @@ class Device:
         return self.is_cpu
 
     @property
+    def global_memory(self) -> int:
+        """Bytes of the device's memory."""
+        return self.device.global_mem_size
+
+    @property
+    def max_buffer_size(self) -> int:
+        """Bytes of the largest buffer that the device gives."""
+        return self.device.max_mem_alloc_size
+
+    @property
     def compute_units(self) -> int:
         return self.device.max_compute_units
 

@@ -27,9 +27,46 @@ MAX_STATISTICS = 2**32
 """Numbers in a buffer of per-pixel statistics: kernels index them with unsigned 32-bit numbers. Only chunk medians have
 so many planes that an image of `MAX_PIXELS` can exceed it."""
 
-_SUMS = 10  # planes: high and low parts of the sums of red, green, blue, x and M2 over full sample blocks
-# Planes of the unfinished sample block: sums of x - shift and of its square; shift is the mean of x before the block.
-_BLOCK_SUMS = 2
+_SUMMARIES = 2  # the host reads one while the device fills the other
+_LABELS = {
+    "count": "the sample counts",
+    "rejected": "the counts of rejected samples",
+    "sums": "the statistics",
+    "sample_block_sums": "the statistics of unfinished sample blocks",
+    "medians": "the chunk medians",
+    "powers": "the sums of powers",
+    "halves": "the sums of every second sample",
+    "net_means": "the means over nets",
+}
+
+
+def state_planes(needs: Needs) -> dict[str, int]:
+    """Buffers of the state of `reduce`: name -> planes, with one 4-byte value per pixel each."""
+    planes = {
+        "count": 1,
+        "rejected": 1,
+        "sums": 10,  # high and low parts of the sums of red, green, blue, x and M2, of x and M2 over full sample blocks
+        "sample_block_sums": 2,  # of x - shift and of its square; shift is the mean of x before the unfinished block
+        "medians": _median_planes(needs) if needs.median else 0,
+        "powers": 2 * (needs.power is not None),
+        "halves": 6 * needs.half,
+        "net_means": (2**NET_COUNT_LOG2 - 1) * needs.nets,
+    }
+    return {name: number for name, number in planes.items() if number}
+
+
+def summary_bytes(needs: Needs) -> int:
+    """Bytes of the buffers of the stage `summarise`, whatever the image."""
+    return _SUMMARIES * 4 * _summary_planes(needs) * SUMMARY_STRIP_PIXELS
+
+
+def _median_planes(needs: Needs) -> int:
+    # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
+    return 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
+
+
+def _summary_planes(needs: Needs) -> int:
+    return 3 + needs.median + 2 * (needs.power is not None) + 3 * needs.half  # kernels/stages/summarise.cl
 
 
 def build_constants(needs: Needs, form: DeviceForm) -> dict[str, int]:
@@ -66,51 +103,35 @@ class Accumulator:
         self._shape, self._needs = shape, needs
         self.pixels = shape[0] * shape[1]
 
-        # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
-        medians = 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
-        if needs.median and medians * self.pixels > MAX_STATISTICS:
+        if needs.median and _median_planes(needs) * self.pixels > MAX_STATISTICS:
             raise UserError(
                 f"chunks of {needs.chunk} entries of {self.pixels:,} pixels are more than {MAX_STATISTICS:,} numbers; "
                 "render a smaller image or choose a smaller chunk"
             )
-        self._planes: dict[str, _Planes] = {}  # every buffer of the state
-
-        def planes(name: str, number: int, what: str, dtype: type = np.float32):
-            buffer = self._device.buffer(4 * number * self.pixels, what)
-            self._planes[name] = _Planes(buffer, number, dtype)
-            return buffer
-
-        self.count = planes("count", 1, "the sample counts", np.uint32)
-        self.rejected = planes("rejected", 1, "the counts of rejected samples", np.uint32)
-        # kernels/stages/summarise.cl
-        summary = 3 + needs.median + 2 * (needs.power is not None) + 3 * needs.half
-        self._summary_floats = summary * SUMMARY_STRIP_PIXELS
+        self._planes = {  # every buffer of the state
+            name: _Planes(
+                self._device.buffer(4 * number * self.pixels, _LABELS[name]),
+                number,
+                np.uint32 if name in ("count", "rejected") else np.float32,
+            )
+            for name, number in state_planes(needs).items()
+        }
+        self.count, self.rejected = (self._planes[name].buffer for name in ("count", "rejected"))
+        self._summary_floats = _summary_planes(needs) * SUMMARY_STRIP_PIXELS
         self._summaries = [
-            self._device.buffer(4 * self._summary_floats, "the summary of the statistics")
-            for _ in range(2)  # the host reads one while the device fills the other
+            self._device.buffer(4 * self._summary_floats, "the summary of the statistics") for _ in range(_SUMMARIES)
         ]
         stages.arguments.update(
+            {name: planes.buffer for name, planes in self._planes.items()},
             total_pixels=np.uint32(self.pixels),
-            count=self.count,
-            rejected=self.rejected,
-            sums=planes("sums", _SUMS, "the statistics"),
-            sample_block_sums=planes("sample_block_sums", _BLOCK_SUMS, "the statistics of unfinished sample blocks"),
             summary=self._summaries[0],
             image_width=np.uint32(shape[1]),
             stride=np.uint32(SUMMARY_STRIP_PIXELS),
         )
-        if needs.median:
-            stages.arguments["medians"] = planes("medians", medians, "the chunk medians")
         if needs.power is not None:
-            stages.arguments["powers"] = planes("powers", 2, "the sums of powers")
             stages.arguments["power"] = np.float32(needs.power)
-        if needs.half:
-            stages.arguments["halves"] = planes("halves", 6, "the sums of every second sample")
-
         if needs.neighbours:
             stages.arguments["neighbour_radius"] = np.uint32(needs.neighbours // 2)
-        if needs.nets:
-            stages.arguments["net_means"] = planes("net_means", 2**NET_COUNT_LOG2 - 1, "the means over nets")
         self._scratch = ImageScratch(stages, shape, needs)
         self._has_luminance = False  # whether `luminance` is that of the present samples
 
@@ -182,7 +203,7 @@ class Accumulator:
             flat = replace(flat, design_effect=design_effect)
         if needs.neighbours:
             flat = self._with_neighbours(flat, 1 / scale)
-        planes = {name: plane for name, plane in vars(flat).items() if plane is not None}
+        planes = flat.planes()
         for name, plane in planes.items():
             planes[name] = plane.reshape(*self._shape, *plane.shape[1:])
             planes[name].flags.writeable = False
@@ -214,13 +235,17 @@ class Accumulator:
             return rejected.copy() if rejected.any() else np.broadcast_to(np.uint32(0), rejected.shape)
 
     def _read_rgb(self, scale: float) -> np.ndarray:
-        """The mean RGB, in the scene's units. Large images release the scratch buffers first."""
+        """The mean RGB, in the scene's units: planes, which are written to a file without a copy.
+
+        Large images release the scratch buffers first.
+        """
         self.release_scratch()
-        rgb = np.empty((self.pixels, 3), np.float32)
+        rgb = np.empty((3, self.pixels), np.float32)
         for strip, summary in self._summary_strips("summarise_rgb"):
-            _in_scene_units(summary[: 3 * SUMMARY_STRIP_PIXELS], 1 / scale, rgb[strip])
+            planes = summary[: 3 * SUMMARY_STRIP_PIXELS].reshape(3, -1)
+            _in_scene_units(planes[:, : strip.stop - strip.start], 1 / scale, rgb[:, strip])
         rgb.flags.writeable = False
-        return rgb.reshape(*self._shape, 3)
+        return rgb.reshape(3, *self._shape).transpose(1, 2, 0)
 
     def _summary_strips(
         self, stage: str, launch_last: Callable[[], None] = lambda: None
@@ -277,7 +302,7 @@ class Accumulator:
             read_mean(statistics.power[strip])
             self._power_in_scene_units(statistics.power[strip], statistics.mean[strip], scale)
         if statistics.half is not None:
-            _in_scene_units(planes(3), unit, statistics.half[strip])
+            _in_scene_units(planes(3).reshape(-1, 3)[:pixels], unit, statistics.half[strip])
 
     def _power_in_scene_units(self, power: np.ndarray, mean: np.ndarray, scale: float) -> None:
         """In place; `mean` is that of x, in the scene's units."""
@@ -297,7 +322,7 @@ def _plane_type(unit: float) -> type:
 
 
 def _in_scene_units(colours: np.ndarray, unit: float, out: np.ndarray) -> None:
-    """Write colours, three floats a pixel, times a power of two to `out` (pixels, 3)."""
+    """Write colours times a power of two to `out`."""
     # float32 rounds as float64 would, and takes a quarter of the time
     dtype = np.float32 if 2.0**-100 <= unit <= 2.0**100 else np.float64
-    np.multiply(colours.reshape(-1, 3)[: len(out)], unit, out=out, dtype=dtype, casting="same_kind")
+    np.multiply(colours, unit, out=out, dtype=dtype, casting="same_kind")

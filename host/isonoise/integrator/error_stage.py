@@ -8,6 +8,7 @@ import numpy as np
 from isonoise.error import shrinkage
 from isonoise.error.distribution import NORMAL_BINS, ErrorDistribution, histogram_position
 from isonoise.error.shrinkage import LEVELS, TILE_SIZE
+from isonoise.integrator.image_scratch import tile_count
 from isonoise.integrator.stages import Stages
 from isonoise.strips import pixel_strips
 
@@ -42,6 +43,15 @@ def build_constants(work_items: int) -> dict[str, int | str]:
     }
 
 
+def error_scratch_bytes(shape: tuple[int, int], compute_units: int) -> int:
+    """Bytes of the buffer of the stage on a device of so many compute units."""
+    return 4 * SCRATCH_PYRAMIDS * PYRAMID_SIZE * _groups(shape, compute_units)
+
+
+def _groups(shape: tuple[int, int], compute_units: int) -> int:
+    return min(GROUPS_PER_CORE * compute_units, tile_count(shape, TILE_SIZE))
+
+
 class ErrorStage:
     """The stage `relative_errors` for an image of shape (height, width), with so many work-items per tile.
 
@@ -51,10 +61,9 @@ class ErrorStage:
     def __init__(self, stages: Stages, shape: tuple[int, int], work_items: int):
         self._stages, self._device, self._work_items = stages, stages.device, work_items
         self._pixels = shape[0] * shape[1]
-        tiles = -(-shape[0] // TILE_SIZE) * -(-shape[1] // TILE_SIZE)
-        self._groups = min(GROUPS_PER_CORE * self._device.compute_units, tiles)
-        self._cells = tiles * TILE_PIXELS
-        scratch = 4 * SCRATCH_PYRAMIDS * PYRAMID_SIZE * self._groups
+        self._groups = _groups(shape, self._device.compute_units)
+        self._cells = tile_count(shape, TILE_SIZE) * TILE_PIXELS
+        scratch = error_scratch_bytes(shape, self._device.compute_units)
         stages.arguments.update(
             error_groups=np.uint32(self._groups),
             error_floor=np.float32(1),

@@ -224,7 +224,7 @@ FEATURES = {
     "NET_MEANS": Feature(
         "means over nets, for the error of well-distributed samples",
         lambda use: use.needs.nets,
-        {"net_means": "28 bytes a pixel", "design_effect": "4 bytes a pixel"},
+        {"net_means": "28 bytes a pixel"},
     ),
     "NEIGHBOURS": Feature(
         "mean and variance of every pixel's neighbours",

@@ -12,9 +12,9 @@ from isonoise.strips import LARGE_IMAGE_PIXELS
 TILE_SIZE, GRID_BINS = 16, 25
 """Pixels per side of a tile, and bins of the relative variance, over which design effects are pooled."""
 
-_ALIASES = {"net_ratios": "per_pixel", "design_effect": "per_pixel", "error_bins": "per_pixel"}
-"""Arguments that share a buffer, because each is read before the next is written: the design effect replaces the ratios
-that it follows from, and the bins of the errors the design effect."""
+_SHARED = ("error_bins", "net_ratios", "design_effect")
+"""Arguments that share the buffer `per_pixel`, because each is read before the next is written: the design effect
+replaces the ratios that it follows from, and the bins of the errors the design effect."""
 
 
 def tile_count(shape: tuple[int, int], size: int) -> int:
@@ -74,6 +74,6 @@ class ImageScratch:
         return self._is_releasable
 
     def _set_arguments(self, buffers: Mapping[str, object]) -> None:
-        arguments = {name: buffers[shared] for name, shared in _ALIASES.items()}
+        shared = _SHARED if "grid" in buffers else _SHARED[:1]
         self._stages.arguments.update({name: buffer for name, buffer in buffers.items() if name != "per_pixel"})
-        self._stages.arguments.update(arguments)
+        self._stages.arguments.update(dict.fromkeys(shared, buffers["per_pixel"]))

@@ -248,7 +248,7 @@ KERNELS = {
         "count sums sample_block_sums medians powers halves net_means",
         "summary luminance net_ratios",
     ),
-    "summarise_rgb": _kernel("summarise.cl", "first_pixel pixels total_pixels", "count sums", "summary"),
+    "summarise_rgb": _kernel("summarise.cl", "first_pixel pixels stride total_pixels", "count sums", "summary"),
     "sum_tiles": _kernel("design_effect.cl", _GRID, "count luminance net_ratios", "grid", needs="NET_MEANS"),
     "fit_steps": _kernel("design_effect.cl", _GRID, "grid", "steps", needs="NET_MEANS"),
     "compute_design_effect": _kernel(

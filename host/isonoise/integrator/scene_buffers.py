@@ -18,6 +18,9 @@ from isonoise.scene.mesh.triangle_records import corner_normals, triangle_record
 MAX_TABLE_BYTES = 2**33
 """Size of a table of the scene: kernels index its 4-byte words with signed 32-bit numbers (`record_reader`)."""
 
+BVH_ARGUMENTS = ("nodes", "triangle_blocks")
+"""Arguments that hold the BVH."""
+
 _NO_LIMIT = 0xFFFFFFFF
 _EMPTY = np.zeros(0, np.float32)
 
@@ -46,6 +49,11 @@ def scene_arguments(
         "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else _NO_LIMIT),
         "rr_depth": np.uint32(scene.rr_depth),
     }
+
+
+def buffer_size(argument: object) -> int:
+    """Bytes of the argument if it is a buffer, else 0."""
+    return 0 if argument is None or isinstance(argument, np.generic | np.ndarray) else argument.size
 
 
 def _table(device: Device, array: np.ndarray, label: str):

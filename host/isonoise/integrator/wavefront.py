@@ -26,18 +26,14 @@ from isonoise.integrator.kernel_table import (
     SEQUENTIAL_KERNELS,
     STRUCTS,
     kernel_table,
-    path_bytes,
 )
+from isonoise.integrator.memory_plan import PLANE_PADDING, MemoryPlan, fit_pool, path_buffers, sample_buffers
 from isonoise.integrator.sample_list import SampleList
-from isonoise.integrator.scene_buffers import scene_arguments
+from isonoise.integrator.scene_buffers import BVH_ARGUMENTS, buffer_size, scene_arguments
 from isonoise.integrator.stages import Stages
 from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs
-
-PLANE_PADDING = 80
-"""Elements by which a plane of path state is longer than the pool. Without it the members of a path would be a power of
-two apart and compete for the same few cache sets."""
 
 MAX_COMPILED_ITEMS = 2**17
 """Items of the launches for which kernels are compiled: PoCL has one form for global sizes from 2^16 on."""
@@ -48,6 +44,10 @@ _BUFFER_LABELS = {
     "holes": "the slots of dead paths",
     "tests": "the counts of tests",
     **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance"), "the shadow rays"),
+    **dict.fromkeys(("path_block_alive", "total_alive"), "the compaction"),
+    "samples": "the sample buffer",
+    "sample_pixel": "the sample list",
+    "pixel_offset": "the allocation",
 }
 """Labels of the path buffers in errors and reports; the others are `the paths`."""
 
@@ -63,6 +63,8 @@ class Wavefront:
     feature_override : features that the kernels are built with in place of those that `scene` and `needs` ask for, to
         test or to measure more of them. With COUNT_TESTS the buffer `tests` holds, after a bounce, how many nodes and
         triangle blocks each ray of `intersect` was tested against.
+    memory : most bytes to take, with the host's arrays if the device shares its memory; the pool is made smaller to fit
+    is_adaptive : whether the strategy plans adaptive waves, which take more memory of the host
     """
 
     def __init__(
@@ -74,18 +76,38 @@ class Wavefront:
         seed: int = 0,
         pool_size: int | None = None,
         feature_override: Mapping[str, bool] | None = None,
+        memory: int | None = None,
+        is_adaptive: bool = True,
     ):
         self.device, self.scene = device, scene
         self.features = dict(feature_override or features(scene, needs))
         self.bvh_stack = bvh.stack
-        self.pool_size = pool_size or default_pool_size(device.device)
-        self.slice_samples = SAMPLES_PER_PATH * self.pool_size
         form = device.form
         if self.features["VOLPATH"]:  # `shade_lanes` does not support it
             form = form._replace(lanes=1, shade_lanes=1)
         self._form = form
         needs_bvh = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
         self.brute_force = form.lanes > 1 and not needs_bvh and use_brute_force(scene)
+        scene_buffers = scene_arguments(device, scene, bvh, self.features, self.brute_force)
+        bvh_bytes = sum(buffer_size(scene_buffers[name]) for name in BVH_ARGUMENTS)
+        self.memory_plan = fit_pool(
+            lambda pool: MemoryPlan(
+                scene=sum(buffer_size(value) for value in scene_buffers.values()) - bvh_bytes,
+                bvh=bvh_bytes,
+                features=self.features,
+                needs=needs,
+                shape=(scene.height, scene.width),
+                pool_size=pool,
+                path_block_size=form.path_block_size,
+                compute_units=device.compute_units,
+                is_adaptive=is_adaptive,
+            ),
+            pool_size or default_pool_size(device.device),
+            device,
+            memory,
+        )
+        self.pool_size = self.memory_plan.pool_size
+        self.slice_samples = SAMPLES_PER_PATH * self.pool_size
         table = kernel_table(self.features, self.brute_force)
         self._shadow = next((name for name in ("shadow", "shadow_transmittance") if name in table), None)
         small_groups = SEQUENTIAL_KERNELS | (LANE_KERNELS if form.lanes > 1 else set())
@@ -107,7 +129,7 @@ class Wavefront:
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
         self.errors = error_stage.ErrorStage(self._stages, (scene.height, scene.width), form.tile_work_items)
-        self._arguments.update(scene_arguments(device, scene, bvh, self.features, self.brute_force))
+        self._arguments.update(scene_buffers)
         self._arguments.update(self._path_arguments(seed))
         if feature_override:
             from isonoise.integrator.feature_superset import dummy_buffers
@@ -122,21 +144,15 @@ class Wavefront:
 
     def _path_arguments(self, seed: int) -> dict[str, object]:
         """Buffers of the paths in flight and of the samples of a slice."""
-        device, paths, samples = self.device, self.pool_size, self.slice_samples
-        plane_stride = paths + PLANE_PADDING
+        sizes = {
+            **path_buffers(self.features, self.pool_size, self._form.path_block_size),
+            **sample_buffers(self.pool_size, self.accumulator.pixels),
+        }
         return {
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
-            "plane_stride": np.uint32(plane_stride),
+            "plane_stride": np.uint32(self.pool_size + PLANE_PADDING),
             **dict.fromkeys(BOUNCE_BUFFERS),
-            **{
-                name: device.buffer(size * plane_stride, _BUFFER_LABELS.get(name, "the paths"))
-                for name, size in path_bytes(self.features).items()
-            },
-            "path_block_alive": device.buffer(4 * -(-paths // self._form.path_block_size), "the compaction"),
-            "total_alive": device.buffer(8, "the compaction"),
-            "samples": device.buffer(12 * samples, "the sample buffer"),
-            "sample_pixel": device.buffer(4 * samples, "the sample list"),
-            "pixel_offset": device.buffer(4 * min(self.accumulator.pixels, samples), "the allocation"),
+            **{name: self.device.buffer(size, _BUFFER_LABELS.get(name, "the paths")) for name, size in sizes.items()},
         }
 
     def warm_up(self) -> None:

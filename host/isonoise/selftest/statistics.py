@@ -25,11 +25,6 @@ LUMINANCE_LIMIT = 2.0**62
 """From this luminance on a sample is rejected (kernels/stages/reduce.cl)."""
 
 
-def planes_of(statistics: Statistics) -> dict[str, np.ndarray]:
-    """Returns the statistics that are there, by name."""
-    return {name: plane for name, plane in vars(statistics).items() if plane is not None}
-
-
 def reduced(context: Context, samples: list[np.ndarray], needs: Needs = ALL, scale: float = 1.0) -> Statistics:
     """Returns the statistics of the pixels' samples, which are `scale` times the radiance."""
     reducer = Reducer(context.device, len(samples), needs)
@@ -140,7 +135,7 @@ def _pareto(context: Context, alpha: float) -> Iterator[Case]:
     samples = [b * (1 + random.pareto(alpha, n)) for b in brightness]
     statistics, x = reduced(context, samples), np.stack([luminance32(s) for s in samples])
     name = f"Pareto, alpha {alpha}"
-    infinite = sum(np.count_nonzero(~np.isfinite(plane)) for plane in planes_of(statistics).values())
+    infinite = sum(np.count_nonzero(~np.isfinite(plane)) for plane in statistics.planes().values())
     yield count_case(f"{name}: statistics not finite", infinite, "none allowed")
     ratio = statistics.mean[0] / x.mean(axis=1)
     # a block rounds by 16 * 2^-24 of its spread, which may be that of its largest sample alone
@@ -165,7 +160,7 @@ def equal_samples(context: Context) -> Iterator[Case]:
     """Equal samples have no variance."""
     counts = (1, 2, 5, 16, 17, 10_000)
     zeros = reduced(context, [np.zeros(n) for n in counts])
-    nonzero = sum(np.count_nonzero(plane) for name, plane in planes_of(zeros).items() if name != "count")
+    nonzero = sum(np.count_nonzero(plane) for name, plane in zeros.planes().items() if name != "count")
     yield count_case("all samples 0: statistics other than 0", nonzero, "exact")
     for value in (1.0, 0.1, 1e-30, 1e15):
         statistics, x = reduced(context, [np.full(n, value) for n in counts]), luminance32(np.array([value]))[0]
@@ -205,7 +200,7 @@ def slices_and_order(context: Context) -> Iterator[Case]:
     for begin, end in ((0, 0.01), (0.01, 0.02), (0.02, 0.3), (0.3, 0.77), (0.77, 1)):
         reducer.add([s[int(begin * len(s)) : int(end * len(s))] for s in samples])
     sliced = reducer.statistics()
-    differing = sum(np.count_nonzero(plane != getattr(sliced, name)) for name, plane in planes_of(whole).items())
+    differing = sum(np.count_nonzero(plane != getattr(sliced, name)) for name, plane in whole.planes().items())
     yield count_case("in five slices or in one: values that differ", differing, "exact: the same bits")
     x = random.pareto(1.5, 16 * 5 * 500)
     orders = [x, x[::-1], np.sort(x), np.sort(x)[::-1], random.permutation(x)]
@@ -228,7 +223,7 @@ def rejected_samples(context: Context) -> Iterator[Case]:
     mixed = [np.insert(good, [0, 3, 500, 997], rows, axis=0) for rows in bad.values()]
     only_bad = np.concatenate([np.array(rows, float) for rows in bad.values()])
     statistics = reduced(context, [good, *mixed, only_bad])
-    planes = [plane[0] for name, plane in planes_of(statistics).items() if name != "rejected"]
+    planes = [plane[0] for name, plane in statistics.planes().items() if name != "rejected"]
     for pixel, kind in enumerate(bad, start=1):
         name = f"4 samples {kind} among 997"
         yield count_case(f"{name}: rejected", int(statistics.rejected[0, pixel]), "exact", 4)
