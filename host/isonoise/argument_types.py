@@ -93,6 +93,14 @@ def size(text: str) -> tuple[int, int]:
     return width, height
 
 
+def memory_size(text: str) -> int:
+    match = re.fullmatch(r"([0-9]{1,12}(?:\.[0-9]{1,12})?)([KMGT]?)(?:i?B)?", text, re.IGNORECASE)
+    size = int(float(match[1]) * 2 ** (10 * " KMGT".index(match[2].upper() or " "))) if match else 0
+    if size < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a size of memory: write 4G or 512M")
+    return size
+
+
 def definition(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not (name and equals):

@@ -95,6 +95,7 @@ def _add_render(commands) -> None:
     _add_scene_parameters(settings)
     _add_allow_outside(settings)
     _add_device(settings)
+    _add_memory(settings)
     _add_checkpoints(render)
     render.set_defaults(parameters=None)
     reports = render.add_argument_group("what to report")
@@ -314,19 +315,26 @@ def _add_plugins(commands) -> None:
 def _add_info(commands) -> None:
     info = commands.add_parser(
         "info",
-        help="show a scene's contents and compiled features, or an image's settings",
-        description="For a scene: its contents, the features that are compiled in, and those that are left out.\n"
+        help="show a scene's contents, memory and compiled features, or an image's settings",
+        description="For a scene: its contents, the memory that a render takes, the features that are compiled in,\n"
+        "and those that are left out.\n"
         "For an .exr file: its layers and the settings it was rendered with.",
     )
     info.add_argument("source", metavar="SCENE|OUT.exr|CHECKPOINT", help="a scene, an image, or a file of --checkpoint")
+    _add_size(info)
     _add_scene_parameters(info)
     _add_allow_outside(info)
+    _add_device(info)
 
 
-def _add_scene_overrides(parser) -> None:
+def _add_size(parser) -> None:
     parser.add_argument(
         "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scene's"
     )
+
+
+def _add_scene_overrides(parser) -> None:
+    _add_size(parser)
     parser.add_argument(
         "--max-depth",
         metavar="N",
@@ -352,6 +360,15 @@ def _add_scene_parameters(parser) -> None:
         action="append",
         default=[],
         help="set a <default> parameter of the scene file; may be given more than once",
+    )
+
+
+def _add_memory(parser) -> None:
+    parser.add_argument(
+        "--memory",
+        metavar="SIZE",
+        type=argument_types.memory_size,
+        help="most memory to take, such as 4G or 512M: on the device, on a CPU with the host's arrays of the image",
     )
 
 

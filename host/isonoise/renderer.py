@@ -31,6 +31,7 @@ from isonoise.state.state import State, split_strategy_state, with_group
 from isonoise.statistics import Statistics, UniformSamples
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
 from isonoise.strategies.planner import WavePlanner
+from isonoise.strategies.uniform import Uniform
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,10 @@ class Renderer:
     allow_outside : bool
         Whether the files that a scene file names may be outside its folder (`isonoise.load`).
 
+    memory : int or None
+        Most bytes that the render may take: buffers on the device; if the device shares the host's memory, as a CPU
+        does, with the arrays of the image on the host. The pool is made smaller until they fit.
+
     Attributes
     ----------
     scene : CompiledScene
@@ -119,7 +124,7 @@ class Renderer:
     Raises
     ------
     UserError
-        If a parameter is wrong; SceneError if the scene is, DeviceError if the device is missing or too small.
+        If a parameter is wrong; SceneError if the scene is, DeviceError if the device is missing or its memory too small.
 
     Examples
     --------
@@ -143,11 +148,14 @@ class Renderer:
         pool_size: int | None = None,
         profile: bool = False,
         allow_outside: bool = False,
+        memory: int | None = None,
     ):
         if not 0 <= seed < 2**64:
             raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
         if pool_size is not None and not 1 <= pool_size <= MAX_POOL_SIZE:
             raise UserError(f"pool_size = {pool_size} is out of range: it goes from 1 to {MAX_POOL_SIZE}")
+        if memory is not None and memory < 1:
+            raise UserError(f"memory = {memory} must be 1 byte or more")
         if sampler not in (None, *SAMPLERS):
             raise UserError(f"sampler = {sampler!r} is not one of {', '.join(SAMPLERS)}")
         self.strategy, self.seed = make_strategy(strategy), seed
@@ -165,7 +173,10 @@ class Renderer:
             opencl_device = Device(device, profile)
             self.device_name, self.driver = opencl_device.name, describe_driver(opencl_device.device)
             needs = self.strategy.needs.with_sampler(self.scene.sampler)
-            self._wavefront = Wavefront(opencl_device, self.scene, bvh, needs, seed, pool_size)
+            is_adaptive = not isinstance(self.strategy, Uniform)
+            self._wavefront = Wavefront(
+                opencl_device, self.scene, bvh, needs, seed, pool_size, memory=memory, is_adaptive=is_adaptive
+            )
             self._wavefront.warm_up()
             check_driver(self._wavefront, needs)
         self._planner = WavePlanner(self.strategy, (self.scene.height, self.scene.width))
@@ -232,7 +243,7 @@ class Renderer:
     def begin_wave(self, samples: int | None = None) -> None:
         """Plan the strategy's next wave, of at most `samples`, for `continue_wave`. Raises UserError as `step` does."""
         start = time.perf_counter()
-        kind, allocation = self._planner.plan(self.statistics, samples)
+        kind, allocation = self._planner.plan(self._statistics_for_map, samples)
         if self._uniform is not None and kind == "uniform":
             self._uniform.begin_wave(self.statistics())
         planned = int(allocation.sum(dtype=np.int64))
@@ -340,6 +351,12 @@ class Renderer:
             return error_distribution(statistics, floor)
         self._wavefront.accumulator.update_luminance()
         return self._wavefront.errors.distribution(floor * self.scene.radiance_scale)
+
+    def _statistics_for_map(self) -> Statistics:
+        """Statistics for an allocation map; what computed them leaves its memory to the map of a large image."""
+        statistics = self.statistics()
+        self._wavefront.accumulator.release_scratch()
+        return statistics
 
     def _forget_statistics(self) -> None:
         """Samples will be added. Statistics that are still in use get their RGB now."""

@@ -1,11 +1,13 @@
 """`isonoise info`: contents and compiled features of a scene, layers and settings of an image, or a checkpoint."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from isonoise.commands import EXIT_DONE
+from isonoise.errors import DeviceError
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light.light_kinds import KINDS as LIGHT_KINDS
@@ -14,6 +16,7 @@ from isonoise.scene.material import textures
 from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
 from isonoise.state.describe import describe_checkpoint, is_checkpoint
+from isonoise.statistics import Needs
 from isonoise.tables import label_lines
 
 SHAPES = {structs.ANALYTIC_SPHERE: "spheres", structs.ANALYTIC_DISK: "disks", structs.ANALYTIC_CYLINDER: "cylinders"}
@@ -52,9 +55,10 @@ def _print_scene(options: argparse.Namespace) -> None:
     from isonoise.scene import compile_scene, load
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 
-    scene = compile_scene(load(options.source, dict(options.parameters), options.allow_outside))
+    scene = compile_scene(load(options.source, dict(options.parameters), options.allow_outside), options.size)
     print(label_lines(describe_scene(scene).items()))
-    used = features(scene, make_strategy(DEFAULT_STRATEGY).needs.with_sampler(scene.sampler))
+    needs = make_strategy(DEFAULT_STRATEGY).needs.with_sampler(scene.sampler)
+    used = features(scene, needs)
     name_width = max(map(len, used))
 
     def print_features(is_on: bool) -> None:
@@ -65,11 +69,33 @@ def _print_scene(options: argparse.Namespace) -> None:
         ]
         print(label_lines(rows, indent="  ", min_width=name_width))
 
+    _print_memory(scene, needs, options.device)
     state = sum(path_bytes(used).values())
     print(f"\ncompiled in (strategy {DEFAULT_STRATEGY}); a path in flight has {state} bytes of state:")
     print_features(True)
     print("\nleft out, because neither scene nor strategy uses it, with the saving:")
     print_features(False)
+
+
+def _print_memory(scene: CompiledScene, needs: Needs, device_choice: str | None) -> None:
+    """What a render takes; without an OpenCL device only that there is none."""
+    from isonoise.device.opencl import Device
+    from isonoise.integrator.memory_plan import fit_pool, format_bytes
+    from isonoise.integrator.wavefront import plan_memory
+    from isonoise.strategies import DEFAULT_STRATEGY
+
+    try:
+        device = Device(device_choice)
+        plan = plan_memory(device, scene, needs)
+        plan = fit_pool(lambda pool_size: replace(plan, pool_size=pool_size), plan.pool_size, device)
+    except DeviceError as error:
+        print(f"\nmemory: {error}")
+        return
+    total = plan.shared if device.shares_memory else plan.device
+    print(f"\nmemory of a render (strategy {DEFAULT_STRATEGY}, {plan.pool_size:,} paths) on {device.name}:")
+    rows = [(name, format_bytes(size)) for name, size in plan.rows()]
+    where = "in the memory that device and host share" if device.shares_memory else "on the device"
+    print(label_lines([*rows, ("total", f"{format_bytes(total)} {where}")], indent="  "))
 
 
 def describe_scene(scene: CompiledScene) -> dict[str, str]:

@@ -207,6 +207,7 @@ def _make_renderer(options: argparse.Namespace) -> Renderer:
         sampler=options.sampler,
         parameters=dict(options.parameters),
         allow_outside=options.allow_outside,
+        memory=options.memory,
         **strategy,
     )
 

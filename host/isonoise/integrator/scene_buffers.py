@@ -1,6 +1,7 @@
 """The arguments that describe a scene to the kernels: buffers and counts, by the names in `kernel_table`."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,6 +50,28 @@ def scene_arguments(
         "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else _NO_LIMIT),
         "rr_depth": np.uint32(scene.rr_depth),
     }
+
+
+class _SizedBuffer(NamedTuple):
+    size: int
+
+
+class _BufferSizes:
+    """Stands for a device: its buffers have a size and no memory."""
+
+    def buffer(self, content: np.ndarray, label: str) -> _SizedBuffer:
+        return _SizedBuffer(content.nbytes)
+
+
+def measure_scene(scene: CompiledScene, bvh: Bvh, features: Mapping[str, bool], brute_force: bool) -> tuple[int, int]:
+    """Bytes of the buffers that `scene_arguments` would make: those of the scene, and those of the BVH."""
+    return scene_bytes(scene_arguments(_BufferSizes(), scene, bvh, features, brute_force))
+
+
+def scene_bytes(arguments: Mapping[str, object]) -> tuple[int, int]:
+    """Bytes of the buffers of a scene, and of its BVH."""
+    bvh = sum(buffer_size(arguments[name]) for name in BVH_ARGUMENTS)
+    return sum(buffer_size(argument) for argument in arguments.values()) - bvh, bvh
 
 
 def buffer_size(argument: object) -> int:

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from isonoise.device.form import DeviceForm
 from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
 from isonoise.device.pool_size import SAMPLES_PER_PATH, default_pool_size
 from isonoise.integrator import error_stage
@@ -29,8 +30,9 @@ from isonoise.integrator.kernel_table import (
 )
 from isonoise.integrator.memory_plan import PLANE_PADDING, MemoryPlan, fit_pool, path_buffers, sample_buffers
 from isonoise.integrator.sample_list import SampleList
-from isonoise.integrator.scene_buffers import BVH_ARGUMENTS, buffer_size, scene_arguments
+from isonoise.integrator.scene_buffers import measure_scene, scene_arguments, scene_bytes
 from isonoise.integrator.stages import Stages
+from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs
@@ -50,6 +52,39 @@ _BUFFER_LABELS = {
     "pixel_offset": "the allocation",
 }
 """Labels of the path buffers in errors and reports; the others are `the paths`."""
+
+
+def scene_form(device: Device, features: Mapping[str, bool]) -> DeviceForm:
+    """How kernels with these features divide their work among work-items."""
+    # `shade_lanes` does not support VOLPATH
+    return device.form._replace(lanes=1, shade_lanes=1) if features["VOLPATH"] else device.form
+
+
+def tests_all_primitives(form: DeviceForm, features: Mapping[str, bool], scene: CompiledScene) -> bool:
+    """Whether rays are tested against all primitives, without the BVH."""
+    needs_bvh = features["INSTANCES"] or features["COUNT_TESTS"]
+    return form.lanes > 1 and not needs_bvh and use_brute_force(scene)
+
+
+def plan_memory(device: Device, scene: CompiledScene, needs: Needs) -> MemoryPlan:
+    """What a render of the scene takes with the device's default pool; nothing is allocated."""
+    used, bvh = features(scene, needs), build_scene_bvh(scene)
+    form = scene_form(device, used)
+    scene_size, bvh_size = measure_scene(scene, bvh, used, tests_all_primitives(form, used, scene))
+    return _memory_plan(device, scene, (scene_size, bvh_size), used, needs, default_pool_size(device.device))
+
+
+def _memory_plan(device, scene, scene_sizes, used, needs, pool_size, is_adaptive=True) -> MemoryPlan:
+    return MemoryPlan(
+        *scene_sizes,
+        features=used,
+        needs=needs,
+        shape=(scene.height, scene.width),
+        pool_size=pool_size,
+        path_block_size=device.form.path_block_size,
+        compute_units=device.compute_units,
+        is_adaptive=is_adaptive,
+    )
 
 
 class Wavefront:
@@ -82,26 +117,12 @@ class Wavefront:
         self.device, self.scene = device, scene
         self.features = dict(feature_override or features(scene, needs))
         self.bvh_stack = bvh.stack
-        form = device.form
-        if self.features["VOLPATH"]:  # `shade_lanes` does not support it
-            form = form._replace(lanes=1, shade_lanes=1)
-        self._form = form
-        needs_bvh = self.features["INSTANCES"] or self.features["COUNT_TESTS"]
-        self.brute_force = form.lanes > 1 and not needs_bvh and use_brute_force(scene)
+        self._form = form = scene_form(device, self.features)
+        self.brute_force = tests_all_primitives(form, self.features, scene)
         scene_buffers = scene_arguments(device, scene, bvh, self.features, self.brute_force)
-        bvh_bytes = sum(buffer_size(scene_buffers[name]) for name in BVH_ARGUMENTS)
+        sizes = scene_bytes(scene_buffers)
         self.memory_plan = fit_pool(
-            lambda pool: MemoryPlan(
-                scene=sum(buffer_size(value) for value in scene_buffers.values()) - bvh_bytes,
-                bvh=bvh_bytes,
-                features=self.features,
-                needs=needs,
-                shape=(scene.height, scene.width),
-                pool_size=pool,
-                path_block_size=form.path_block_size,
-                compute_units=device.compute_units,
-                is_adaptive=is_adaptive,
-            ),
+            lambda pool: _memory_plan(device, scene, sizes, self.features, needs, pool, is_adaptive),
             pool_size or default_pool_size(device.device),
             device,
             memory,
