@@ -31,7 +31,6 @@ from isonoise.state.state import State, split_strategy_state, with_group
 from isonoise.statistics import Statistics, UniformSamples
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
 from isonoise.strategies.planner import WavePlanner
-from isonoise.strategies.uniform import Uniform
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,8 @@ class Renderer:
     Raises
     ------
     UserError
-        If a parameter is wrong; SceneError if the scene is, DeviceError if the device is missing or its memory too small.
+        If a parameter is wrong; SceneError if the scene is, DeviceError if the device is missing or has too little
+        memory.
 
     Examples
     --------
@@ -173,9 +173,15 @@ class Renderer:
             opencl_device = Device(device, profile)
             self.device_name, self.driver = opencl_device.name, describe_driver(opencl_device.device)
             needs = self.strategy.needs.with_sampler(self.scene.sampler)
-            is_adaptive = not isinstance(self.strategy, Uniform)
             self._wavefront = Wavefront(
-                opencl_device, self.scene, bvh, needs, seed, pool_size, memory=memory, is_adaptive=is_adaptive
+                opencl_device,
+                self.scene,
+                bvh,
+                needs,
+                seed,
+                pool_size,
+                memory=memory,
+                is_adaptive=self.strategy.is_adaptive,
             )
             self._wavefront.warm_up()
             check_driver(self._wavefront, needs)

@@ -294,8 +294,11 @@ class Accumulator:
 
         read_mean(statistics.mean[strip])
         statistics.mean[strip] *= unit
-        np.multiply(planes(1)[0, :pixels], unit, out=statistics.variance[strip])
-        statistics.variance[strip] *= unit
+        variance = statistics.variance[strip]
+        with np.errstate(over="ignore"):
+            np.multiply(planes(1)[0, :pixels], unit, out=variance, dtype=variance.dtype)
+            variance *= unit
+        np.minimum(variance, np.finfo(variance.dtype).max, out=variance)
         if statistics.median is not None:
             np.multiply(planes(1)[0, :pixels], unit, out=statistics.median[strip], dtype=np.float64)
         if statistics.power is not None:

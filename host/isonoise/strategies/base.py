@@ -37,6 +37,8 @@ class Strategy:
     ----------
     name : str
         The name in messages and, for registered strategies, on the command line.
+    is_adaptive : bool
+        Whether it plans adaptive waves, for which a render takes more memory.
     needs : Needs
         Optional statistics that `allocate` reads. The renderer reads it once, before the first wave. A class attribute;
         if it depends on parameters, a property or set in `__init__`.
@@ -60,6 +62,7 @@ class Strategy:
     """
 
     name: ClassVar[str] = "unnamed"
+    is_adaptive: ClassVar[bool] = True
     needs: Needs = BASIC_NEEDS
 
     def __post_init__(self):

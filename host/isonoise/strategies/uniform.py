@@ -23,6 +23,7 @@ class Uniform(Strategy):
     """
 
     name = "uniform"
+    is_adaptive = False
 
     wave_spp: int = ranged(0, 0, 2**20)
     warmup: int = ranged(16, 1, 65536)
