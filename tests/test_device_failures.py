@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ def test_a_failure_says_what_the_device_was_doing(code, status, advice, device, 
         """A module pyopencl whose functions all fail."""
 
         def __getattr__(self, name):
-            if name.startswith("enqueue"):
+            if name.startswith(("enqueue", "release")):
                 raise driver_error(code)
             return getattr(load_pyopencl(), name)
 
@@ -91,6 +92,7 @@ def test_a_failure_says_what_the_device_was_doing(code, status, advice, device, 
         ("reading a buffer", lambda: device.read(buffer, np.float32, 4)),
         ("reading a buffer", lambda: device.begin_read(buffer, np.float32, 4)),
         ("reading a buffer", lambda: device.mapped(buffer, np.float32, 4).__enter__()),
+        ("reading a buffer", lambda: device._unmap(SimpleNamespace(base=Failing()))),
         ("writing a buffer", lambda: device.write(buffer, np.zeros(4, np.float32))),
     ]
     for action, act in actions:

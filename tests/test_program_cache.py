@@ -5,6 +5,7 @@ import os
 import stat
 import tempfile
 import threading
+import warnings
 
 import numpy as np
 import pytest
@@ -118,6 +119,19 @@ def test_a_folder_that_cannot_be_written(tmp_path, compiled, monkeypatch, obstac
     forget_programs(monkeypatch, place)
     assert roots() == roots_in_new_process(monkeypatch, place)
     assert len(compiled) == 2
+
+
+def test_a_folder_that_cannot_be_read_is_reported_once(folder, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied", path)
+
+    monkeypatch.setattr(program_cache, "read_regular_file", refuse)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        assert [program_cache.load(key) for key in ("a", "b")] == [None, None]
+    assert [str(warning.message) for warning in caught] == [
+        f"the program cache {folder} cannot be read (Permission denied); programs are compiled at each start"
+    ]
 
 
 def test_the_cache_can_be_off(monkeypatch, tmp_path, compiled):

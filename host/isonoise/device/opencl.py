@@ -314,13 +314,17 @@ class Device:
         try:
             yield array
         finally:
-            array.base.release(self.queue)
+            self._unmap(array)
 
     @reports_failures("reading a buffer")
     def _map(self, buffer, dtype, count: int) -> np.ndarray:
         array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, self._cl.map_flags.READ, 0, (count,), dtype)
         self._after_wait()
         return array
+
+    @reports_failures("reading a buffer")
+    def _unmap(self, array: np.ndarray) -> None:
+        array.base.release(self.queue)
 
     @reports_failures("starting its work")
     def flush(self) -> None:

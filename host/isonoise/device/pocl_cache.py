@@ -226,7 +226,7 @@ def _unpack(packed: bytes | None) -> dict[str, bytes]:
 
 def _parents(chosen: str | None) -> list[Path]:
     """Where the folder may be made, the best first: on a local disk rather than in a home folder on a server."""
-    parents = [Path(chosen)] if chosen else []
+    parents = [Path(chosen).absolute()] if chosen else []
     with contextlib.suppress(OSError):  # there is none that can be written
         parents.append(Path(tempfile.gettempdir()))
     if cache := program_cache.cache_folder():

@@ -48,8 +48,9 @@ def cache_folder() -> Path | None:
 def _writable_folder(folder: Path | None) -> Path | None:
     """The folder if files can be written there, else one for temporary files; None if there is none either."""
     if folder is not None:
-        existing = next(path for path in (folder, *folder.parents) if path.exists())
-        if existing.is_dir() and os.access(existing, os.W_OK | os.X_OK):
+        # os.path, because methods of Path raise an error below a folder that is not readable
+        existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
+        if os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK):
             return folder
     if not hasattr(os, "getuid"):
         return folder
@@ -60,7 +61,7 @@ def _writable_folder(folder: Path | None) -> Path | None:
     except OSError:
         return None
     is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()  # else another user's code might be loaded
-    return temporary if is_own else None
+    return temporary if is_own and os.access(temporary, os.R_OK | os.W_OK | os.X_OK) else None
 
 
 def _user_cache_folder() -> Path:
@@ -90,12 +91,15 @@ def load(key: str) -> bytes | None:
         content = read_regular_file(folder / key)
     except (FileNotFoundError, NotADirectoryError):
         return None
+    except PermissionError as error:
+        _warn_of_folder(folder, error.strerror)
+        return None
     except OSError as error:
-        _warn_of_damage(folder / key, error.strerror or str(error))
+        _remove_damaged(folder / key, error.strerror or str(error))
         return None
     header, binary = content[: len(_MAGIC) + _HASH_SIZE], content[len(_MAGIC) + _HASH_SIZE :]
     if header != _MAGIC + hashlib.sha256(binary).digest():
-        _warn_of_damage(folder / key, "wrong checksum")
+        _remove_damaged(folder / key, "wrong checksum")
         return None
     with contextlib.suppress(OSError):
         os.utime(folder / key)  # last use
@@ -105,11 +109,22 @@ def load(key: str) -> bytes | None:
 def has(key: str) -> bool:
     """Whether the program's file exists; it may be damaged."""
     folder = cache_folder()
-    return folder is not None and (folder / key).is_file()
+    return folder is not None and os.path.isfile(folder / key)
 
 
-def _warn_of_damage(path: Path, reason: str) -> None:
+@functools.cache  # once per process
+def _warn_of_folder(folder: Path, reason: str) -> None:
+    text = f"the program cache {folder} cannot be read ({reason}); programs are compiled at each start"
+    warnings.warn(text, stacklevel=3)
+
+
+def _remove_damaged(path: Path, reason: str) -> None:
     warnings.warn(f"{path} is damaged ({reason}); what it held is compiled or measured again", stacklevel=3)
+    with contextlib.suppress(OSError):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 def store(key: str, binary: bytes) -> None:
@@ -122,8 +137,6 @@ def store(key: str, binary: bytes) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         try:
             temporary.write_bytes(_MAGIC + hashlib.sha256(binary).digest() + binary)
-            if (folder / key).is_dir():  # damage
-                shutil.rmtree(folder / key)
             os.replace(temporary, folder / key)
         finally:
             temporary.unlink(missing_ok=True)
