@@ -145,8 +145,9 @@ def test_light_scaled_by_a_power_of_two_scales_the_statistics_exactly(adaptive, 
     scaled = render(lamp_over_floor(5.0 * 2.0**power), spp=100, seed=5, strategy="relative-median").statistics
     assert np.array_equal(scaled.count, adaptive.count)
     for name, exponent in (("mean", 1), ("median", 1), ("rgb", 1), ("variance", 2)):
-        expected = getattr(adaptive, name) * getattr(adaptive, name).dtype.type(2.0 ** (exponent * power))
-        assert np.array_equal(getattr(scaled, name), expected), name
+        values = getattr(scaled, name)
+        expected = getattr(adaptive, name).astype(values.dtype) * values.dtype.type(2.0 ** (exponent * power))
+        assert np.array_equal(values, expected), name
 
 
 def test_light_scaled_by_another_factor_changes_only_roundings(adaptive):
