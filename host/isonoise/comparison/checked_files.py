@@ -87,8 +87,8 @@ def read_image(path: Path, identity: Mapping) -> tuple[dict[str, np.ndarray], st
         channels, header = read_exr(path)
     except UserError as error:
         raise InvalidFileError(path, _NO_DIGEST) from error
-    text, digest = str(header.get("isonoise.identity")), header.get("isonoise.sha256")
-    if digest != _image_digest(channels, text):
+    text, digest = header.get("isonoise.identity"), header.get("isonoise.sha256")
+    if not isinstance(text, str) or digest != _image_digest(channels, text):
         raise InvalidFileError(path, _NO_DIGEST)
     _check_identity(path, text, identity)
     return channels, digest

@@ -13,6 +13,7 @@ import numpy as np
 
 from isonoise.comparison.checked_files import InvalidFileError, read_image, read_npz, write_image, write_npz
 from isonoise.comparison.identity import reference_identity
+from isonoise.comparison.interruptible import interruptible_render, interruptible_step
 from isonoise.comparison.plan import (
     FIRST_REFERENCE_SEED,
     REFERENCE_BUDGET_FACTOR,
@@ -20,7 +21,7 @@ from isonoise.comparison.plan import (
     SceneEntry,
     variance_path,
 )
-from isonoise.loop import Stops, render_loop
+from isonoise.loop import Stops
 from isonoise.luminance import luminance
 from isonoise.progress import format_duration, format_percent
 from isonoise.renderer import Renderer
@@ -181,7 +182,7 @@ class ReferenceRenderer:
             seed = _PILOT_SEEDS[kind] + 1 + sums.batches
             # one wave of the whole map; its time excludes set-up and readback
             renderer = self._make(scene, strategy=_FixedAllocation(sums.allocation), seed=seed)
-            seconds = renderer.step().seconds
+            seconds = interruptible_step(renderer).seconds
             sums.add(renderer.statistics(), seconds)
             _save(partial, sums, identity)
         return sums
@@ -209,7 +210,7 @@ def _batch_allocation(make: MakeRenderer, scene: SceneEntry, budget: Stops, kind
         stops = Stops(time=PILOT_SHARE * budget.time)
     else:
         stops = Stops(spp=max(PILOT_SHARE * REFERENCE_BUDGET_FACTOR * budget.spp, 16))
-    outcome = render_loop(make(scene, strategy=strategy, seed=_PILOT_SEEDS[kind]), stops)
+    outcome = interruptible_render(make(scene, strategy=strategy, seed=_PILOT_SEEDS[kind]), stops)
     statistics = outcome.statistics
     pixels = statistics.count.size
     if by_time:

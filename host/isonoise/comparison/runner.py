@@ -8,6 +8,7 @@ from pathlib import Path
 from isonoise.comparison.checked_files import InvalidFileError, make_folder, read_npz
 from isonoise.comparison.folder_lock import FolderLock
 from isonoise.comparison.identity import ImageDigests, run_identity
+from isonoise.comparison.interruptible import interruptible_render
 from isonoise.comparison.mitsuba_worker import MitsubaWorkers
 from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, run_path, variance_path
 from isonoise.comparison.recorder import Recorder
@@ -21,7 +22,7 @@ from isonoise.comparison.strategy_specs import (
     with_sampler,
     with_variance,
 )
-from isonoise.loop import Stops, render_loop
+from isonoise.loop import Stops
 from isonoise.progress import ProgressBar, format_count, format_duration, format_percent
 from isonoise.renderer import Renderer
 from isonoise.samplers import SAMPLERS
@@ -169,11 +170,11 @@ class _Runner:
         if (scene.slug, strategy.slug) not in self.warmed_up:
             seconds = min(WARM_UP_S, self.stops.time or WARM_UP_S)
             warm_up = self._renderer(scene, strategy=spec, sampler=sampler, seed=seed)
-            render_loop(warm_up, Stops(time=seconds, spp=self.stops.spp))
+            interruptible_render(warm_up, Stops(time=seconds, spp=self.stops.spp))
             self.warmed_up.add((scene.slug, strategy.slug))
         renderer = self._renderer(scene, strategy=spec, sampler=sampler, seed=seed, profile=True)
         recorder = Recorder(self.stops, *reference)
-        outcome = render_loop(
+        outcome = interruptible_render(
             renderer,
             self.stops,
             on_wave=lambda row, statistics: recorder.wave(row, statistics.rgb, renderer.device_seconds),

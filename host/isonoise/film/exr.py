@@ -77,7 +77,7 @@ def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, 
         If the file is missing or not a readable OpenEXR file.
     """
     file = _open(path, header_only=False)
-    return {name: channel.pixels for name, channel in file.channels().items()}, _render_attributes(file)
+    return {name: channel.pixels for name, channel in file.channels().items()}, _render_attributes(file, path)
 
 
 def read_header(path: str | os.PathLike) -> tuple[list[str], tuple[int, int], dict[str, object]]:
@@ -92,7 +92,7 @@ def read_header(path: str | os.PathLike) -> tuple[list[str], tuple[int, int], di
         channels = [channel.name for channel in header["channels"]]
     except UnicodeDecodeError as error:
         raise UserError(f"{os.fspath(path)}: the name of a channel is not UTF-8; the file is damaged") from error
-    return channels, (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1), _render_attributes(file)
+    return channels, (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1), _render_attributes(file, path)
 
 
 def read_reference(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
@@ -175,5 +175,9 @@ _LAYOUT_ATTRIBUTES = {
 }  # fmt: skip
 
 
-def _render_attributes(file) -> dict[str, object]:
+def _render_attributes(file, path: str | os.PathLike) -> dict[str, object]:
+    try:
+        str(file.header())
+    except UnicodeDecodeError as error:  # OpenEXR's text of an attribute of an unknown type
+        raise UserError(f"{os.fspath(path)}: the type of an attribute is not UTF-8; the file is damaged") from error
     return {key: value for key, value in file.header().items() if key not in _LAYOUT_ATTRIBUTES}

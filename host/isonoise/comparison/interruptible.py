@@ -1,0 +1,24 @@
+"""Renders that a signal ends by KeyboardInterrupt after the paths in flight; called by `runner` and `references`.
+
+The signal is deferred while the device works: Python drops a KeyboardInterrupt in callbacks of drivers.
+"""
+
+from isonoise.loop import Outcome, Stops, render_loop
+from isonoise.renderer import Renderer, WaveRecord
+from isonoise.signals import deferred, raise_if_received
+
+
+def interruptible_render(renderer: Renderer, stops: Stops, **options) -> Outcome:
+    """`render_loop`."""
+    with deferred() as received:
+        outcome = render_loop(renderer, stops, should_stop=lambda: bool(received), **options)
+    raise_if_received()
+    return outcome
+
+
+def interruptible_step(renderer: Renderer) -> WaveRecord:
+    """`Renderer.step`."""
+    with deferred() as received:
+        record = renderer.step(should_continue=lambda _: not received)
+    raise_if_received()
+    return record
