@@ -57,8 +57,13 @@ files in DIR:
   references/SCENE.exr     rendered references: R, G, B and standard errors stderr.R, .G, .B
   runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again
   plan.json                the comparison's settings
+  .lock                    the process that is writing, until it ends; a second one is refused
 
-exit codes: 0 done; 2 bad input, or DIR holds another comparison; 70 internal error; 130 after Ctrl-C"""
+Runs and references have a SHA-256 and say what they are. Those that are damaged, of something else, or measured against
+another reference are rendered again first, and a warning names them.
+
+exit codes: 0 done; 2 bad input, or DIR holds another comparison or is in use; 70 internal error; 128 + n after signal n:
+130 after Ctrl-C"""
 
 
 def bench_epilog() -> str:
