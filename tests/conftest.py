@@ -1,6 +1,7 @@
 """Shared fixtures: the program cache, and the folder of public scenes."""
 
 import os
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,13 +39,30 @@ def in_tmp_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.fixture(scope="module")
-def no_compare_report():
-    """`isonoise compare` makes no report; test_compare_report.py tests it."""
+@contextmanager
+def without_compare_report():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isonoise.comparison.report.write_report", lambda directory: None)
         patch.setattr("isonoise.comparison.summary.summary_text", lambda directory: "the table")
         yield
+
+
+@pytest.fixture(scope="module")
+def no_compare_report():
+    """`isonoise compare` makes no report; test_compare_report.py tests it."""
+    with without_compare_report():
+        yield
+
+
+@pytest.fixture(scope="session")
+def finished_comparison(tmp_path_factory) -> Path:
+    """Folder of a comparison that was not interrupted, with the default options of compare_command.py."""
+    from compare_command import compare, options
+
+    directory = tmp_path_factory.mktemp("finished") / "out"
+    with without_compare_report():
+        assert compare(*options(directory)) == 0
+    return directory
 
 
 @pytest.fixture(scope="session")

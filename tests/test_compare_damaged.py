@@ -8,45 +8,37 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compare_command import SIZE, assert_same_runs, compare, options, run_files, write_flat_reference
+from compare_command import assert_same_runs, compare, options, run_files, write_flat_reference
 from fuzz_mutations import mutate_bytes
 from simulated_comparison import make_comparison
 
+from isonoise.comparison.checked_files import read_image, write_image
+from isonoise.comparison.identity import reference_identity
+from isonoise.comparison.plan import read_plan
 from isonoise.comparison.results import Results
 from isonoise.errors import UserError
+from isonoise.film.exr import write_exr
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path", "no_compare_report")
 
-STRATEGIES = ("uniform", "oracle")
-COMMAND = (*SIZE, "--spp", 8, "--seeds", 2, "--strategies", ",".join(STRATEGIES), "-o", "out")
 LONG_COUNT = int(os.environ.get("ISONOISE_FUZZ", 300))
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory, no_compare_report):
-    """Folder of a comparison with a reference and a variance that it has rendered."""
-    directory = tmp_path_factory.mktemp("whole")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(directory)
-        assert compare(*COMMAND) == 0
-    return directory / "out"
-
-
 @pytest.fixture
-def folder(whole):
-    """A copy of it. Runs of an oracle name the file of the variance, so its path must be as long."""
-    shutil.copytree(whole, "out")
+def folder(finished_comparison):
+    """A copy of a finished comparison."""
+    shutil.copytree(finished_comparison, "out")
     return Path("out")
 
 
-def run_again(capsys, *command) -> tuple[list[str], str]:
+def run_again(capsys, *more) -> tuple[list[str], str]:
     """Give the command again; names of the runs that it has rendered, and what it has printed on stderr."""
     before = {name: path.stat().st_mtime_ns for name, path in run_files("out").items()}
     capsys.readouterr()
-    assert compare(*(command or COMMAND)) == 0
+    assert compare(*options("out"), *more) == 0
     err = capsys.readouterr().err
     assert "Traceback" not in err
-    assert not list(Path("out").rglob(".*"))
+    assert not list(Path("out").rglob(".*"))  # no lock, no temporary file
     return [name for name, path in run_files("out").items() if path.stat().st_mtime_ns != before.get(name)], err
 
 
@@ -56,85 +48,76 @@ def exchange(path: Path, other: Path) -> None:
     other.write_bytes(content)
 
 
-def test_invalid_runs_are_named_and_rendered_again_before_others(whole, folder, capsys):
-    runs = folder / "runs" / "cornell"
-    exchange(runs / "uniform" / "0.npz", runs / "uniform" / "1.npz")
-    (runs / "oracle" / "0.npz").write_bytes((runs / "oracle" / "0.npz").read_bytes()[:-1000])
-    (runs / "oracle" / "1.npz").unlink()
+def test_invalid_runs_are_named_and_rendered_again_before_others(finished_comparison, folder, capsys):
+    uniform, other = (folder / "runs" / "cornell" / strategy for strategy in ("uniform", "relative-mean"))
+    exchange(uniform / "0.npz", uniform / "1.npz")
+    (other / "0.npz").write_bytes((other / "0.npz").read_bytes()[:-1000])
+    (other / "1.npz").unlink()
     rendered, err = run_again(capsys)
     assert len(rendered) == 4
-    lines = err.splitlines()
-    assert lines == [
-        "isonoise: warning: rendering again runs/cornell/uniform/0.npz: its seed is 1 instead of 0",
-        "isonoise: warning: rendering again runs/cornell/oracle/0.npz: it is damaged, or an earlier version wrote it",
-        "isonoise: warning: rendering again runs/cornell/uniform/1.npz: its seed is 0 instead of 1",
+    begin = "isonoise: warning: rendering again runs/cornell/"
+    assert err.splitlines() == [
+        f"{begin}uniform/0.npz: its seed is 1 instead of 0",
+        f"{begin}relative-mean/0.npz: it is damaged, or an earlier version wrote it",
+        f"{begin}uniform/1.npz: its seed is 0 instead of 1",
     ]
-    assert_same_runs(whole, folder)
     written = sorted(run_files(folder).values(), key=lambda path: path.stat().st_mtime_ns)
-    assert written[-1] == runs / "oracle" / "1.npz"  # the only one that was missing
+    assert written[-1] == other / "1.npz"  # the only one that was missing
+    assert_same_runs(finished_comparison, folder)
 
 
-def test_a_link_to_another_run_is_replaced(whole, folder, capsys):
-    run, other = (folder / "runs" / "cornell" / strategy / "0.npz" for strategy in STRATEGIES)
-    run.unlink()
-    run.symlink_to(other.resolve())
-    content = other.read_bytes()
+def test_links_to_other_runs_and_files_without_digest_are_replaced(finished_comparison, folder, capsys):
+    uniform, other = (folder / "runs" / "cornell" / strategy for strategy in ("uniform", "relative-mean"))
+    (uniform / "0.npz").unlink()
+    (uniform / "0.npz").symlink_to((other / "0.npz").resolve())
+    with np.load(uniform / "1.npz") as file:
+        np.savez_compressed("old.npz", **file)  # as earlier versions wrote it
+    Path("old.npz").replace(uniform / "1.npz")
+    (other / "1.npz").unlink()
+    (other / "1.npz").symlink_to("/dev/zero")
     rendered, err = run_again(capsys)
-    assert rendered == ["runs/cornell/uniform/0.npz"]
-    assert "its strategy is oracle" in err
-    assert other.read_bytes() == content
-    assert not run.is_symlink()
-    assert_same_runs(whole, folder)
+    assert [Path(name).parts[2:] for name in rendered] == [
+        ("relative-mean", "1.npz"),
+        ("uniform", "0.npz"),
+        ("uniform", "1.npz"),
+    ]
+    assert "its strategy is relative-mean" in err
+    assert "uniform/1.npz: it is damaged, or an earlier version wrote it" in err
+    assert "relative-mean/1.npz: it cannot be read" in err
+    assert not any(path.is_symlink() for path in folder.rglob("*"))
+    assert_same_runs(finished_comparison, folder)
 
 
-def test_a_run_of_an_earlier_version_is_rendered_again(whole, folder, capsys):
-    path = folder / "runs" / "cornell" / "uniform" / "1.npz"
-    with np.load(path) as file:
-        np.savez_compressed(path.with_name("old.npz"), **file)
-    path.with_name("old.npz").replace(path)
+def test_runs_against_another_reference_are_rendered_again(folder, capsys):
+    """It has the identity of the reference that it replaces, as one with a time as its budget may have."""
+    path = folder / "references" / "cornell.exr"
+    (scene,) = read_plan(folder).scenes
+    identity = reference_identity(read_plan(folder), scene, "reference")
+    channels, _ = read_image(path, identity)
+    write_image(path, channels | {"R": channels["R"] * 1.01}, {}, identity)
     rendered, err = run_again(capsys)
-    assert rendered == ["runs/cornell/uniform/1.npz"]
-    assert "an earlier version wrote it" in err
-    assert_same_runs(whole, folder)
+    assert len(rendered) == 4
+    assert err.count("\n") == 1
+    assert err.startswith("isonoise: warning: rendering again runs/cornell/uniform/0.npz, ")
+    assert err.endswith(" and 1 more: it was measured against another reference\n")
+    assert run_again(capsys) == ([], "")
 
 
-def test_a_reference_that_is_rendered_to_the_same_bits_keeps_its_runs(whole, folder, capsys):
+@pytest.mark.long
+@pytest.mark.parametrize("damage", [Path.unlink, write_flat_reference], ids=["deleted", "replaced"])
+def test_a_reference_that_is_rendered_to_the_same_bits_keeps_its_runs(finished_comparison, folder, damage, capsys):
     """With a number of samples as the budget, the same command renders the same reference."""
-    reference = folder / "references" / "cornell.exr"
-    reference.unlink()
-    write_flat_reference(folder / "references" / "cornell-variance.exr")
+    damage(folder / "references" / "cornell.exr")
     rendered, err = run_again(capsys)
     assert rendered == []
-    assert err.count("\n") == 1
-    assert "references/cornell-variance.exr' is rendered again: it is damaged" in err
-    assert_same_runs(whole, folder)
-
-
-def test_runs_against_another_reference_are_rendered_again(capsys):
-    """With a time as the budget, another reference is rendered."""
-    command = (*COMMAND, "--strategies", "relative-mean", "--reference-time", "0.05")
-    assert compare(*command) == 0
-    Path("out/references/cornell.exr").unlink()
-    rendered, err = run_again(capsys, *command)
-    assert len(rendered) == 6
-    assert err.count("\n") == 1
-    assert "runs/cornell/uniform/0.npz" in err
-    assert "and 3 more: it was measured against another reference" in err
-    exchange(Path("out/references/cornell.exr"), Path("out/references/cornell-variance.exr"))
-    rendered, err = run_again(capsys, *command)
-    assert len(rendered) == 6
-    assert "cornell.exr' is rendered again: it is another kind of file" in err
+    assert ("cornell.exr' is rendered again: it is damaged" in err) == (damage is not Path.unlink)
+    assert_same_runs(finished_comparison, folder)
 
 
 def test_a_given_reference_may_not_change(capsys):
-    write_flat_reference("a.exr")
+    rgb = write_flat_reference("a.exr")
     command = (*options("out", ("uniform",), 1), "--reference", "a.exr")
     assert compare(*command) == 0
-    write_flat_reference("b.exr")
-    rgb = write_flat_reference("a.exr")
-    assert compare(*command) == 0
-    from isonoise.film.exr import write_exr
-
     write_exr("a.exr", {"": 2 * rgb}, {})
     assert compare(*command) == 2
     assert "reference_sha256 of 'cornell' was" in capsys.readouterr().err
@@ -152,7 +135,7 @@ def test_a_damaged_plan_is_a_message(folder, capsys):
     content = plan.read_bytes()
     for damaged in (content[:-40], content.replace(b"16", b"61", 1), b"[" * 100_000, b"null", b"[]", b'{"seeds": 1}'):
         plan.write_bytes(damaged)
-        assert compare(*COMMAND) == 2
+        assert compare(*options("out")) == 2
         err = capsys.readouterr().err
         assert "cannot read the plan" in err
         assert "Traceback" not in err
@@ -197,7 +180,7 @@ def damage_files(directory: Path, count: int, seed: int) -> None:
 
 
 def test_damaged_files_are_left_out(tmp_path):
-    damage_files(tmp_path / "out", 80, 0)
+    damage_files(tmp_path / "out", 50, 0)
 
 
 @pytest.mark.long
@@ -206,16 +189,18 @@ def test_many_damaged_files_are_left_out(tmp_path):
 
 
 @pytest.mark.long
-def test_many_damaged_files_are_rendered_again(whole, folder, capsys):
+def test_many_damaged_files_are_rendered_again(capsys):
     """Two files are damaged or exchanged at a time: the same command restores every bit of runs and references."""
-    originals = {path.relative_to(whole): path.read_bytes() for path in whole.rglob("*") if path.is_file()}
-    del originals[Path("plan.json")]
+    more = ("--strategies", "oracle")
+    assert compare(*options("out"), *more) == 0
+    shutil.copytree("out", "sound")
+    names = [path.relative_to("out") for path in sorted(Path("out").rglob("*.*")) if path.name != "plan.json"]
     rng = random.Random(2)
     for _ in range(LONG_COUNT // 2):
-        for name in rng.sample(sorted(originals), 2):
+        for name in rng.sample(names, 2):
             if rng.random() < 0.4:
-                exchange(folder / name, folder / rng.choice(sorted(originals)))
+                exchange("out" / name, "out" / rng.choice(names))
             else:
-                (folder / name).write_bytes(mutate_bytes((folder / name).read_bytes(), rng))
-        run_again(capsys)
-        assert_same_runs(whole, folder)
+                Path("out", name).write_bytes(mutate_bytes(Path("out", name).read_bytes(), rng))
+        run_again(capsys, *more)
+        assert_same_runs("sound", "out")

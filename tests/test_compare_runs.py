@@ -18,7 +18,6 @@ from compare_command import (
     assert_same_runs,
     compare,
     options,
-    read_run,
     run_files,
     write_flat_reference,
 )
@@ -34,15 +33,8 @@ from isonoise.strategies.measures import image_floor
 pytestmark = pytest.mark.usefixtures("in_tmp_path", "no_compare_report")
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory, no_compare_report):
-    """Folder of a comparison that was not interrupted."""
-    directory = tmp_path_factory.mktemp("whole") / "out"
-    assert compare(*options(directory)) == 0
-    return directory
-
-
-def test_the_files_of_a_comparison(whole):
+def test_the_files_of_a_comparison(finished_comparison):
+    whole = finished_comparison
     assert sorted(run_files(whole)) == [
         f"runs/cornell/{strategy}/{seed}.npz" for strategy in sorted(STRATEGIES) for seed in (0, 1)
     ]
@@ -128,22 +120,6 @@ def test_errors_are_clipped_to_the_range_of_float16():
         assert run["errors"][-1].tolist() == [[0, 65504, -65504, 65504]]
 
 
-def test_a_deleted_run_is_rendered_again_with_the_same_bits(whole, capsys):
-    files = run_files(whole)
-    before = {name: path.stat().st_mtime_ns for name, path in files.items()}
-    deleted = "runs/cornell/relative-mean/1.npz"
-    content = read_run(files[deleted])
-    files[deleted].unlink()
-    capsys.readouterr()
-    assert compare(*options(whole)) == 0
-    out = capsys.readouterr().out
-    assert "[1 of 1]" in out
-    assert "the table" in out
-    changed = {name for name, path in run_files(whole).items() if path.stat().st_mtime_ns != before[name]}
-    assert changed == {deleted}
-    assert all(np.array_equal(a, b) for a, b in zip(content.values(), read_run(files[deleted]).values(), strict=True))
-
-
 def test_a_plan_that_grows_keeps_its_runs(capsys):
     write_flat_reference("a.exr")
     given = ("--reference", "a.exr")
@@ -199,16 +175,20 @@ def test_a_killed_comparison_resumes_to_the_same_bits():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-def test_ctrl_c_keeps_finished_runs():
+@pytest.mark.parametrize(
+    "name", ["SIGINT", *(pytest.param(name, marks=pytest.mark.long) for name in ("SIGTERM", "SIGHUP"))]
+)
+def test_signals_keep_finished_runs(name):
     """The process writes the report from the finished runs."""
+    number = getattr(signal, name)
     write_flat_reference("a.exr")
     arguments = (*SIZE, "--time", "0.3", "--strategies", "uniform", "--seeds", 50, "-o", "out", "--reference", "a.exr")
-    # a test run in the background may have set SIGINT to be ignored
-    process = start(*arguments, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler))
+    # a test run in the background may have set signals to be ignored
+    process = start(*arguments, preexec_fn=lambda: signal.signal(number, signal.SIG_DFL))
     wait_for(process, "out", "runs/cornell/uniform/1.npz")
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
+    assert process.returncode == 128 + number, err
     assert "finished runs are kept" in err
     assert "Traceback" not in err
     assert 2 <= len(run_files("out")) < 50

@@ -62,8 +62,8 @@ files in DIR:
 Runs and references have a SHA-256 and say what they are. Those that are damaged, of something else, or measured against
 another reference are rendered again first, and a warning names them.
 
-exit codes: 0 done; 2 bad input, or DIR holds another comparison or is in use; 70 internal error; 128 + n after signal n:
-130 after Ctrl-C"""
+exit codes: 0 done; 2 bad input, or DIR holds another comparison or is in use; 70 internal error; 128 + n after signal
+n, such as 130 after Ctrl-C"""
 
 
 def bench_epilog() -> str:
