@@ -34,21 +34,34 @@ def driver_error(code: int):
 def test_a_build_error_names_file_line_options_and_log(device, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with pytest.raises(DeviceError) as caught:
-        device.build(SOURCE, ("-cl-std=CL1.2", "-DFEATURE_A=1"))
+        device.build(SOURCE, ("-cl-std=CL1.2", "-DFEATURE_A=1", "-DFEATURE_B=0"))
     message = str(caught.value)
     assert "util/vec.h:41: use of undeclared identifier 'nothing'" in message
-    assert "-cl-std=CL1.2 -DFEATURE_A=1" in message
+    assert "-cl-std=CL1.2 -DFEATURE_A=1\n" in message
     log = Path(re.search(r"are in (.+)", message)[1])
     assert list(tmp_path.iterdir()) == [log]  # and pyopencl has left no file
     content = log.read_text()
     assert "undeclared" in content
+    assert "-cl-std=CL1.2 -DFEATURE_A=1 -DFEATURE_B=0" in content
     assert content.endswith(SOURCE + "\n")
 
 
 def test_a_build_log_that_cannot_be_saved_is_in_the_message(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "mkstemp", lambda **_: (_ for _ in ()).throw(OSError("disk full")))
-    message = str(failures.build_failure("a GPU", "", ["-DX=1"], driver_error(-11)))
+    message = str(failures.build_failure("a GPU", "", ["-DX=1"], driver_error(-11), "the disk is full"))
     assert "text of the driver" in message
+    assert "refused a kernel: the disk is full" in message
+
+
+def test_a_build_log_for_which_there_is_no_space_leaves_no_file(tmp_path, monkeypatch):
+    def refuse(number, *_, **__):
+        os.close(number)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(failures, "log_folders", [str(tmp_path)])
+    monkeypatch.setattr(failures, "open", refuse, raising=False)
+    assert "text of the driver" in str(failures.build_failure("a GPU", "", [], driver_error(-11)))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

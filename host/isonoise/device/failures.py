@@ -24,6 +24,8 @@ _LOST = {
 }  # fmt: skip
 _OUT_OF_MEMORY = {"MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_HOST_MEMORY"}
 
+log_folders: list[str | None] = [None, "."]
+"""Where logs of compilers are saved, the first that can be written: the folder for temporary files, the current one."""
 _driver_process: int | None = None
 """The process that loaded the drivers."""
 
@@ -83,21 +85,30 @@ def device_failure(device: str, action: str, error: Exception) -> DeviceError:
     return DeviceError(f"{device} failed while {action} ({error.routine or 'OpenCL'}: {status}); {advice}")
 
 
-def build_failure(device: str, source: str, options: Iterable[str], error: Exception) -> DeviceError:
-    """The error for a program that the compiler refused: names file, line, options, and a file with the whole log."""
+def build_failure(
+    device: str, source: str, options: Iterable[str], error: Exception, reason: str | None = None
+) -> DeviceError:
+    """The error for a program that the compiler refused: names file, line, options, and a file with the whole log.
+
+    `reason` takes the place of file and line, if the caller knows one.
+    """
     log = str(error)
     if saved := _SOURCE_OF_PYOPENCL.search(log):  # it is in the file that _save_log writes
         with contextlib.suppress(OSError):
             Path(saved[1]).unlink()
         log = log[: saved.start()]
-    options = " ".join(options)
+    options = tuple(options)
     place = next((match for match in _PLACE.finditer(log) if "error" in _line_of(match)), None)
-    what = "a kernel"
-    if place:
+    if reason:
+        what = f"a kernel: {reason}"
+    elif place:
         what = f"{place['file']}:{place['line']}: {place['text'].removeprefix('error:').strip()}"
-    log_file = _save_log(device, source, options, log)
-    details = f"log and source are in {log_file}" if log_file else f"log:\n{log}"
-    return DeviceError(f"the OpenCL compiler of {device} refused {what}\n  options: {options}\n  {details}")
+    else:
+        what = "a kernel"
+    log_file = _save_log(device, source, " ".join(options), log)
+    details = f"log, source and all options are in {log_file}" if log_file else f"log:\n{log}"
+    shown = " ".join(option for option in options if not option.endswith("=0"))
+    return DeviceError(f"the OpenCL compiler of {device} refused {what}\n  options, but those =0: {shown}\n  {details}")
 
 
 def _line_of(match: re.Match) -> str:
@@ -108,12 +119,16 @@ def _line_of(match: re.Match) -> str:
 def _save_log(device: str, source: str, options: str, log: str) -> str | None:
     """Write a new file with all that the compiler got and said; return its name, or None if that fails."""
     content = f"device: {device}\noptions: {options}\n\n--- log\n{log}\n\n--- source\n{source}\n"
-    for folder in (None, "."):  # the folder for temporary files, the current one
+    for folder in log_folders:
+        name = None
         try:
             number, name = tempfile.mkstemp(prefix="isonoise-build-", suffix=".log", dir=folder)
             with open(number, "w", encoding="utf-8", errors="replace") as file:
                 file.write(content)
         except OSError:
+            if name:  # the disk is full
+                with contextlib.suppress(OSError):
+                    os.unlink(name)
             continue
         return os.path.abspath(name)
     return None

@@ -15,7 +15,7 @@ from isonoise.device import program_cache
 from isonoise.device.drivers import build_options, driver_identity, is_cpu, is_pocl, load_pyopencl
 from isonoise.device.failures import build_failure, device_failure, is_forked, refuse_after_fork, reports_failures
 from isonoise.device.form import DeviceForm, choose_form
-from isonoise.device.pocl_cache import pocl_kernels
+from isonoise.device.pocl_cache import full_disk, pocl_kernels
 from isonoise.device.selection import select_device
 from isonoise.errors import DeviceError
 from isonoise.signals import raise_if_received
@@ -210,7 +210,8 @@ class Device:
         try:
             return self._build_program(self._cl.Program(self.context, source), options)
         except self._cl.Error as error:
-            raise build_failure(self.name, source, options, error) from error
+            reason = full_disk() if self.is_pocl else None
+            raise build_failure(self.name, source, options, error, reason) from error
 
     def _build_program(self, program, options: tuple[str, ...]):
         with warnings.catch_warnings():

@@ -72,6 +72,14 @@ def store_pocl_kernels() -> None:
             folder.store()
 
 
+def full_disk() -> str | None:
+    """Which disk is full, if PoCL has no space any more."""
+    folder = pocl_folder()
+    if folder is None or folder.path is None or _free_bytes(folder.path) >= SPACE_TO_STORE_BYTES:
+        return None
+    return f"the disk of {folder.path} is full; free {SPACE_BYTES >> 20} MiB or set {FOLDER_VARIABLE} to another folder"
+
+
 @contextlib.contextmanager
 def pocl_environment() -> Iterator[None]:
     """While PoCL starts: its environment variable names the folder of this process. Processes that this one starts

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from isonoise.device import program_cache
+from isonoise.device import failures, program_cache
 from isonoise.device.drivers import build_options, driver_identity, list_devices
 from isonoise.device.opencl import Device
 from isonoise.device.pocl_cache import pocl_folder, store_pocl_kernels
@@ -119,7 +119,8 @@ def _compile_unclaimed(device: Device, jobs: Sequence[Job], folder: Path) -> Non
 
 
 def _work(folder: Path) -> None:
-    """Take part in the jobs of the folder."""
+    """Take part in the jobs of the folder. The calling process reports what cannot be compiled."""
+    failures.log_folders[:] = [str(folder)]
     content = json.loads((folder / _JOBS_FILE).read_text(encoding="utf-8"))
     jobs = [
         Job(source, tuple(options), tuple(FirstLaunch(*launch) for launch in launches))
