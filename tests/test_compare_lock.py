@@ -11,19 +11,20 @@ from pathlib import Path
 import pytest
 from compare_command import compare, options
 
-from isonoise.comparison import folder_lock
 from isonoise.comparison.folder_lock import LOCK_FILE, lock_folder
 from isonoise.errors import UserError
+from isonoise.film import lock_file
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 HOLD = """
 import sys
 from pathlib import Path
-from isonoise.comparison import folder_lock
+from isonoise.comparison.folder_lock import lock_folder
+from isonoise.film import lock_file
 if sys.argv[1] == "without flock":
-    folder_lock.fcntl = None
-with folder_lock.lock_folder(Path("out")):
+    lock_file.fcntl = None
+with lock_folder(Path("out")):
     print("locked", flush=True)
     sys.stdin.read()
 """
@@ -32,8 +33,8 @@ with folder_lock.lock_folder(Path("out")):
 @pytest.fixture(params=["flock", "without flock"])
 def way(request, monkeypatch):
     if request.param == "without flock":
-        monkeypatch.setattr(folder_lock, "fcntl", None)
-    elif folder_lock.fcntl is None:
+        monkeypatch.setattr(lock_file, "fcntl", None)
+    elif lock_file.fcntl is None:
         pytest.skip("there is no flock")
     return request.param
 
@@ -86,7 +87,7 @@ def test_a_killed_process_is_no_obstacle(holder):
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="Linux")
 def test_locks_of_unknown_processes(change, is_obstacle, monkeypatch):
     """Without flock a file is an obstacle unless its process is known to have ended."""
-    monkeypatch.setattr(folder_lock, "fcntl", None)
+    monkeypatch.setattr(lock_file, "fcntl", None)
     with lock_folder(Path("out")):
         content = json.loads(Path("out", LOCK_FILE).read_text())
         Path("keep").mkdir()

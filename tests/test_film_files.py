@@ -80,7 +80,7 @@ def test_temporary_files_of_running_processes_stay(tmp_path):
 def test_a_file_is_reserved_for_one_process(tmp_path):
     path = tmp_path / "a.csv"
     lock = PathLock(path)
-    with pytest.raises(UserError, match="another process of isonoise is writing this file"):
+    with pytest.raises(UserError, match=f"being written by process {os.getpid()} "):
         PathLock(path)
     other = PathLock(tmp_path / "b.csv")
     lock.release()

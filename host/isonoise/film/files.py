@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from isonoise.errors import UserError
+from isonoise.film.lock_file import LockFile, is_same_file
 
 try:
     import fcntl
@@ -94,10 +95,8 @@ def remove_temporary_files(folder: Path) -> None:
     _remove_abandoned(folder.rglob(".*.tmp*"))
 
 
-class PathLock:
-    """Reserves a file for this process, by a locked file `.NAME.lock` beside it, until `release` or the process ends.
-
-    File systems without locks reserve nothing.
+class PathLock(LockFile):
+    """Reserves a file for this process, by a lock file `.NAME.lock` beside it, until `release` or the process ends.
 
     Raises
     ------
@@ -106,29 +105,11 @@ class PathLock:
     """
 
     def __init__(self, path: Path):
-        self._path = path.with_name(f".{path.name}.lock")
-        self._descriptor = None
+        lock = path.with_name(f".{path.name}.lock")
         try:
-            while self._descriptor is None:
-                descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-                if not _lock(descriptor):
-                    os.close(descriptor)
-                    raise UserError(
-                        f"cannot write '{path}': another process of isonoise is writing this file; give another name"
-                    )
-                if _is_at(self._path, descriptor):
-                    self._descriptor = descriptor
-                else:  # released by its owner since it was opened
-                    os.close(descriptor)
+            super().__init__(lock, f"cannot write '{path}': it is being written by", "; give another name")
         except OSError as error:
-            raise UserError(f"cannot write '{self._path}': {_reason(error)}") from error
-
-    def release(self) -> None:
-        if self._descriptor is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(self._path)
-            os.close(self._descriptor)
-            self._descriptor = None
+            raise UserError(f"cannot write '{lock}': {_reason(error)}") from error
 
 
 @contextmanager
@@ -138,7 +119,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
     while True:
         temporary = target.with_name(f".{secrets.token_hex(6)}.tmp{target.suffix}")
         descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, mode)
-        if _lock(descriptor, wait=True) and _is_at(temporary, descriptor):
+        if _lock(descriptor, wait=True) and is_same_file(temporary, descriptor):
             break
         os.close(descriptor)  # another process has taken it for an abandoned one before it was locked
     if fcntl is None:  # Windows renames no open file
@@ -206,14 +187,6 @@ def _lock(descriptor: int, wait: bool = False) -> bool:
         except OSError:  # a file system without locks
             pass
     return True
-
-
-def _is_at(path: Path, descriptor: int) -> bool:
-    """Whether the open file is the one at `path`."""
-    try:
-        return os.path.samestat(path.stat(), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
 
 
 def _identity(path: str | os.PathLike) -> tuple[int, int] | None:
