@@ -48,6 +48,25 @@ def default_interrupt():
     assert signal.signal(signal.SIGINT, previous) == signal.default_int_handler
 
 
+class Buffer:
+    """Its destructor is interrupted."""
+
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.usefixtures("default_interrupt")
+def test_an_interrupt_in_a_destructor_is_raised_later(monkeypatch):
+    printed = []
+    monkeypatch.setattr(sys, "unraisablehook", printed.append)
+    with handle_signals():
+        Buffer()
+        with pytest.raises(KeyboardInterrupt):
+            raise_if_received()
+    assert printed == []
+    assert sys.unraisablehook == printed.append
+
+
 @pytest.mark.usefixtures("default_interrupt")
 def test_a_lost_interrupt_is_raised_again():
     with handle_signals():

@@ -42,14 +42,21 @@ def handle_signals() -> Iterator[None]:
         _received.clear()
         _raised.clear()
         end_watch = _install_handlers()
+        hook, sys.unraisablehook = sys.unraisablehook, _without_interrupts(sys.unraisablehook)
     try:
         yield
     finally:
         with deferred():
+            sys.unraisablehook = hook
             end_watch()
             for number, handler in _handlers.items():
                 signal.signal(number, handler)
             _handlers.clear()
+
+
+def _without_interrupts(hook: Callable) -> Callable:
+    """A hook that prints no KeyboardInterrupt of a destructor: `raise_if_received` raises it again."""
+    return lambda unraisable: None if issubclass(unraisable.exc_type, KeyboardInterrupt) else hook(unraisable)
 
 
 def _install_handlers() -> Callable[[], None]:
