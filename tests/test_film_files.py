@@ -1,9 +1,11 @@
 """Atomic files and locks: permissions, temporary files of other processes, places for files that cannot be written."""
 
 import os
+import random
 import stat
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -57,12 +59,53 @@ def test_a_hard_link_keeps_the_old_content(tmp_path):
 def test_temporary_files_of_killed_processes_are_removed(tmp_path):
     subprocess.run([sys.executable, "-c", KILLED], cwd=tmp_path)
     assert len(list(tmp_path.glob(".*.tmp.exr"))) == 1
-    others = [".0123456789ab.tmp.exr.bak", "0123456789ab.tmp", ".0123456789AB.tmp", ".notes.tmp"]
+    others = [".a.exr.lock", ".0123456789ab.tmp.exr.bak", "0123456789ab.tmp", ".0123456789AB.tmp", ".notes.tmp"]
     for name in others:
         (tmp_path / name).touch()
     (tmp_path / ".0123456789ab.tmp").mkdir()
     check_writable(tmp_path / "b.exr")
     assert sorted(os.listdir(tmp_path)) == sorted([*others, ".0123456789ab.tmp"])
+
+
+@pytest.mark.long
+def test_processes_that_write_do_not_disturb_each_other(tmp_path):
+    """Four processes write and look for abandoned files at once; one after the other is killed and started again."""
+    code = """
+        import sys
+        from isonoise.film.files import *
+        from isonoise.errors import UserError
+        while True:
+            check_writable("a.exr")
+            write_atomically("a.exr", lambda path: path.write_text("x" * 100_000))
+            try:
+                PathLock(Path(sys.argv[1])).release()
+            except UserError as error:
+                assert "it is being written by" in str(error)
+        """
+
+    def begin(number):
+        command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / f"{number % 2}.csv")]
+        return subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+
+    processes = [begin(number) for number in range(4)]
+    pauses = random.Random(1)
+    for number in range(200):
+        time.sleep(pauses.uniform(0, 0.3))
+        process = processes[number % 4]
+        assert process.poll() is None, process.communicate()[1]
+        process.kill()
+        process.communicate()
+        processes[number % 4] = begin(number)
+        if (tmp_path / "a.exr").exists():
+            assert (tmp_path / "a.exr").read_text() == "x" * 100_000
+    for process in processes:
+        assert process.poll() is None, process.communicate()[1]
+        process.kill()
+        process.communicate()
+    check_writable(tmp_path / "b.exr")
+    for number in range(2):  # a lock that a process has left does not count
+        PathLock(tmp_path / f"{number}.csv").release()
+    assert os.listdir(tmp_path) == ["a.exr"]
 
 
 def test_temporary_files_of_running_processes_stay(tmp_path):
@@ -92,7 +135,7 @@ def test_a_file_is_reserved_for_one_process(tmp_path):
 def test_the_reservation_of_a_killed_process_is_void(tmp_path):
     code = "import os; from isonoise.film.files import *; lock = PathLock(Path('a.csv')); os.kill(os.getpid(), 9)"
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path)
-    assert os.listdir(tmp_path) == [".a.csv.lock"]
+    assert len(os.listdir(tmp_path)) == 1
     PathLock(tmp_path / "a.csv").release()
     assert os.listdir(tmp_path) == []
 

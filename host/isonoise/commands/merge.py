@@ -1,15 +1,16 @@
 """`isonoise merge`: adds renders of one scene with different seeds, from their checkpoints."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from isonoise import __version__
-from isonoise.commands import EXIT_DONE
+from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.device.opencl import Device
 from isonoise.error.stated_error import stated_error
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable
-from isonoise.film.output import check_output, image_layers, write_image
+from isonoise.film.output import ImageFiles
 from isonoise.progress import format_duration, format_percent
 from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
 from isonoise.state.merge import merge_states, state_statistics
@@ -22,6 +23,7 @@ _QUANTILE = 0.99
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
+    images = ImageFiles(options.output)
     _check_files(options)
     device = Device(options.device)
     merged = merge_states((read_checkpoint(path) for path in options.checkpoints), options.checkpoints, device)
@@ -34,10 +36,9 @@ def run(options: argparse.Namespace) -> int:
         "isonoise.rejected": int(statistics.rejected.sum(dtype=int)),
         "isonoise.floor": floor,
     }
+    written = images.write(statistics, floor, header, may_be_partial=True)
     if options.checkpoint:
         write_checkpoint(options.checkpoint, merged)
-    for path in options.output:
-        write_image(path, image_layers(statistics, floor), header)
     renders = merged.values["merged"]["renders"]
     time = format_duration(sum(render["elapsed_s"] for render in renders))
     error = format_percent(float(stated_error(statistics, [_QUANTILE], floor)[0]))
@@ -46,11 +47,14 @@ def run(options: argparse.Namespace) -> int:
         ("merged", f"{len(renders)} renders, {time}, {statistics.samples:,} samples, {per_pixel:.4g} per pixel"),
         ("seeds", ", ".join(str(render["seed"]) for render in renders)),
         ("error", f"{error} (stated, quantile {_QUANTILE:g})"),
-        *(("image", path) for path in options.output),
+        *(("image", image.path) for image in written if image.path),
         *([("state", options.checkpoint)] if options.checkpoint else []),
     ]
     print(label_lines(lines))
-    return EXIT_DONE
+    failures = [image for image in written if image.failure]
+    for image in failures:
+        print(f"isonoise: {image.message()}", file=sys.stderr)
+    return EXIT_BAD_INPUT if failures else EXIT_DONE
 
 
 def _header(merged: State) -> dict[str, object]:
@@ -72,9 +76,7 @@ def _header(merged: State) -> dict[str, object]:
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    """Check that the outputs can be written, and that no file is named twice."""
-    for path in options.output:
-        check_output(path)
+    """Check that the checkpoint can be written, and that no file is named twice."""
     if options.checkpoint:
         check_writable(options.checkpoint)
     seen = set()

@@ -46,7 +46,8 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
         try:
             OpenEXR.File(attributes, channels).write(os.fsencode(temporary))
         except RuntimeError as error:  # OpenEXR's error for a full disk or a file that it cannot open
-            raise OSError(str(error).rstrip(".")) from error
+            reason = str(error).replace(str(temporary), os.fspath(path)).rstrip(".")
+            raise OSError(reason) from error
 
     write_atomically(path, write)
 
