@@ -162,7 +162,7 @@ def render_until(number: int, delay_s: float, environment: dict[str, str]) -> tu
 
 @pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", None)])
-@pytest.mark.parametrize(("compiles", "tries", "max_delay_s"), [(False, 150, 1.0), (True, 15, 8.0)])
+@pytest.mark.parametrize(("compiles", "tries", "max_delay_s"), [(False, 100, 1.0), (True, 15, 8.0)])
 def test_no_signal_is_lost_during_set_up(number, compiles, tries, max_delay_s, tmp_path):
     """At random moments of a start with and without compiled kernels. What ends later has an image of all pixels.
 
@@ -175,7 +175,7 @@ def test_no_signal_is_lost_during_set_up(number, compiles, tries, max_delay_s, t
         code, err = render_until(number, delays.uniform(0, max_delay_s), folders)
         codes[code] += 1
         if code == 1:
-            assert "site" in err
+            assert err.startswith("Fatal Python error: init_"), err
         else:
             assert code in (128 + number, -number), err
         if os.path.exists("a.exr"):

@@ -11,6 +11,7 @@ import sys
 from isonoise import __version__, argument_types
 from isonoise.run_command import run_command
 from isonoise.samplers import SAMPLERS
+from isonoise.signals import exit_code
 from isonoise.standard_streams import safe_streams
 
 
@@ -21,7 +22,7 @@ def main(argv: list[str] | None = None) -> int:
             return run_command(_parser().parse_args(argv), output)
     except KeyboardInterrupt:  # before or after the command
         print("isonoise: interrupted", file=sys.stderr)
-        return 128 + signal.SIGINT
+        return exit_code() or 128 + signal.SIGINT
 
 
 def _parser() -> argparse.ArgumentParser:
