@@ -71,7 +71,7 @@ def test_temporary_files_of_killed_processes_are_removed(tmp_path):
 def test_processes_that_write_do_not_disturb_each_other(tmp_path):
     """Four processes write and look for abandoned files at once; one after the other is killed and started again."""
     code = """
-        import sys
+        import sys, time
         from isonoise.film.files import *
         from isonoise.errors import UserError
         while True:
@@ -81,6 +81,7 @@ def test_processes_that_write_do_not_disturb_each_other(tmp_path):
                 PathLock(Path(sys.argv[1])).release()
             except UserError as error:
                 assert "it is being written by" in str(error)
+            time.sleep(0.002)
         """
 
     def begin(number):
