@@ -255,3 +255,34 @@ def test_public_scenes(public_scenes):
     assert (len(scene.faces), scene.max_depth) == (32514, 2)
     scene = compile_scene(load(public_scenes / "cbox-spheres" / "scene.xml"))
     assert {bsdf_bits("diffuse"), bsdf_bits("thin_dielectric")} <= set(scene.bsdfs["kind"])
+
+
+SIMILAR = """
+<shape type="sphere" id="first"><point name="center" x="1" y="2" z="3"/><float name="radius" value="{}"/>
+    <boolean name="flip_normals" value="true"/><ref id="{}"/></shape>
+<shape type="sphere" id="second"><point name="center" x="4" y="5" z="6"/><float name="radius" value="{}"/>
+    <boolean name="flip_normals" value="true"/><ref id="{}"/></shape>"""
+
+
+def test_objects_that_differ_only_in_numbers(scene_of):
+    """They are checked as the first one of them was, and get its other values."""
+    materials = '<bsdf type="diffuse" id="a"/><bsdf type="plastic" id="b"/>'
+    for before, after in ((materials, ""), ("", materials)):  # references forwards, too
+        scene = scene_of(before + SIMILAR.format(0.5, "a", 0.25, "a") + after)
+        assert [scene[name]["radius"] for name in ("first", "second")] == [0.5, 0.25]
+        assert scene["second"] == scene["first"] | {"center": (4, 5, 6), "radius": 0.25}
+        assert scene["second"]["bsdf"] is scene["first"]["bsdf"] is scene["a"]
+        scene = scene_of(before + SIMILAR.format(0.5, "a", 0.25, "b") + after)
+        assert scene["second"]["bsdf"] is scene["b"]
+    for value, message in ((-1, r"radius.*has to be in \(0, inf\)"), ("1m", "'1m' is not a finite number")):
+        with pytest.raises(SceneError, match=r'\.xml:[0-9]+: <float name="radius">.*' + message):
+            scene_of(materials + SIMILAR.format(1, "a", value, "a"))
+    with pytest.raises(
+        SceneError, match=r'scene.xml:[0-9]+: <shape type="sphere" id="first">.*already used by .*:[0-9]'
+    ):
+        scene_of(materials + 2 * SIMILAR.format(1, "a", 1, "a"))
+    scene = scene_of('<default name="r" value="3"/>' + materials + SIMILAR.format("$r", "a", "$r", "a"))
+    assert scene["second"]["radius"] == 3
+    matrix = '<shape type="rectangle" id="{}"><transform name="to_world"><scale x="{}"/></transform></shape>'
+    with pytest.raises(SceneError, match="to_world cannot be inverted"):
+        scene_of(matrix.format("a", 1) + matrix.format("b", 0))

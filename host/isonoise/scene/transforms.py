@@ -2,17 +2,19 @@
 
 import numpy as np
 
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+
 
 def translate(offset) -> np.ndarray:
     """Translation by a vector."""
-    matrix = np.eye(4)
-    matrix[:3, 3] = offset
-    return matrix
+    x, y, z = offset
+    return np.array([(1.0, 0.0, 0.0, x), (0.0, 1.0, 0.0, y), (0.0, 0.0, 1.0, z), _LAST_ROW])
 
 
 def scale(factors) -> np.ndarray:
-    """Scaling along the axes."""
-    return np.diag([*np.broadcast_to(np.asarray(factors, float), 3), 1.0])
+    """Scaling along the axes, by three factors or by one."""
+    x, y, z = (factors,) * 3 if isinstance(factors, (int, float)) else factors
+    return np.array([(x, 0.0, 0.0, 0.0), (0.0, y, 0.0, 0.0), (0.0, 0.0, z, 0.0), _LAST_ROW])
 
 
 def rotate(axis, degrees: float) -> np.ndarray:
@@ -20,12 +22,18 @@ def rotate(axis, degrees: float) -> np.ndarray:
 
     As in Mitsuba 3, the axis is not normalised: if it is not a unit vector, the matrix scales and shears.
     """
-    x, y, z = np.asarray(axis, float)
-    sine, cosine = np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    matrix = np.eye(4)
-    matrix[:3, :3] = cosine * np.eye(3) + sine * cross + (1.0 - cosine) * np.outer(axis, axis)
-    return matrix
+    x, y, z = (float(component) for component in axis)
+    angle = np.deg2rad(degrees)
+    sine, cosine = float(np.sin(angle)), float(np.cos(angle))
+    rest = 1.0 - cosine
+    return np.array(
+        [
+            (cosine + rest * (x * x), -sine * z + rest * (x * y), sine * y + rest * (x * z), 0.0),
+            (sine * z + rest * (y * x), cosine + rest * (y * y), -sine * x + rest * (y * z), 0.0),
+            (-sine * y + rest * (z * x), sine * x + rest * (z * y), cosine + rest * (z * z), 0.0),
+            _LAST_ROW,
+        ]
+    )
 
 
 def look_at(origin, target, up=None) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Checks that span several parameters of a plugin. Called by `validate.py` once defaults are filled in."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,6 +16,7 @@ from isonoise.scene.vocabulary.sensors import SENSORS
 
 _MAX_APERTURE_RATIO = 1e18  # the square of a tangent, 1e36, fits in 32-bit floats
 _MAX_SIGMA_T = 1e30  # per unit of length: products with distances stay within 32-bit floats
+_MIN_SURE_DETERMINANT = 1e-12  # relative: rounding is below 1e-14
 _MIN_FLOAT32 = float(np.finfo(np.float32).tiny)
 _MUTUALLY_EXCLUSIVE = {
     "perspective": (("fov", "focal_length"),),
@@ -41,9 +43,13 @@ def check_constraints(kind: str, result: dict, location: Location):
 
 
 def _check_invertible(to_world: np.ndarray, location: Location):
-    with np.errstate(all="ignore"):
-        determinant = np.linalg.det(to_world[:3, :3])
-    if not np.isfinite(determinant) or determinant == 0 or np.any(to_world[3] != (0, 0, 0, 1)):
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), last_row = to_world.tolist()
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    largest = max(map(abs, (a, b, c, d, e, f, g, h, i)))
+    if not abs(determinant) > _MIN_SURE_DETERMINANT * largest * largest * largest:  # perhaps nothing but rounding
+        with np.errstate(all="ignore"):
+            determinant = np.linalg.det(to_world[:3, :3])
+    if not math.isfinite(determinant) or determinant == 0 or last_row != [0, 0, 0, 1]:
         location.raise_error("to_world cannot be inverted, or its last row is not 0 0 0 1")
 
 

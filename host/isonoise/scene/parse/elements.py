@@ -16,6 +16,10 @@ class Location:
 
     __slots__ = ()
 
+    def without_element(self) -> "Location":
+        """A location that takes less memory, and names no element if it has a line."""
+        return self
+
     def raise_error(self, message: str) -> NoReturn:
         """Raise a SceneError whose message begins with this location."""
         prefix = str(self)
@@ -46,7 +50,8 @@ class Element:
     id: str
     entries: list[tuple[str, object, Location]] = field(default_factory=list)
     """(name, value, location): a value is an Element, a Reference or plain data. The name of an object may be ''."""
-    aliases: dict[str, str] = field(default_factory=dict)  # of the root: alias -> id
+    aliases: dict[str, str] | None = None  # of the root: alias -> id
+    prototype: "Element | None" = None  # an earlier object that differs only in the numbers that `entries` has
     normalised: dict | None = None  # set by `validate.py`: the checked object
     height: int = 1  # levels of nested objects in it, including its own; known once it is normalised
 

@@ -1,5 +1,6 @@
 """Checks the values of parameters against the type, interval and choices in the vocabulary. Called by `validate.py`."""
 
+import math
 from itertools import pairwise
 from pathlib import Path
 
@@ -38,15 +39,19 @@ def _to_float(value) -> float | None:
 
 
 def _to_vector(value) -> tuple[float, float, float] | None:
-    if not isinstance(value, tuple) or len(value) != 3 or any(_to_float(v) is None for v in value):
+    if not isinstance(value, tuple) or len(value) != 3:
         return None
-    return tuple(float(v) for v in value)
+    x, y, z = map(_to_float, value)
+    return None if x is None or y is None or z is None else (x, y, z)
 
 
 def _to_transform(value) -> np.ndarray | None:
     is_valid = isinstance(value, np.ndarray) and value.shape == (4, 4) and value.dtype.kind in "iuf"
-    is_valid = is_valid and bool((np.abs(value) <= _MAX_FLOAT32).all())
-    return value.astype(np.float64) if is_valid else None
+    if not is_valid:
+        return None
+    numbers = value.ravel().tolist()  # faster than numpy for 16 of them
+    is_finite = math.isfinite(sum(numbers)) and min(numbers) >= -_MAX_FLOAT32 and max(numbers) <= _MAX_FLOAT32
+    return value.astype(np.float64) if is_finite else None
 
 
 def _to_integer(value) -> int | None:

@@ -5,7 +5,7 @@ All checks of names, types and ranges are here, so XML files and Python dicts ge
 
 from isonoise.scene import vocabulary
 from isonoise.scene.parse.constraints import check_constraints
-from isonoise.scene.parse.elements import Element, Location, Reference, SourceLocation, closest_name, with_article
+from isonoise.scene.parse.elements import Element, Location, Reference, closest_name, with_article
 from isonoise.scene.parse.parameter_values import check_value
 from isonoise.scene.parse.xml_tags import MAX_DEPTH
 from isonoise.scene.vocabulary.plugin import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
@@ -45,14 +45,14 @@ class SceneNormaliser:
             return
         self._add_entry(self.plugin, self.scene, self.child_counts, name, value, location)
         if isinstance(value, Element) and value.id:  # keep what a reference or an error needs
-            value.entries = []
-            value.location = SourceLocation(element=str(value.location))
+            value.entries = ()
+            value.location = value.location.without_element()
 
     def finish(self, root: Element) -> dict:
         """The description of the scene. `root` has its location and its aliases."""
         if root.type != "scene":
             root.location.raise_error(f"the root of a scene has to be of type 'scene', not '{root.type}'")
-        for alias, target in root.aliases.items():
+        for alias, target in (root.aliases or {}).items():
             if target not in self.element_by_id or alias in self.element_by_id:
                 problem = (
                     "already exists" if alias in self.element_by_id else f"refers to '{target}', which does not exist"
@@ -74,6 +74,7 @@ class SceneNormaliser:
                     first = self.element_by_id[part.id].location
                     part.location.raise_error(f"the id '{part.id}' is already used by {first}")
                 queue.extend(entry[1] for entry in part.entries)
+                is_complete &= part.prototype is None or part.prototype.normalised is not None
             elif isinstance(part, Reference):
                 target = self.element_by_id.get(part.id)
                 is_complete &= target is not None and target.normalised is not None
@@ -85,6 +86,8 @@ class SceneNormaliser:
             return element.normalised
         if id(element) in self.active:
             element.location.raise_error("refers to itself, directly or through other objects")
+        if element.prototype is not None:
+            return self._normalise_similar(element)
         self.active.add(id(element))
         plugin = self._find_plugin(element, kinds)
         result, child_counts = {"type": plugin.name}, {}
@@ -93,6 +96,17 @@ class SceneNormaliser:
         _complete(plugin, result, child_counts, element.location)
         self.active.discard(id(element))
         element.normalised = result
+        return result
+
+    def _normalise_similar(self, element: Element) -> dict:
+        """The dict of its prototype with the element's own numbers."""
+        plugin = self._find_plugin(element, ())
+        result = element.prototype.normalised.copy()
+        for name, value, location in element.entries:
+            if name in result:  # else the parameter is ignored
+                result[name] = check_value(plugin.parameter(name), value, location)
+        check_constraints(plugin.kind, result, element.location)
+        element.height, element.normalised = element.prototype.height, result
         return result
 
     def _add_entry(

@@ -22,7 +22,10 @@ _MAX_INCLUDE_DEPTH = 15  # as in Mitsuba 3
 _MAX_ATTRIBUTE_CHARS = 1 << 20  # after substitution: parameters can contain parameters
 _OBJECTS = ("scene", "integrator", "sensor", "film", "rfilter", "sampler", "bsdf", "shape", "emitter", "texture")
 _OBJECTS += ("medium", "phase", "volume")
+_OBJECT_SET = frozenset(_OBJECTS)
 _VALUES = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum")
+_NUMBERS, _CONSTANTS = frozenset(("float", "point", "vector")), frozenset(("ref", "boolean", "string", "integer"))
+_MAX_PROTOTYPES = 10_000  # bounds their memory where every object has another structure
 _DIRECTIVES = ("ref", "include", "alias", "default", "path")
 
 Sink = Callable[[str, object, Location], None]
@@ -37,7 +40,8 @@ def read_xml(path: Path, parameters: dict[str, str], folder: Path | None = None,
     the scene is invalid.
     """
     reader = _SceneReader(parameters, folder, sink)
-    root = reader.read_file(path, (), is_scene=True)
+    with np.errstate(all="ignore"):  # check_value rejects what is not finite
+        root = reader.read_file(path, (), is_scene=True)
     for name in parameters:
         if name not in reader.used:
             known = ", ".join(sorted(reader.used | set(reader.parameters) - set(parameters))) or "none"
@@ -52,6 +56,26 @@ def _suggestion(name: str, choices: tuple[str, ...]) -> str:
     return f'<{kinds[0]} type="{name}">' if kinds else f"<{closest_name(name, choices)}>"
 
 
+def _structure(tag: Tag) -> tuple | None:
+    """All of an object but its id and its numbers; None if it contains objects, file names or parameters."""
+    parts: list = [tag.name, *((key, value) for key, value in tag.attributes.items() if key != "id")]
+    for child in tag.children:
+        attributes = child.attributes
+        parts += (child.name, len(child.children), attributes.get("name"), *attributes)
+        if child.name == "transform":
+            for operation in child.children:
+                parts += (operation.name, *operation.attributes)
+                if operation.children or "$" in "".join(operation.attributes.values()):
+                    return None
+        elif child.name not in _NUMBERS:
+            if child.name not in _CONSTANTS or attributes.get("name") == "filename":
+                return None
+            parts += attributes.values()
+        if "$" in "".join(attributes.values()):
+            return None
+    return tuple(parts)
+
+
 class _SceneReader:
     """State that all files of one scene share."""
 
@@ -61,6 +85,7 @@ class _SceneReader:
         self.sink = sink
         self.used: set[str] = set()  # names of parameters
         self.aliases: dict[str, str] = {}
+        self.prototypes: dict[tuple, Element] = {}  # by structure
         self.open_files: list[Path] = []
         self.file_count = 0
         self.depth = 0  # of nested objects, across files
@@ -116,7 +141,7 @@ class _FileReader:
         is_root = root_children is not None
         if is_root:
             self.prepare(tag)
-        if tag.name not in _OBJECTS and tag.name != "spectrum":
+        if tag.name not in _OBJECT_SET and tag.name != "spectrum":
             tag.raise_error(f"unknown element; did you mean {_suggestion(tag.name, _OBJECTS)}?")
         required = () if is_root and tag.name == "scene" else ("type",)
         check_attributes(tag, required, ("version", "id", "name", "type") if is_root else ("id", "name"))
@@ -134,6 +159,23 @@ class _FileReader:
         self.scene.depth -= 1
         return element
 
+    def read_similar_object(self, tag: Tag) -> Element:
+        """The Element of a tag. If an earlier one differs from it in numbers only, all else need not be read again."""
+        structure = _structure(tag) if self.sink and not self.is_old else None
+        prototype = self.scene.prototypes.get(structure) if structure else None
+        if prototype is None:
+            element = self.read_object(tag)
+            if structure and len(self.scene.prototypes) < _MAX_PROTOTYPES:
+                self.scene.prototypes[structure] = element
+            return element
+        entries = []
+        for child in tag.children:
+            if child.name == "transform":
+                entries.append((child.attributes["name"], self.read_transform(child), child))
+            elif child.name in _NUMBERS:
+                entries.append((child.attributes["name"], parse_value(child), child))
+        return Element(tag, prototype.kind, prototype.type, tag.attributes.get("id", ""), entries, prototype=prototype)
+
     def prepare(self, tag: Tag):
         """Bring a tag to its present form: of an old file its name, of all files the values of parameters."""
         if self.is_old:
@@ -150,8 +192,8 @@ class _FileReader:
         """Add the content of a child tag to its parent."""
         self.prepare(tag)
         name = tag.attributes.get("name", "")
-        if tag.name in _OBJECTS or (tag.name == "spectrum" and "type" in tag.attributes):
-            parent.entries.append((name, self.read_object(tag), tag))
+        if tag.name in _OBJECT_SET or (tag.name == "spectrum" and "type" in tag.attributes):
+            parent.entries.append((name, self.read_similar_object(tag) if is_in_root else self.read_object(tag), tag))
         elif tag.name == "transform":
             check_attributes(tag, ("name",))
             parent.entries.append((name, self.read_transform(tag), tag))
@@ -180,8 +222,7 @@ class _FileReader:
         for child in tag.children:
             self.prepare(child)
             self.check_no_children(child)
-            with np.errstate(all="ignore"):  # check_value rejects a result that is not finite
-                matrix = transform_matrix(child) @ matrix
+            matrix = transform_matrix(child) @ matrix
         return matrix
 
     def read_ref(self, parent: Element, tag: Tag, is_in_root: bool):

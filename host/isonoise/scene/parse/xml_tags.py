@@ -23,12 +23,15 @@ class Tag(Location):
 
     def __init__(self, name: str, attributes: dict[str, str], file: str, line: int):
         self.name, self.attributes, self.file, self.line = name, attributes, file, line
-        self.children: list[Tag] = []
+        self.children: list[Tag] | tuple[()] = ()
 
     def __str__(self) -> str:
         shown = " ".join(f'{k}="{v[:60]}"' for k, v in self.attributes.items() if k in ("type", "name", "id"))
         name = self.name[:60]
         return str(SourceLocation(self.file, self.line, f"<{name} {shown}>" if shown else f"<{name}>"))
+
+    def without_element(self) -> Location:
+        return SourceLocation(self.file, self.line)
 
 
 class _TagBuilder:
@@ -49,7 +52,8 @@ class _TagBuilder:
         if depth >= MAX_DEPTH:
             tag.raise_error(f"nested more than {MAX_DEPTH} levels deep")
         if depth > 1:
-            self.stack[-1].children.append(tag)
+            parent = self.stack[-1]
+            parent.children = [*parent.children, tag]
         elif depth == 0:
             self.is_empty = False
             self.finished.append(tag)

@@ -35,7 +35,7 @@ def parse_number(tag: Tag, text: str) -> float:
 
 def parse_numbers(tag: Tag, text: str) -> list[float]:
     """Numbers separated by commas or white space."""
-    return [parse_number(tag, part) for part in re.split(r"[\s,]+", text.strip()) if part]
+    return [parse_number(tag, part) for part in text.replace(",", " ").split()]
 
 
 def parse_vector(tag: Tag, default: float | None, *others: str) -> tuple[float, float, float]:
@@ -110,9 +110,10 @@ def transform_matrix(tag: Tag) -> np.ndarray:
         values = parse_numbers(tag, tag.attributes["value"])
         if len(values) not in (9, 16):
             tag.raise_error(f"a matrix has 16 or 9 numbers, got {len(values)}")
-        size = 4 if len(values) == 16 else 3
+        if len(values) == 16:
+            return np.array(values).reshape(4, 4)
         matrix = np.eye(4)
-        matrix[:size, :size] = np.reshape(values, (size, size))
+        matrix[:3, :3] = np.reshape(values, (3, 3))
         return matrix
     tag.raise_error(f"unknown operation; a transform consists of {', '.join(TRANSFORM_OPERATIONS)}")
 
