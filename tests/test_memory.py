@@ -20,6 +20,23 @@ print(json.dumps({"code": code, "peak": resource.getrusage(resource.RUSAGE_SELF)
 
 
 @pytest.mark.long
+def test_8k_fits_in_four_gibibytes(tmp_path):
+    """33 million pixels with well-distributed samples: two waves and the image file, in a process of its own.
+
+    With 9 samples per pixel all planes of the statistics have been written.
+    """
+    pytest.importorskip("resource", reason="no peak memory of a process on this system")
+    arguments = ["render", "cornell", "--size", "7680x4320", "--spp", "9", "-o", str(tmp_path / "8k.exr")]
+    arguments += ["--strategy", "uniform:warmup=8", "--memory", "4G", "--json"]
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    outcome, process = (json.loads(line) for line in done.stdout.splitlines())
+    assert process["code"] == 0
+    assert outcome["samples"] == 9 * 7680 * 4320
+    assert process["peak"] < 4 * 2**30, f"{process['peak'] / 2**30:.2f} GiB"
+
+
+@pytest.mark.long
 def test_a_large_image_fits_in_two_gibibytes(tmp_path):
     """6 million pixels with chunk medians: a uniform wave, an adaptive wave and the image file.
 

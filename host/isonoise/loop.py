@@ -24,7 +24,6 @@ from isonoise.state.state import State
 from isonoise.statistics import Statistics
 from isonoise.stops import Stops
 from isonoise.strategies.measures import image_floor
-from isonoise.strips import LARGE_IMAGE_PIXELS
 
 LOG_QUANTILES = (0.5, 0.95, 0.99)
 """Quantiles of the stated error in the log."""
@@ -266,6 +265,8 @@ class RenderLoop:
     def _begin_wave(self) -> None:
         self.renderer.begin_wave(self._wave_limit())
         self._energy_loss.begin_wave(self.renderer.wave_kind, self.renderer.statistics)
+        if self.renderer.has_little_memory:
+            self.statistics = None
 
     def _trace_wave(self) -> bool:
         """Trace the wave; return False if it ends early because of a signal or the deadline."""
@@ -293,8 +294,6 @@ class RenderLoop:
 
     def _end_wave(self) -> None:
         last_elapsed = self.rows[-1].elapsed_s if self.rows else 0.0
-        if self._pixels >= LARGE_IMAGE_PIXELS:
-            self.statistics = None  # those before the wave: there is no room for both
         record = self.renderer.end_wave()
         self.statistics = self.renderer.statistics()
         row = self._add_row(record)

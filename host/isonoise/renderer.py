@@ -31,6 +31,7 @@ from isonoise.state.state import State, split_strategy_state, with_group
 from isonoise.statistics import Statistics, UniformSamples
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
 from isonoise.strategies.planner import WavePlanner
+from isonoise.strips import LARGE_IMAGE_PIXELS
 
 
 @dataclass(frozen=True)
@@ -208,6 +209,11 @@ class Renderer:
     def remaining_pixel_samples(self) -> int:
         """Samples that one pixel can still take: the device counts them in 32 bits."""
         return self._planner.remaining_pixel_samples
+
+    @property
+    def has_little_memory(self) -> bool:
+        """Whether the image is large and the device shares the host's memory: keep no statistics during a wave."""
+        return self._wavefront.device.shares_memory and self.scene.width * self.scene.height >= LARGE_IMAGE_PIXELS
 
     @property
     def device_seconds(self) -> float | None:

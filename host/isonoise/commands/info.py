@@ -94,7 +94,7 @@ def _print_memory(scene: CompiledScene, needs: Needs, device_choice: str | None)
     total = plan.shared if device.shares_memory else plan.device
     print(f"\nmemory of a render (strategy {DEFAULT_STRATEGY}, {plan.pool_size:,} paths) on {device.name}:")
     rows = [(name, format_bytes(size)) for name, size in plan.rows()]
-    where = "in the memory that device and host share" if device.shares_memory else "on the device"
+    where = "at a time, for device and host" if device.shares_memory else "on the device"
     print(label_lines([*rows, ("total", f"{format_bytes(total)} {where}")], indent="  "))
 
 

@@ -18,6 +18,9 @@ PLANE_PADDING = 80
 """Elements by which a plane of path state is longer than the pool. Without it the members of a path would be a power of
 two apart and compete for the same few cache sets."""
 
+PROCESS_BYTES = 300 * 2**20
+"""What Python, the libraries and the compiler of a driver take."""
+
 ALLOCATION_BYTES = 24
 """Bytes a pixel of the temporary arrays with which the built-in strategies compute an allocation map in float32."""
 
@@ -104,12 +107,14 @@ class MemoryPlan:
 
     @cached_property
     def shared(self) -> int:
-        """Bytes of buffers and host arrays at a time, where both are in the same memory.
+        """Bytes of the process at a time, where buffers and host arrays are in the same memory.
 
-        Large images give the scratch buffers back where they are not needed, so it may be less than the sum.
+        Large images give the scratch buffers back where they are not needed, so it may be less than the sum. The counts
+        of rejected samples take none: hardly any are written.
         """
         scratch = sum(scratch_bytes(self.shape, self.needs).values())
-        return self.device - scratch + max(host + scratch * has for host, has in self._phases().values())
+        image = max(host + scratch * has for host, has in self._phases().values())
+        return PROCESS_BYTES + self.device - self.buffers["rejected"] - scratch + image
 
     def _phases(self) -> dict[str, tuple[int, bool]]:
         """Phase of a wave -> bytes of host arrays, and whether the scratch buffers are there."""
@@ -119,7 +124,7 @@ class MemoryPlan:
         kept = 16 * self.is_adaptive + 24 * needs.uniform  # sums over the uniform waves
         image, allocation, error = read + 12, 4, 4
         phases = {
-            "trace": (image + allocation + kept, not is_large),
+            "trace": (allocation + kept + (0 if is_large else image), not is_large),
             "statistics": (read + kept + (0 if is_large else image), True),
             "output": (image + error + kept, not is_large),
         }
@@ -136,6 +141,7 @@ class MemoryPlan:
             ("samples", self.samples),
             ("statistics", self.statistics),
             ("host arrays", self.host),
+            ("process", PROCESS_BYTES),
         ]
 
 
