@@ -1,6 +1,7 @@
 """Damaged, exchanged and deleted files of a comparison: none is taken for a sound one, none ends in a traceback."""
 
 import contextlib
+import errno
 import os
 import random
 import shutil
@@ -121,6 +122,31 @@ def test_a_given_reference_may_not_change(capsys):
     write_exr("a.exr", {"": 2 * rgb}, {})
     assert compare(*command) == 2
     assert "reference_sha256 of 'cornell' was" in capsys.readouterr().err
+
+
+def fill_disk(path: Path, _) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def remove_folder(path: Path, _) -> None:
+    shutil.rmtree("out")
+    path.touch()  # as a write does
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [(fill_disk, "No space left on device; finished runs are kept"), (remove_folder, "No such file or directory")],
+)
+def test_a_run_that_cannot_be_written_is_a_message(folder, capsys, monkeypatch, damage, message):
+    runs = run_files(folder)
+    runs.popitem()[1].unlink()
+    monkeypatch.setattr("isonoise.comparison.checked_files._write_with_digest", damage)
+    assert compare(*options("out")) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert "Traceback" not in err
+    assert folder.exists() == (damage is fill_disk)
+    assert not folder.exists() or run_files(folder).keys() == runs.keys()
 
 
 def test_a_deleted_plan_keeps_the_runs(folder, capsys):

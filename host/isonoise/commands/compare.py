@@ -70,23 +70,33 @@ def _compare(
         from isonoise.comparison.spp_series import share_references
 
         share_references(shared, directory, plan)
-    code = EXIT_DONE
     try:
         run_plan(plan, lock, request.device, _print, _warn)
-    except KeyboardInterrupt:
-        code = exit_code() or 128 + signal.SIGINT
-        print(f"isonoise: interrupted; {_KEPT}", file=sys.stderr)
-        if not _has_runs(directory):
-            return code, None
-    except UserError as error:
-        raise UserError(f"{error}; {_KEPT}") if _has_runs(directory) else error from error
+        return EXIT_DONE, _report(directory)
+    except (KeyboardInterrupt, UserError) as error:
+        has_runs = any((directory / "runs").glob("*/*/[0-9]*.npz"))
+        # a signal may have reached Mitsuba's process first, and its end is a UserError
+        if isinstance(error, UserError) and exit_code() is None:
+            raise UserError(f"{error}; {_KEPT}" if has_runs else str(error)) from error
+    print(f"isonoise: interrupted; {_KEPT}", file=sys.stderr)
+    summary = None
+    if has_runs:
+        try:
+            summary = _report(directory)
+        except UserError as error:  # such as a full disk; the exit code is the signal's
+            print(f"isonoise: {error}", file=sys.stderr)
+    return exit_code() or 128 + signal.SIGINT, summary
+
+
+def _report(directory: Path) -> dict:
+    """Write the report and print its tables; return the summary."""
     from isonoise.comparison.report import write_report
     from isonoise.comparison.summary import summary_text
 
     summary = write_report(directory)
     _print(summary_text(directory))
     _print(f"report  {directory / 'report.html'}")
-    return code, summary
+    return summary
 
 
 def _preset(options: argparse.Namespace) -> Preset | None:
@@ -144,10 +154,6 @@ def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:
     remove_temporary_files(directory)
     make_folder(directory / "references")
     write_plan(directory, plan)
-
-
-def _has_runs(directory: Path) -> bool:
-    return any((directory / "runs").glob("*/*/[0-9]*.npz"))
 
 
 def _warn(text: str) -> None:
