@@ -207,6 +207,7 @@ def test_foreign_files(tmp_path, monkeypatch, capsys):
             read_checkpoint(path)
         assert main(["render", "cornell", "-o", "a.exr", "--resume", path]) == 2
         assert main(["merge", path, "b.npz", "-o", "a.exr"]) == 2
+        assert main(["info", path]) == 2
         with pytest.raises(UserError):
             read_reference(path)
     assert "Traceback" not in capsys.readouterr().err

@@ -2,8 +2,8 @@
 
 import math
 import os
-import zipfile
 from collections.abc import Mapping
+from zipfile import is_zipfile
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from isonoise.state.checkpoint import read_description
 
 def is_checkpoint(path: str | os.PathLike) -> bool:
     """Whether a regular file looks like a checkpoint; other files are scenes or images."""
-    return os.path.isfile(path) and not str(path).lower().endswith((".xml", ".exr")) and zipfile.is_zipfile(path)
+    name = os.fspath(path).lower()
+    return os.path.isfile(path) and not name.endswith((".xml", ".exr")) and (name.endswith(".npz") or is_zipfile(path))
 
 
 def describe_checkpoint(path: str | os.PathLike) -> list[tuple[str, str]]:
