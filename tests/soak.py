@@ -47,22 +47,28 @@ def main_soak(minutes: float, seed: int) -> None:
     rng, end = random.Random(seed), time.monotonic() + 60 * minutes
     counts = collections.Counter()
     losses = []
-    while time.monotonic() < end:
-        with tempfile.TemporaryDirectory(prefix="soak-") as name:
-            job_seed = rng.randrange(2**32)
-            try:
-                if rng.random() < 0.8:
-                    soak_kills(Path(name), random.Random(job_seed), counts, losses)
-                else:
-                    soak_merge(Path(name), random.Random(job_seed), counts)
-            except BaseException:
-                print(f"job {job_seed} failed; its files are in {shutil.copytree(name, tempfile.mkdtemp() + '/soak')}")
-                raise
-    measure_growth()
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    print(f"{minutes:g} minutes, seed {seed}: " + ", ".join(f"{n} {what}" for what, n in sorted(counts.items())))
-    print(f"rendering time lost by a SIGKILL, beside the interval: at most {max(losses, default=0.0):.3f} s")
-    print(f"processor time of the renders {children.ru_utime + children.ru_stime:.0f} s")
+    try:
+        while time.monotonic() < end:
+            run_job(rng.randrange(2**32), counts, losses)
+        measure_growth()
+    finally:
+        children = resource.getrusage(resource.RUSAGE_CHILDREN)
+        print(f"seed {seed}: " + ", ".join(f"{n} {what}" for what, n in sorted(counts.items())))
+        print(f"rendering time lost by a SIGKILL, beside the interval: at most {max(losses, default=0.0):.3f} s")
+        print(f"processor time of the renders: {children.ru_utime + children.ru_stime:.0f} s")
+
+
+def run_job(seed: int, counts: collections.Counter, losses: list[float]) -> None:
+    with tempfile.TemporaryDirectory(prefix="soak-") as name:
+        rng = random.Random(seed)
+        try:
+            if rng.random() < 0.8:
+                soak_kills(Path(name), rng, counts, losses)
+            else:
+                soak_merge(Path(name), rng, counts)
+        except BaseException:
+            print(f"job {seed} failed; its files are in {shutil.copytree(name, tempfile.mkdtemp() + '/soak')}")
+            raise
 
 
 def random_scene(folder: Path, rng: random.Random) -> str:
