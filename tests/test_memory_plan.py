@@ -7,7 +7,7 @@ from small_scene import assert_same_bits, lamp_over_floor
 from isonoise import Renderer, argument_types
 from isonoise.device.opencl import Device
 from isonoise.errors import DeviceError, UserError
-from isonoise.integrator import stages
+from isonoise.integrator import image_scratch, stages
 from isonoise.integrator.memory_plan import PROCESS_BYTES, MemoryPlan, fit_pool, format_bytes
 from isonoise.integrator.sample_list import SampleList
 from isonoise.statistics import BASIC_NEEDS, Needs
@@ -119,3 +119,29 @@ def test_sizes_as_text():
         with pytest.raises(Exception, match="is not a size of memory"):
             argument_types.memory_size(text)
     assert [format_bytes(size) for size in (2**32, 3 * 2**19, 512)] == ["4 GiB", "1.5 MiB", "0.5 KiB"]
+
+
+def test_statistics_in_use_keep_their_image():
+    first, other = (Renderer(lamp_over_floor(), strategy="uniform:wave_spp=2", seed=4) for _ in range(2))
+    first.step(), other.step()
+    in_use, expected = first.statistics(), other.image()
+    first.step()
+    assert np.array_equal(in_use.rgb, expected)
+    assert not np.array_equal(first.image(), expected)
+
+
+def test_a_large_image_gives_memory_back_and_stays_the_same(monkeypatch):
+    small = Renderer(lamp_over_floor(), strategy="pooled:warmup=4", seed=2)
+    monkeypatch.setattr(image_scratch, "LARGE_IMAGE_PIXELS", 1)
+    large = Renderer(lamp_over_floor(), strategy="pooled:warmup=4", seed=2)
+    for _ in range(3):
+        small.step(), large.step()
+        errors = [renderer.error_distribution(0.01).quantiles((0.5, 0.99)) for renderer in (small, large)]
+        assert np.array_equal(*errors)
+    allocated = large._wavefront.device.allocated
+    large.image()
+    scratch = sum(image_scratch.scratch_bytes((5, 7), Needs(nets=True, neighbours=5)).values())
+    assert large._wavefront.device.allocated == allocated - scratch
+    assert np.array_equal(large.error_distribution(0.01).quantiles((0.5, 0.99)), errors[0])
+    assert large._wavefront.device.allocated == allocated
+    assert_same_bits(small.statistics(), large.statistics())

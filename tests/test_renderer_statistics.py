@@ -46,7 +46,7 @@ def test_device_seconds():
         # the device is busy for a part of the wave's time, with one kernel at a time; its clock may differ slightly
         assert 0 < renderer.device_seconds - before < 1.01 * record.seconds
         before = renderer.device_seconds
-    renderer.statistics()
+    renderer.image()  # RGB is read when it is used
     assert renderer.device_seconds > before
     assert Renderer(lamp_over_floor(), strategy="uniform").device_seconds is None
 

@@ -21,7 +21,7 @@ two apart and compete for the same few cache sets."""
 PROCESS_BYTES = 300 * 2**20
 """What Python, the libraries and the compiler of a driver take."""
 
-ALLOCATION_BYTES = 24
+ALLOCATION_BYTES = 32
 """Bytes a pixel of the temporary arrays with which the built-in strategies compute an allocation map in float32."""
 
 
