@@ -55,6 +55,7 @@ INLINE void store_rgb_sum(CompensatedRgb sum, __global float* planes, uint strid
     store_sum(sum.blue, planes + 4 * stride, stride);
 }
 
+#if FEATURE_HALF_BUFFER
 INLINE CompensatedRgb add_rgb(CompensatedRgb sum, Vec3 rgb)
 {
     sum.red = add_compensated(sum.red, rgb.x);
@@ -62,6 +63,7 @@ INLINE CompensatedRgb add_rgb(CompensatedRgb sum, Vec3 rgb)
     sum.blue = add_compensated(sum.blue, rgb.z);
     return sum;
 }
+#endif
 
 // The mean of n samples.
 INLINE Vec3 divide_rgb_sum(CompensatedRgb sum, uint n)
