@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from isonoise.device import pocl_cache, precompile, program_cache
+from isonoise.device import failures, pocl_cache, precompile, program_cache
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 
@@ -22,6 +22,7 @@ def program_cache_of_session(tmp_path_factory):
         pocl_cache.pocl_folder()  # PoCL uses its own folder, whose kernels last from one test run to the next
         patch.setenv(program_cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("programs")))
         patch.setattr(precompile, "worker_limit", lambda: 1)
+        patch.setattr(failures, "log_folders", [str(tmp_path_factory.mktemp("logs"))])
         yield
 
 

@@ -53,8 +53,9 @@ def test_two_checkouts_are_compared(other_checkout, capsys):
     assert versus_text(result, 0.001, []) in capsys.readouterr().out
 
 
-def test_a_checkout_that_fails_is_a_message(other_checkout, capsys):
+def test_a_checkout_that_fails_is_a_message(other_checkout, capsys, tmp_path, monkeypatch):
     """Its kernels are those in its folder, too."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))  # the compiler's log is saved there
     edit(other_checkout / "kernels/stages/reduce.cl", "__kernel", "#error broken\n__kernel")
     assert run_isonoise(*COMMAND, "--versus", str(other_checkout)) == 2
     out, err = capsys.readouterr()

@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,7 +31,7 @@ def driver_error(code: int):
 
 
 def test_a_build_error_names_file_line_options_and_log(device, tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(failures, "log_folders", [str(tmp_path)])
     with pytest.raises(DeviceError) as caught:
         device.build(SOURCE, ("-cl-std=CL1.2", "-DFEATURE_A=1", "-DFEATURE_B=0"))
     message = str(caught.value)
@@ -47,7 +46,7 @@ def test_a_build_error_names_file_line_options_and_log(device, tmp_path, monkeyp
 
 
 def test_a_build_log_that_cannot_be_saved_is_in_the_message(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "mkstemp", lambda **_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(failures.tempfile, "mkstemp", lambda **_: (_ for _ in ()).throw(OSError("disk full")))
     message = str(failures.build_failure("a GPU", "", ["-DX=1"], driver_error(-11), "the disk is full"))
     assert "text of the driver" in message
     assert "refused a kernel: the disk is full" in message
@@ -75,7 +74,7 @@ def test_a_build_log_for_which_there_is_no_space_leaves_no_file(tmp_path, monkey
     ],
 )
 def test_places_in_compiler_logs(log, place, tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(failures, "log_folders", [str(tmp_path)])
     assert place in str(failures.build_failure("a GPU", "", [], Exception(log)))
 
 
