@@ -3,8 +3,11 @@
 import json
 import subprocess
 import sys
+import tracemalloc
 
 import pytest
+
+from isonoise.scene import compile_scene, load
 
 WIDTH, HEIGHT = 3000, 2000
 LIMIT = 2 * 2**30
@@ -54,3 +57,25 @@ def test_a_large_image_fits_in_two_gibibytes(tmp_path):
     assert outcome["last_wave"]["kind"] == "adaptive"
     assert (tmp_path / "large.exr").stat().st_size > 0
     assert process["peak"] < LIMIT, f"{process['peak'] / 2**30:.2f} GiB"
+
+
+MAX_BYTES_PER_SHAPE = 1200
+"""Of a sphere: 140 in the compiled arrays, which are there twice for a moment, about 500 in the description, and a
+thousand shapes of temporaries."""
+
+
+def test_memory_of_many_shapes(tmp_path):
+    count = 3000
+    sphere = '<shape type="sphere"><point name="center" x="{}" y="0" z="9"/><float name="radius" value="0.1"/></shape>'
+    scene = '<scene version="3.0.0"><sensor type="perspective"/>' + "".join(sphere.format(i) for i in range(count))
+    path = tmp_path / "spheres.xml"
+    path.write_text(scene + "</scene>")
+    compile_scene(load("cornell"))  # what is imported and cached at the first scene
+    tracemalloc.start()
+    try:
+        compiled = compile_scene(load(path))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(compiled.analytics) == count
+    assert peak < MAX_BYTES_PER_SHAPE * count, f"{peak / count:.0f} bytes per shape"

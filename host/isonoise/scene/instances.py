@@ -28,10 +28,6 @@ class Space:
         """The name of a shape in errors."""
         return self.label.replace("{}", self.keys[number])
 
-    @classmethod
-    def of(cls, shapes: Mapping[str, dict], label: str) -> "Space":
-        return cls(list(shapes), list(shapes.values()), label)
-
 
 @dataclass(frozen=True)
 class Spaces:
@@ -47,17 +43,21 @@ class Spaces:
 def split_instances(shapes: Mapping[str, dict]) -> Spaces:
     """Sort the shapes of a description into spaces. Groups without an instance are left out."""
     groups = {id(shape): name for name, shape in shapes.items() if shape["type"] == "shapegroup"}
-    world = {name: shape for name, shape in shapes.items() if shape["type"] not in ("shapegroup", "instance")}
-    instances = {name: shape for name, shape in shapes.items() if shape["type"] == "instance"}
+    world, instances = Space([], [], "shape '{}'"), Space([], [], "instance '{}'")
+    for name, shape in shapes.items():
+        if shape["type"] != "shapegroup":
+            space = instances if shape["type"] == "instance" else world
+            space.keys.append(name)
+            space.shapes.append(shape)
     spaces, index_of_group = [], {}  # by id: a resolved reference is the same dict as its target
-    for name, instance in instances.items():
+    for name, instance in zip(instances.keys, instances.shapes, strict=True):
         group = instance["shape"]
         if id(group) not in index_of_group:
             index_of_group[id(group)] = len(spaces)
             parts = {key: part for key, part in group.items() if isinstance(part, dict)}
-            spaces.append(Space.of(parts, "{} of shapegroup '" + groups.get(id(group), name) + "'"))
-    group_of_instance = [index_of_group[id(instance["shape"])] for instance in instances.values()]
-    world, instances = Space.of(world, "shape '{}'"), Space.of(instances, "instance '{}'")
+            label = "{} of shapegroup '" + groups.get(id(group), name) + "'"
+            spaces.append(Space(list(parts), list(parts.values()), label))
+    group_of_instance = [index_of_group[id(instance["shape"])] for instance in instances.shapes]
     return Spaces(world, spaces, instances, group_of_instance, list(index_of_group))
 
 

@@ -20,7 +20,7 @@ from isonoise.scene.placement import FLOAT_STEP
 
 _MAX_ROUNDING = 2.0**-10
 """Of a mesh's vertices in its own space, over its size: beyond it there is a warning."""
-_CHUNK_SHAPES = 2**13
+_CHUNK_SHAPES = 2**10
 """Shapes made at once: keeps their float64 temporaries small."""
 _NO_NORMALS = np.zeros((0, 3), np.float32)
 _NO_UVS = np.zeros((0, 2), np.float32)
