@@ -1,5 +1,7 @@
 """The renderer's edge cases: scenes without light, rejected samples, a stopped wave."""
 
+import linecache
+
 import numpy as np
 import pytest
 from small_scene import PIXELS, assert_same_bits, assert_sound, lamp_over_floor, without
@@ -24,6 +26,14 @@ def test_scenes_without_light_are_black(name):
     assert (outcome.rgb == 0).all()
     assert (outcome.error == 0).all()  # noiseless
     assert_sound(outcome.statistics)
+
+
+def test_sources_that_pyopencl_generates_are_not_kept():
+    """A function for every kernel object: 27 kB per renderer."""
+    Renderer(lamp_over_floor()).step()
+    before = len(linecache.cache)
+    Renderer(lamp_over_floor()).step()
+    assert len(linecache.cache) == before
 
 
 def test_a_black_image_has_the_error_zero():

@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import functools
+import linecache
 import warnings
 import weakref
 from collections import Counter
@@ -183,7 +184,11 @@ class Device:
         cached = _programs.get((self.context, source, options))
         if cached is None:
             cached = _programs[self.context, source, options] = self._compile(source, options)
-        return {kernel.function_name: kernel for kernel in cached.all_kernels()}
+        sources = set(linecache.cache)
+        kernels = {kernel.function_name: kernel for kernel in cached.all_kernels()}
+        for name in linecache.cache.keys() - sources:  # pyopencl generates a function for each and keeps its source
+            del linecache.cache[name]
+        return kernels
 
     def _compile(self, source: str, options: tuple[str, ...]):
         """The program from the cache, or compiled and registered for it.
