@@ -27,7 +27,7 @@ from isonoise.strategies.registry import BUILT_IN
 
 RENDERERS = 300
 """Renderers in one process: its memory and open files after the first 50 are compared with those after the last."""
-MAX_GROWTH_BYTES = 4 << 20
+MAX_GROWTH_BYTES = 6 << 20
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 STRATEGIES = [name for name in BUILT_IN if name != "oracle"]
 SCENE = """<scene version="3.0.0">
