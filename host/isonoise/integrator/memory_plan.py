@@ -18,8 +18,8 @@ PLANE_PADDING = 80
 """Elements by which a plane of path state is longer than the pool. Without it the members of a path would be a power of
 two apart and compete for the same few cache sets."""
 
-PROCESS_BYTES = 300 * 2**20
-"""What Python, the libraries and the compiler of a driver take."""
+PROCESS_BYTES = 400 * 2**20
+"""What Python, the libraries, the compiler of a driver and arrays of strips take: 351 MiB at most were measured."""
 
 ALLOCATION_BYTES = 32
 """Bytes a pixel of the temporary arrays with which the built-in strategies compute an allocation map in float32."""
