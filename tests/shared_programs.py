@@ -20,7 +20,7 @@ def share_programs(*feature_sets: tuple[str, ...]):
     tests/test_features.py. Only scenes for `volpath` get VOLPATH and MEDIA.
     """
 
-    def create(device, scene, bvh, needs=BASIC_NEEDS, seed=0, pool_size=None):
+    def create(device, scene, bvh, needs=BASIC_NEEDS, seed=0, pool_size=None, **options):
         chosen = features(scene, needs)
         used = {name for name, on in chosen.items() if on}
         for feature_set in feature_sets:
@@ -28,7 +28,7 @@ def share_programs(*feature_sets: tuple[str, ...]):
                 volpath = ("VOLPATH", "MEDIA")
                 chosen |= {name: True for name in feature_set if chosen["VOLPATH"] or name not in volpath}
                 break
-        return Wavefront(device, scene, bvh, needs, seed, pool_size, chosen)
+        return Wavefront(device, scene, bvh, needs, seed, pool_size, chosen, **options)
 
     @pytest.fixture(autouse=True)
     def shared_programs(monkeypatch):

@@ -232,8 +232,8 @@ def test_counted_bytes_of_known_kernels(prepared, profiled):
     assert moved["count_alive"] == 4 * paths
     assert moved["list_holes"] == 4 * paths
     assert moved["list_samples"] == 4 * pixels + 4 * prepared.samples
-    assert moved["reduce"] == pixels * (4 + 2 * (4 + 4 + 40 + 24)) + 12 * prepared.samples
-    assert moved["summarise"] == kernels["summarise"].items * (4 + 40 + 24 + 24 + 8)
+    assert moved["reduce"] == pixels * (4 + 2 * (4 + 4 + 40 + 8)) + 12 * prepared.samples
+    assert moved["summarise"] == kernels["summarise"].items * (4 + 40 + 8 + 12 + 8)
     assert "scan_blocks" not in moved
 
 

@@ -111,14 +111,14 @@ def test_damaged_caches_count_as_missing(monkeypatch):
         assert tuned.load_tuned(None, "pool_size") is None
 
 
-def test_a_pipe_as_the_lock_of_a_folder_names_no_process():
-    from isonoise.comparison import folder_lock
+def test_a_pipe_as_a_lock_names_no_process():
+    from isonoise.film import lock_file
 
     if hasattr(os, "mkfifo"):
-        os.mkfifo(folder_lock.LOCK_FILE)
-        assert folder_lock._read_process(Path(folder_lock.LOCK_FILE)) is None
+        os.mkfifo("pipe")
+        assert lock_file._read_process(Path("pipe")) is None
     Path("deep").write_bytes(DEEP)
-    assert folder_lock._read_process(Path("deep")) is None
+    assert lock_file._read_process(Path("deep")) is None
 
 
 @pytest.mark.parametrize("text", [b"spectral", b"isonoise.note", b"content"])

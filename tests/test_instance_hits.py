@@ -26,10 +26,12 @@ from isonoise.integrator.features import features
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import CONSTANTS, KERNELS, STRUCTS
 from isonoise.integrator.stages import Stages
+from isonoise.scene import compile as compile_module
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
+from isonoise.scene.placement import UNPLACED
 from isonoise.statistics import BASIC_NEEDS
 
 NONE = structs.NONE
@@ -78,6 +80,7 @@ class IntersectStage:
     """Runs the kernel `intersect` over a scene, and a probe kernel that reads the surfaces that were hit."""
 
     def __init__(self, description: dict | CompiledScene, monkeypatch):
+        monkeypatch.setattr(compile_module, "find_placement", lambda *geometry: UNPLACED)  # rays have world coordinates
         scene = description if isinstance(description, CompiledScene) else compile_scene(load(description))
         self.scene = scene
         self.device = device = Device()

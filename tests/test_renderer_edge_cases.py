@@ -63,13 +63,19 @@ def test_depth_zero_is_black_and_depth_one_shows_emitters_only():
 
 
 def blinding_scene() -> dict:
-    """A point light so near a tiny floor that its irradiance, 1e20, has no square in float32: legal, and not finite."""
+    """A point light so near a tiny floor that its irradiance, 1e20, has no square in float32: legal, and not finite.
+
+    Large shapes that nobody sees keep the scene from being rescaled.
+    """
     scene = without(lamp_over_floor(), "lamp")
     scene["sensor"] = scene["sensor"] | {"near_clip": 1e-12, "far_clip": 1.0, "fov": 90.0}
     camera = np.eye(4)
     camera[:3, 3] = (0, 0, 2e-10)
     scene["sensor"]["to_world"] = camera @ np.diag([1.0, -1.0, -1.0, 1.0])
     scene["floor"] = scene["floor"] | {"to_world": np.diag([1e-10, 1e-10, 1.0, 1.0])}
+    unseen = np.eye(4)
+    unseen[2, 3] = -5.0
+    scene |= {name: {"type": "rectangle", "to_world": unseen} for name in ("a", "b")}
     scene["sun"] = {"type": "point", "position": [0.0, 0.0, 1e-10], "intensity": 1.0}
     return scene
 
