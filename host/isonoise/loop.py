@@ -200,6 +200,7 @@ class RenderLoop:
         """
         try:
             statistics = self.renderer.statistics()
+            _ = statistics.rgb  # which may be the first use of it
         except UserError:
             if self.statistics is None:
                 raise
@@ -295,7 +296,10 @@ class RenderLoop:
     def _end_wave(self) -> None:
         last_elapsed = self.rows[-1].elapsed_s if self.rows else 0.0
         record = self.renderer.end_wave()
-        self.statistics = self.renderer.statistics()
+        statistics = self.renderer.statistics()
+        if not self.renderer.has_little_memory:
+            _ = statistics.rgb  # read now, so that it is there if the device fails from now on
+        self.statistics = statistics
         row = self._add_row(record)
         self._samples_per_s = max(record.samples, 1) / max(row.elapsed_s - last_elapsed, 1e-6)
         self._on_wave(row, self.statistics)
