@@ -222,7 +222,12 @@ class RenderLoop:
             "reference_floor": self._reference_floor,
             "stops": asdict(self.stops),
         }
-        arrays = {} if self._energy_loss.uniform is None else {"energy_loss/uniform": self._energy_loss.uniform.copy()}
+        arrays = {}
+        if self._energy_loss.uniform is not None:
+            earlier = None if reuse is None else reuse.arrays.get("energy_loss/uniform")
+            uniform = np.empty_like(self._energy_loss.uniform) if earlier is None else earlier
+            uniform[:] = self._energy_loss.uniform
+            arrays["energy_loss/uniform"] = uniform
         return replace(state, values=state.values | {"loop": values}, arrays=state.arrays | arrays)
 
     def _restore(self, state: State) -> None:
