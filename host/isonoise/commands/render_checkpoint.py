@@ -11,8 +11,6 @@ from isonoise.film.files import PathLock, check_writable
 from isonoise.film.log import LogRow, row_from_values
 from isonoise.loop import Periodic, RenderLoop
 from isonoise.renderer import Renderer
-from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
-from isonoise.state.checkpoint_writer import CheckpointWriter
 from isonoise.state.state import State, split_strategy_state
 from isonoise.strategies.registry import is_built_in
 
@@ -50,11 +48,15 @@ class Checkpoints:
         self.state: State | None = None
         is_same = bool(options.resume and self.path) and Path(options.resume).resolve() == Path(self.path).resolve()
         if options.resume and not (is_same and options.checkpoint and not Path(options.resume).exists()):
+            from isonoise.state.checkpoint import read_checkpoint  # a render without checkpoints starts faster
+
             self.state = read_checkpoint(options.resume)
         if options.checkpoint and os.path.lexists(options.checkpoint) and not is_same:
             raise UserError(f"--checkpoint {self.path} exists; continue it with --resume {self.path}, or remove it")
         if self.path:
             self._lock = PathLock(check_writable(self.path))
+            from isonoise.state.checkpoint_writer import CheckpointWriter
+
             self._writer = CheckpointWriter(self.path)
         _complete(options, self.state)
 
@@ -91,6 +93,8 @@ class Checkpoints:
             self._writer.finish()
             return WrittenFile(self.path)
         except UserError as error:
+            from isonoise.state.checkpoint import write_checkpoint
+
             return write_elsewhere(self.path, lambda path: write_checkpoint(path, state), error)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ until its process has ended.
 import contextlib
 import json
 import os
-import socket
+import platform
 import tempfile
 import time
 from pathlib import Path
@@ -120,7 +120,7 @@ def _flock_works(folder: Path) -> bool:
 def _this_process() -> dict:
     return {
         "pid": os.getpid(),
-        "host": socket.gethostname(),
+        "host": platform.node(),
         "time": time.strftime("%Y-%m-%d %H:%M:%S"),
         "start_ticks": _start_ticks(os.getpid()),
     }
@@ -138,7 +138,7 @@ def _read_process(path: Path) -> dict | None:
 
 def _has_ended(process: dict | None) -> bool:
     """False if it is unknown: for a process on another host, or an unreadable file."""
-    if process is None or process["host"] != socket.gethostname() or os.name == "nt":  # its os.kill ends processes
+    if process is None or process["host"] != platform.node() or os.name == "nt":  # its os.kill ends processes
         return False
     try:
         os.kill(process["pid"], 0)

@@ -57,6 +57,12 @@ class Placement:
 UNPLACED = Placement(np.zeros(3), 1.0)
 
 
+def _median(values: np.ndarray) -> np.ndarray:
+    """The median along the first axis; numpy's own imports 12 ms of masked arrays."""
+    ordered, middle = np.sort(values, axis=0), len(values) // 2
+    return ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+
+
 def find_placement(boxes: np.ndarray) -> Placement:
     """The placement of a space with shapes in boxes (n, 2, 3), rounded to 32 bits.
 
@@ -67,13 +73,13 @@ def find_placement(boxes: np.ndarray) -> Placement:
     boxes, size = boxes[size > 0], size[size > 0]
     if not len(boxes) or not np.isfinite(boxes).all():
         return UNPLACED
-    typical_size = float(np.median(size))
+    typical_size = float(_median(size))
     is_usual = _SIZE_RANGE[0] <= typical_size <= _SIZE_RANGE[1]
     factor = 1.0 if is_usual else 2.0 ** -round(np.log2(typical_size))
-    distance = np.median(_distances(boxes, size))
+    distance = _median(_distances(boxes, size))
     if distance > _MAX_DISTANCE:
-        origin = np.median(boxes.mean(axis=1), axis=0).astype(np.float32).astype(float)
-        if np.median(_distances(boxes - origin, size)) * _MIN_GAIN < distance:
+        origin = _median(boxes.mean(axis=1)).astype(np.float32).astype(float)
+        if _median(_distances(boxes - origin, size)) * _MIN_GAIN < distance:
             return Placement(origin, factor)
     return Placement(UNPLACED.origin, factor)
 
@@ -171,7 +177,7 @@ def warn_where_rounded(name: Callable[[int], str], boxes: np.ndarray, camera: np
     if not len(extended):
         return
     _warn_of_shapes(name, boxes, size, extended)
-    rounding = DOUBLE_STEP * np.abs(world.origin).max() * world.scale / np.median(size[extended])
+    rounding = DOUBLE_STEP * np.abs(world.origin).max() * world.scale / _median(size[extended])
     if rounding > _MAX_SCENE_ROUNDING:
         _warn(f"the scene is far from the origin: 64-bit floats round its shapes to {rounding:.2%} of their size")
     position = camera["to_world"].reshape(3, 4)[:, 3].astype(float)
