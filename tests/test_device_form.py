@@ -60,7 +60,7 @@ def fog() -> dict:
         (lamp_over_floor, "uniform"),
         (many_kinds, "uniform"),
         (nested_triangles, "uniform"),
-        (fog, "relative-median"),
+        pytest.param(fog, "relative-median", marks=pytest.mark.long),
         pytest.param(many_materials, "pooled", marks=pytest.mark.long),
     ],
 )

@@ -209,7 +209,7 @@ def test_a_checkpoint_does_not_choose_code(capsys, monkeypatch):
     settings = {"overrides": {}, "seed": 0, "strategy": "evil:Strategy:a=1"}
     loop = {"stops": {"quantile": 0.99, "confidence": 0.95, "spp": 1.0, "time": None, "error": None}}
     state = State(settings, {"loop": loop}, {})
-    monkeypatch.setattr("isonoise.commands.render_checkpoint.read_checkpoint", lambda path: state)
+    monkeypatch.setattr("isonoise.state.checkpoint.read_checkpoint", lambda path: state)
     Path("evil.py").write_text("raise SystemExit('imported')")
     assert main(["render", "cornell", "-o", "a.exr", "--resume", "c.npz"]) == 2
     assert "'evil:Strategy:a=1' is no part of isonoise" in capsys.readouterr().err
