@@ -52,14 +52,7 @@ def _add_render(commands) -> None:
     render.add_argument(
         "scene", metavar="SCENE", help="a scene file (.xml, .obj, .ply, .stl, .glb) or a built-in scene"
     )
-    render.add_argument(
-        "-o",
-        "--output",
-        metavar="OUT.exr",
-        action="append",
-        required=True,
-        help=".exr: all layers, float32; .png: tone-mapped preview; may be given more than once",
-    )
+    _add_images(render)
     limits = render.add_argument_group("when to stop")
     limits.add_argument("--spp", metavar="N", type=argument_types.positive, help="mean samples per pixel")
     limits.add_argument(
@@ -143,14 +136,7 @@ def _add_merge(commands) -> None:
     merge.add_argument(
         "checkpoints", metavar="CHECKPOINT", nargs="+", help="files of `isonoise render --checkpoint`, or merged ones"
     )
-    merge.add_argument(
-        "-o",
-        "--output",
-        metavar="OUT.exr",
-        action="append",
-        required=True,
-        help=".exr: all layers, float32; .png: tone-mapped preview; may be given more than once",
-    )
+    _add_images(merge)
     merge.add_argument("--checkpoint", metavar="FILE", help="write the merged state, to merge it with further renders")
     _add_device(merge)
 
@@ -316,10 +302,10 @@ def _add_plugins(commands) -> None:
 def _add_info(commands) -> None:
     info = commands.add_parser(
         "info",
-        help="show a scene's contents, memory and compiled features, or an image's settings",
+        help="show what a scene, an image or a checkpoint holds, and the memory that a render takes",
         description="For a scene: its contents, the memory that a render takes, the features that are compiled in,\n"
         "and those that are left out.\n"
-        "For an .exr file: its layers and the settings it was rendered with.",
+        "For an .exr file: its layers and the settings it was rendered with. For a checkpoint: its render and arrays.",
     )
     info.add_argument("source", metavar="SCENE|OUT.exr|CHECKPOINT", help="a scene, an image, or a file of --checkpoint")
     _add_size(info)
@@ -331,6 +317,17 @@ def _add_info(commands) -> None:
 def _add_size(parser) -> None:
     parser.add_argument(
         "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scene's"
+    )
+
+
+def _add_images(parser) -> None:
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="OUT.exr",
+        action="append",
+        required=True,
+        help=".exr: all layers, float32; .png: tone-mapped preview; may be given more than once",
     )
 
 
