@@ -58,7 +58,7 @@ def fog() -> dict:
     ("scene", "strategy"),
     [
         (lamp_over_floor, "uniform"),
-        (many_kinds, "uniform"),
+        pytest.param(many_kinds, "uniform", marks=pytest.mark.long),
         (nested_triangles, "uniform"),
         pytest.param(fog, "relative-median", marks=pytest.mark.long),
         pytest.param(many_materials, "pooled", marks=pytest.mark.long),

@@ -55,7 +55,7 @@ def test_looks_spend_the_confidence():
     assert (np.diff(bounds) > 0).all()
 
 
-@pytest.mark.parametrize("shape", [(16, 16), (64, 64)])
+@pytest.mark.parametrize("shape", [(16, 16), pytest.param((64, 64), marks=pytest.mark.long)])
 def test_true_error_is_below_the_limit(shape, monkeypatch):
     """Exponential samples, waves of 1/8 more: of 300 renders at most 5 % end too early, even without the margin.
 
