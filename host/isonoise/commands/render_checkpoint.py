@@ -32,7 +32,7 @@ class Checkpoints:
     Attributes
     ----------
     state : State or None
-        The state to continue from.
+        The state to continue from, until the first new one is taken.
 
     Raises
     ------
@@ -110,7 +110,8 @@ class Checkpoints:
             if not self._has_warned:
                 _warn(f"{error}; the render goes on without checkpoints until one can be written")
             self._has_warned = True
-        reuse, self._last_state = self._last_state, None
+        reuse = self._last_state or self.state  # a continued render has taken over what it needs of it
+        self._last_state = self.state = None
         self._last_state = loop.state(reuse)
         self._writer.begin(self._last_state)
 
