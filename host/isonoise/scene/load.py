@@ -2,8 +2,11 @@
 
 import gc
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from isonoise.errors import SceneError
 from isonoise.scene.builtin import find_scene
@@ -12,7 +15,8 @@ from isonoise.scene.parse.dict_reader import read_dict
 from isonoise.scene.parse.validate import SceneNormaliser, normalise
 from isonoise.scene.parse.xml_reader import read_xml
 
-MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+if TYPE_CHECKING:
+    from isonoise.scene.formats.registry import Format
 
 
 def load(
@@ -54,15 +58,27 @@ def load(
         return normalise(read_dict(source))
     path = find_scene(source)
     folder = scene_folder(path, allow_outside)
-    if path.suffix.lower() in MESH_SUFFIXES:
-        from isonoise.scene.default_scene import default_scene
+    if path.suffix.lower() != ".xml":
+        from isonoise.scene.formats.registry import find_format
 
-        if parameters:
-            raise SceneError(f"{path}: parameters belong to XML scenes, this is a mesh")
-        return normalise(read_dict(default_scene(path, folder)))
+        if format_ := find_format(path):
+            if parameters:
+                raise SceneError(f"{path}: parameters belong to Mitsuba's XML scenes, this is {format_.title}")
+            return normalise(read_dict(_import_scene(path, format_, folder)))
     scene = SceneNormaliser()
     with _paused_garbage_collection():
         return scene.finish(read_xml(path, parameters, folder, scene.add))
+
+
+def _import_scene(path: Path, format_: "Format", folder: Path | None) -> dict:
+    """The scene dict of a file in another format, completed if it is a model. Warns about what is left out."""
+    from isonoise.scene.formats.registry import read_scene
+    from isonoise.scene.formats.staging import stage
+
+    scene, report = read_scene(path, format_, folder)
+    for text in report.warnings():
+        warnings.warn(text, stacklevel=4)
+    return stage(scene, str(path)) if format_.is_model else scene
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.image.image import read_image
+from isonoise.scene.image.image import Image, read_image
 from isonoise.scene.spectra import colour_to_rgb, srgb_to_linear
 
 TEXTURE_COLOUR, TEXTURE_BITMAP, TEXTURE_CHECKERBOARD, TEXTURE_MESH_ATTRIBUTE = range(4)
@@ -95,7 +95,8 @@ class Textures:
         self._index_by_record: dict[bytes, int] = {}
         self._index_by_id: dict[tuple[int, str], tuple[dict, int]] = {}  # holds the dict, so that its id stays valid
         self._attribute_names: list[str] = []
-        self._bitmaps: dict[tuple[str, bool], _Bitmap] = {}
+        self._bitmaps: dict[tuple[str | int, bool], _Bitmap] = {}
+        self._images: list[str | Image] = []  # holds images in memory, so that their id() stays valid
         self._texels: dict[int, list[np.ndarray]] = {
             0: [],
             TEXTURE_FLOATS: [],
@@ -157,8 +158,8 @@ class Textures:
         return np.concatenate(texels) if texels else np.zeros((0, 4), dtype)
 
     def _fill_bitmap(self, record: np.ndarray, texture: dict) -> np.ndarray:
-        path, raw = texture["filename"], bool(texture.get("raw", False))
-        bitmap = self._bitmaps.get((path, raw)) or self._store_image(path, raw)
+        source, raw = texture.get("filename", texture.get("bitmap")), bool(texture.get("raw", False))
+        bitmap = self._bitmaps.get((_key(source), raw)) or self._store_image(source, raw)
         flags = bitmap.store
         flags |= TEXTURE_NEAREST if texture.get("filter_type") == "nearest" else 0
         flags |= {"mirror": TEXTURE_MIRROR, "clamp": TEXTURE_CLAMP}.get(texture.get("wrap_mode"), 0)
@@ -167,22 +168,27 @@ class Textures:
         record["size"], record["first"] = bitmap.size, bitmap.first
         return bitmap.mean
 
-    def _store_image(self, path: str, raw: bool) -> "_Bitmap":
-        """Read and store an image. 8-bit texels are stored as they are; the RAW flag decides how they are read."""
-        image = read_image(path)
+    def _store_image(self, source: str | Image, raw: bool) -> "_Bitmap":
+        """Store an image, which is read first if `source` is a path.
+
+        8-bit texels are stored as they are; the RAW flag decides how they are read.
+        """
+        image = source if isinstance(source, Image) else read_image(source)
         height, width, channels = image.pixels.shape
         store = 0 if image.pixels.dtype == np.uint8 else TEXTURE_FLOATS
         values = image.linear(raw) if store else image.pixels
         if store and not (np.isfinite(values.min()) and np.isfinite(values.max())):
-            raise SceneError(f"{path}: the image has pixels that are not finite numbers")
+            name = "bitmap" if isinstance(source, Image) else source
+            raise SceneError(f"{name}: the image has pixels that are not finite numbers")
         texels = np.zeros((height * width, 4), values.dtype)
         texels[:, :3] = values.reshape(-1, channels)
         first = sum(len(other) for other in self._texels[store])
         self._texels[store].append(texels)
         for is_raw in (raw,) if image.pixels.dtype == np.uint16 else (False, True):
             mean = _mean(texels) if store else _mean_of_bytes(texels, is_raw)
-            self._bitmaps[path, is_raw] = _Bitmap(store, (width, height), first, mean)
-        return self._bitmaps[path, raw]
+            self._bitmaps[_key(source), is_raw] = _Bitmap(store, (width, height), first, mean)
+        self._images.append(source)
+        return self._bitmaps[_key(source), raw]
 
     def _fill_mesh_attribute(self, record: np.ndarray, texture: dict) -> np.ndarray:
         name, scale = texture["name"], float(texture.get("scale", 1.0))
@@ -225,6 +231,11 @@ class _Bitmap:
     size: tuple[int, int]  # width, height
     first: int  # index of the first texel
     mean: np.ndarray  # (3,) float64, linear
+
+
+def _key(source: str | Image) -> str | int:
+    """What identifies an image: its path, or the object in memory."""
+    return id(source) if isinstance(source, Image) else source
 
 
 def _mean(texels: np.ndarray) -> np.ndarray:

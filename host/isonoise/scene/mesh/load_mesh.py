@@ -33,7 +33,9 @@ def load_mesh(shape: dict) -> Mesh:
     if shape["type"] == "cube":
         return Mesh(_CUBE, _CUBE_FACES, _NO_NORMALS, _CUBE_UVS)
     if shape["type"] == "mesh":
-        return Mesh(shape["vertices"], shape["faces"], shape.get("normals", _NO_NORMALS))
+        optional = {"uvs": shape.get("texcoords"), "attributes": shape.get("attributes")}
+        optional = {name: value for name, value in optional.items() if value is not None}
+        return Mesh(shape["vertices"], shape["faces"], shape.get("normals", _NO_NORMALS), **optional)
     path = Path(shape["filename"])
     if shape["type"] == "obj":
         from isonoise.scene.mesh.obj import read_obj

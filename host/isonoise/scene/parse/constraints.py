@@ -145,6 +145,11 @@ def _check_bump_or_normal_map(bsdf: dict, location: Location):
             location.raise_error(f"a {bsdf['type']} cannot contain a {nested['type']}, not even inside another bsdf")
 
 
+def _check_bitmap(texture: dict, location: Location):
+    if ("filename" in texture) == ("bitmap" in texture):
+        location.raise_error("give either 'filename' or 'bitmap'")
+
+
 def _check_cylinder(shape: dict, location: Location):
     if shape["p0"] == shape["p1"]:
         location.raise_error("p0 and p1 have to differ")
@@ -164,6 +169,12 @@ def _check_mesh(shape: dict, location: Location):
     count, faces = len(shape["vertices"]), shape["faces"]
     if len(shape.get("normals", shape["vertices"])) != count:
         location.raise_error("the number of normals has to equal the number of vertices")
+    if len(shape.get("texcoords", shape["vertices"])) != count:
+        location.raise_error("the number of texture coordinates has to equal the number of vertices")
+    for name, values in shape.get("attributes", {}).items():
+        expected = count if name.startswith("vertex_") else len(faces)
+        if len(values) != expected:
+            location.raise_error(f"the attribute '{name}' has {len(values)} values and needs {expected}")
     if not len(faces) or faces.min() < 0 or faces.max() >= count:
         location.raise_error(f"it has no faces, or a face uses a vertex that does not exist (there are {count})")
 
@@ -204,6 +215,7 @@ _CHECKS = {
     "twosided": _check_twosided,
     "bumpmap": _check_bump_or_normal_map,
     "normalmap": _check_bump_or_normal_map,
+    "bitmap": _check_bitmap,
     "cylinder": _check_cylinder,
     "directional": _check_directional,
     "spot": _check_spot,

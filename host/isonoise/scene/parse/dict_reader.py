@@ -45,6 +45,8 @@ def _read_value(value, path: str, depth: int):
             if not isinstance(value.get("id"), str):
                 SourceLocation(element=path).raise_error("a reference needs the 'id' of an object")
             return Reference(value["id"])
+        if type_ is None and value and all(isinstance(array, np.ndarray) for array in value.values()):
+            return dict(value)
         return _read_element(value, path, depth + 1)
     if isinstance(value, (bool, int, float, str)) or value is None:
         return value

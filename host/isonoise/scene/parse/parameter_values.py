@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise.scene.image.image import Image
 from isonoise.scene.material.presets import refractive_indices
 from isonoise.scene.parse.elements import Location, closest_name
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter
@@ -72,6 +73,19 @@ def _to_indices(value) -> np.ndarray | None:
     return value.astype(np.int64) if is_valid else None
 
 
+def _to_uvs(value) -> np.ndarray | None:
+    is_valid = isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 2 and value.dtype.kind in "iuf"
+    return value.astype(np.float32) if is_valid and np.isfinite(value).all() else None
+
+
+def _to_attributes(value) -> dict[str, np.ndarray] | None:
+    is_valid = isinstance(value, dict) and all(
+        name.startswith(("vertex_", "face_")) and array.ndim == 2 and array.shape[1] in (1, 3)
+        for name, array in value.items()
+    )
+    return {name: array.astype(np.float32) for name, array in value.items()} if is_valid else None
+
+
 # type -> (conversion that returns None for an invalid value, the expected value for errors)
 _TYPES = {
     "float": (_to_float, "a finite number within 3.4e38"),
@@ -82,6 +96,9 @@ _TYPES = {
     "vector": (_to_vector, "three finite numbers within 3.4e38"),
     "transform": (_to_transform, "a transform of finite numbers within 3.4e38"),
     "positions": (_to_positions, "an array of n x 3 finite numbers"),
+    "uvs": (_to_uvs, "an array of n x 2 finite numbers"),
+    "attributes": (_to_attributes, "a dict of arrays n x 1 or n x 3 by names that begin with vertex_ or face_"),
+    "image": (lambda value: value if isinstance(value, Image) else None, "an Image"),
     "indices": (_to_indices, "an array of n x 3 whole numbers"),
     "texture": (lambda value: None, "a nested texture"),
 }

@@ -73,6 +73,8 @@ _SIMPLE_SHAPES = (
             P("vertices", "positions", required=True, meaning="(n, 3)"),
             P("faces", "indices", required=True, meaning="(n, 3) vertex indices"),
             P("normals", "positions", meaning="(n, 3), per vertex", unset="computed from the faces"),
+            P("texcoords", "uvs", meaning="(n, 2), per vertex, v = 0 is the top row of an image", unset="none"),
+            P("attributes", "attributes", meaning="arrays by name: vertex_... (n, c), face_... (m, c)", unset="none"),
             *_SHAPE,
             _FACE_NORMALS,
         ),

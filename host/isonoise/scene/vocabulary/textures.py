@@ -11,7 +11,8 @@ TEXTURES = (
         "texture",
         "bitmap",
         (
-            P("filename", "file", required=True, meaning="PNG, JPEG, BMP, TGA, OpenEXR or Radiance HDR"),
+            P("filename", "file", meaning="PNG, JPEG, BMP, TGA, OpenEXR or Radiance HDR", unset="required"),
+            P("bitmap", "image", meaning="an image in memory instead of a file, in dicts only", unset="by filename"),
             P(
                 "filter_type",
                 "string",

@@ -1,0 +1,1 @@
+"""Reads OBJ and MTL files into scene dicts."""

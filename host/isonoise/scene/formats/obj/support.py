@@ -1,0 +1,7 @@
+"""How far OBJ and MTL is supported: see `formats/support.py`."""
+
+from isonoise.scene.formats.support import YES, Support
+
+SUPPORT = {
+    "triangles": Support(YES, "`mesh`"),
+}

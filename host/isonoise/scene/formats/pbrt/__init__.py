@@ -1,0 +1,1 @@
+"""Reads pbrt-v4 files into scene dicts."""

@@ -1,0 +1,7 @@
+"""How far pbrt-v4 is supported: see `formats/support.py`."""
+
+from isonoise.scene.formats.support import YES, Support
+
+SUPPORT = {
+    "triangles": Support(YES, "`mesh`"),
+}

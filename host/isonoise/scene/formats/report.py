@@ -1,0 +1,51 @@
+"""What an imported file contains, and what of it is not mapped. Readers fill in a report; `isonoise info` prints it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from isonoise.scene.formats.support import FEATURES, NO, Support
+
+_MAX_PLACE_CHARS = 60
+
+
+@dataclass
+class ImportReport:
+    """Counts, used features and losses of one file. A reader calls `count`, `use` and `limit`."""
+
+    file: str
+    support: Mapping[str, Support]  # of the file's format, by feature
+    counts: dict[str, int] = field(default_factory=dict)  # by plural noun, such as 'meshes', in the order of reading
+    used: dict[str, int] = field(default_factory=dict)  # feature -> how often the file uses it
+    losses: dict[tuple[str, str], list[str]] = field(default_factory=dict)  # (feature, problem) -> places
+
+    def count(self, noun: str, number: int = 1) -> None:
+        """Add to the number of objects of a kind that the file contains."""
+        self.counts[noun] = self.counts.get(noun, 0) + number
+
+    def use(self, feature: str, place: str = "") -> None:
+        """Note that the file uses a feature. If the format's table says `NO`, it is a loss."""
+        self.used[feature] = self.used.get(feature, 0) + 1
+        if self.support[feature].status == NO:
+            self.limit(feature, self.support[feature].note, place)
+
+    def limit(self, feature: str, problem: str, place: str = "") -> None:
+        """Note that something of the file is left out or approximated, so that the image differs."""
+        self.used.setdefault(feature, 1)
+        places = self.losses.setdefault((feature, problem), [])
+        if place not in places:
+            places.append(place)
+
+    def warnings(self) -> list[str]:
+        """One text for each feature and problem, with the number of places and the first one."""
+        return [f"{self.file}: {text}" for text in self.loss_texts()]
+
+    def loss_texts(self) -> list[str]:
+        """The texts of `warnings` without the file's name."""
+        return [f"{FEATURES[feature]}{_where(places)}: {problem}" for (feature, problem), places in self.losses.items()]
+
+
+def _where(places: list[str]) -> str:
+    named = [" ".join(place.split())[:_MAX_PLACE_CHARS] for place in places if place]
+    if not named:
+        return ""
+    return f" of {named[0]}" if len(places) == 1 else f" of {named[0]} and {len(places) - 1} more"

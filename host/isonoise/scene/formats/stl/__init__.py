@@ -1,0 +1,1 @@
+"""Reads STL files into scene dicts."""
