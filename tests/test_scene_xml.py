@@ -6,6 +6,7 @@ from records import slot
 
 from isonoise.errors import SceneError
 from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene.load import load_scene
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
 
 SHAPE = '<shape type="sphere" id="ball">{}</shape>'
@@ -213,6 +214,16 @@ def test_dict_references_by_id_and_by_keys():
             }
         )
         assert scene["disk"]["bsdf"]["reflectance"] == 0.2
+
+
+def test_a_dict_in_several_places_is_one_object():
+    matt = {"type": "diffuse", "id": "matt", "reflectance": {"type": "checkerboard"}}
+    shapes = {f"ball_{i}": {"type": "sphere", "bsdf": {"type": "twosided", "bsdf": matt}} for i in range(2)}
+    scene = load_scene({"type": "scene", "sensor": {"type": "perspective"}, **shapes})
+    first, second = (scene.description[name]["bsdf"]["bsdf"] for name in shapes)
+    assert first is second
+    assert scene.ids[id(first)] == "matt"
+    assert scene.ids[id(scene.description["ball_0"])] == "ball_0"
 
 
 def test_hash_changes_with_the_image_but_not_with_names(scene_of):

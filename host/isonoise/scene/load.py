@@ -5,6 +5,8 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,11 +14,27 @@ from isonoise.errors import SceneError
 from isonoise.scene.builtin import find_scene
 from isonoise.scene.files import scene_folder
 from isonoise.scene.parse.dict_reader import read_dict
-from isonoise.scene.parse.validate import SceneNormaliser, normalise
+from isonoise.scene.parse.elements import Element
+from isonoise.scene.parse.validate import SceneNormaliser
 from isonoise.scene.parse.xml_reader import read_xml
 
 if TYPE_CHECKING:
     from isonoise.scene.formats.registry import Format
+    from isonoise.scene.formats.report import ImportReport
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """What `load_scene` returns."""
+
+    description: dict  # as of `load`
+    report: "ImportReport | None"  # of a file in another format than Mitsuba 3's; None for those
+    _element_by_id: dict[str, Element]
+
+    @cached_property
+    def ids(self) -> dict[int, str]:
+        """The ids of the file's objects, by id() of their dicts in the description."""
+        return {id(element.normalised): name for name, element in self._element_by_id.items() if element.normalised}
 
 
 def load(
@@ -51,11 +69,22 @@ def load(
     >>> isonoise.load("cornell")["integrator"]["type"]
     'path'
     """
+    scene = load_scene(source, parameters, allow_outside)
+    if scene.report:
+        for text in scene.report.warnings():
+            warnings.warn(text, stacklevel=2)
+    return scene.description
+
+
+def load_scene(
+    source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None, allow_outside: bool = False
+) -> LoadedScene:
+    """`load` without its warnings, with the report on which they are based. The parameters are those of `load`."""
     parameters = {name: str(value) for name, value in (parameters or {}).items()}
     if isinstance(source, Mapping):
         if parameters:
             raise SceneError("parameters belong to XML scenes; change the dict itself")
-        return normalise(read_dict(source))
+        return _normalise_dict(source)
     path = find_scene(source)
     folder = scene_folder(path, allow_outside)
     if path.suffix.lower() != ".xml":
@@ -64,21 +93,27 @@ def load(
         if format_ := find_format(path):
             if parameters:
                 raise SceneError(f"{path}: parameters belong to Mitsuba's XML scenes, this is {format_.title}")
-            return normalise(read_dict(_import_scene(path, format_, folder)))
+            return _import_scene(path, format_, folder)
     scene = SceneNormaliser()
     with _paused_garbage_collection():
-        return scene.finish(read_xml(path, parameters, folder, scene.add))
+        description = scene.finish(read_xml(path, parameters, folder, scene.add))
+    return LoadedScene(description, None, scene.element_by_id)
 
 
-def _import_scene(path: Path, format_: "Format", folder: Path | None) -> dict:
-    """The scene dict of a file in another format, completed if it is a model. Warns about what is left out."""
+def _import_scene(path: Path, format_: "Format", folder: Path | None) -> LoadedScene:
+    """The scene of a file in another format, completed if it is a model."""
     from isonoise.scene.formats.registry import read_scene
     from isonoise.scene.formats.staging import stage
 
     scene, report = read_scene(path, format_, folder)
-    for text in report.warnings():
-        warnings.warn(text, stacklevel=4)
-    return stage(scene, str(path)) if format_.is_model else scene
+    return _normalise_dict(stage(scene, str(path)) if format_.is_model else scene, report)
+
+
+def _normalise_dict(source: Mapping, report: "ImportReport | None" = None) -> LoadedScene:
+    scene, root = SceneNormaliser(), read_dict(source)
+    for entry in root.entries:
+        scene.add(*entry)
+    return LoadedScene(scene.finish(root), report, scene.element_by_id)
 
 
 @contextmanager

@@ -10,52 +10,64 @@ _MAX_DEPTH = 64  # nested dicts; also ends the recursion of a dict that contains
 
 
 def read_dict(source: Mapping) -> Element:
-    """The Element tree of a scene dict. Raises SceneError with the path of keys if it is invalid."""
-    return _read_element(source, "", 0)
+    """The Element tree of a scene dict. Raises SceneError with the path of keys if it is invalid.
+
+    A dict that is in several places becomes one Element.
+    """
+    return _DictReader().read_element(source, "", 0)
 
 
-def _read_element(source: Mapping, path: str, depth: int) -> Element:
-    type_ = source.get("type")
-    location = SourceLocation(element=path or "scene")
-    if depth > _MAX_DEPTH:
-        location.raise_error(f"nested more than {_MAX_DEPTH} levels deep")
-    if not isinstance(type_, str):
-        location.raise_error("a scene object is a dict with a 'type' entry, such as {'type': 'sphere'}")
-    identifier = source.get("id", path)  # as in Mitsuba 3, the default id is the path of keys: 'floor.bsdf'
-    if not isinstance(identifier, str):
-        location.raise_error(f"'id' has to be a string, got {identifier!r}")
-    element = Element(location, "scene" if type_ == "scene" else "", type_, identifier)
-    for name, value in source.items():
-        if not isinstance(name, str):
-            location.raise_error(f"the keys of a scene object have to be strings, got {name!r}")
-        if name in ("type", "id"):
-            continue
-        value_path = f"{path}.{name}" if path else name
-        element.entries.append((name, _read_value(value, value_path, depth), SourceLocation(element=value_path)))
-    return element
+class _DictReader:
+    """Reads each dict once."""
 
+    def __init__(self):
+        self.elements: dict[int, Element] = {}  # by id() of the dict
 
-def _read_value(value, path: str, depth: int):
-    if isinstance(value, Mapping):
-        type_ = value.get("type")
-        type_ = type_ if isinstance(type_, str) else None
-        if type_ in ("rgb", "spectrum"):
-            return dict(value)
-        if type_ == "ref":
-            if not isinstance(value.get("id"), str):
-                SourceLocation(element=path).raise_error("a reference needs the 'id' of an object")
-            return Reference(value["id"])
-        if type_ is None and value and all(isinstance(array, np.ndarray) for array in value.values()):
-            return dict(value)
-        return _read_element(value, path, depth + 1)
-    if isinstance(value, (bool, int, float, str)) or value is None:
-        return value
-    try:
-        array = np.asarray(getattr(value, "matrix", value))
-    except (TypeError, ValueError):
-        array = np.asarray(None)
-    if array.dtype.kind not in "biuf":
-        return value  # rejected when the parameter's type is checked
-    if array.ndim == 0:
-        return array.item()
-    return tuple(array.tolist()) if array.ndim == 1 else array
+    def read_element(self, source: Mapping, path: str, depth: int) -> Element:
+        if id(source) in self.elements:
+            return self.elements[id(source)]
+        type_ = source.get("type")
+        location = SourceLocation(element=path or "scene")
+        if depth > _MAX_DEPTH:
+            location.raise_error(f"nested more than {_MAX_DEPTH} levels deep")
+        if not isinstance(type_, str):
+            location.raise_error("a scene object is a dict with a 'type' entry, such as {'type': 'sphere'}")
+        identifier = source.get("id", path)  # as in Mitsuba 3, the default id is the path of keys: 'floor.bsdf'
+        if not isinstance(identifier, str):
+            location.raise_error(f"'id' has to be a string, got {identifier!r}")
+        element = Element(location, "scene" if type_ == "scene" else "", type_, identifier)
+        for name, value in source.items():
+            if not isinstance(name, str):
+                location.raise_error(f"the keys of a scene object have to be strings, got {name!r}")
+            if name in ("type", "id"):
+                continue
+            value_path = f"{path}.{name}" if path else name
+            entry = (name, self._read_value(value, value_path, depth), SourceLocation(element=value_path))
+            element.entries.append(entry)
+        self.elements[id(source)] = element
+        return element
+
+    def _read_value(self, value, path: str, depth: int):
+        if isinstance(value, Mapping):
+            type_ = value.get("type")
+            type_ = type_ if isinstance(type_, str) else None
+            if type_ in ("rgb", "spectrum"):
+                return dict(value)
+            if type_ == "ref":
+                if not isinstance(value.get("id"), str):
+                    SourceLocation(element=path).raise_error("a reference needs the 'id' of an object")
+                return Reference(value["id"])
+            if type_ is None and value and all(isinstance(array, np.ndarray) for array in value.values()):
+                return dict(value)
+            return self.read_element(value, path, depth + 1)
+        if isinstance(value, (bool, int, float, str)) or value is None:
+            return value
+        try:
+            array = np.asarray(getattr(value, "matrix", value))
+        except (TypeError, ValueError):
+            array = np.asarray(None)
+        if array.dtype.kind not in "biuf":
+            return value  # rejected when the parameter's type is checked
+        if array.ndim == 0:
+            return array.item()
+        return tuple(array.tolist()) if array.ndim == 1 else array

@@ -11,21 +11,11 @@ from isonoise.scene.parse.xml_tags import MAX_DEPTH
 from isonoise.scene.vocabulary.plugin import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
 
 
-def normalise(root: Element) -> dict:
-    """The scene description: plain dicts with defaults filled in.
-
-    A reference becomes the dict of the object that it refers to, one dict for all references. Raises SceneError for
-    anything outside the vocabulary.
-    """
-    scene = SceneNormaliser()
-    for entry in root.entries:
-        scene.add(*entry)
-    return scene.finish(root)
-
-
 class SceneNormaliser:
     """Checks the entries of a scene one by one, in order, so that their Elements can be dropped.
 
+    `finish` returns the description: plain dicts with defaults filled in. A reference becomes the dict of the object
+    that it refers to, one dict for all references. Anything outside the vocabulary raises SceneError.
     From the first entry on that refers to an object further below, entries wait until the scene is complete.
     """
 
