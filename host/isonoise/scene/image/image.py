@@ -24,11 +24,12 @@ _MAX_PIXELS_PER_BYTE = 1 << 14  # of a file; zlib's maximum is 1032 x 8 pixels o
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Image:
-    """Pixels as stored in the file, without alpha; the first row is the top one."""
+    """Pixels as stored in the file; the first row is the top one."""
 
     pixels: np.ndarray  # (height, width, 1 or 3): uint8 or uint16 encoded with sRGB, or float32 linear
+    alpha: np.ndarray | None = None  # (height, width, 1), of the same type, linear; None: opaque, or not asked for
 
     def linear(self, raw: bool = False) -> np.ndarray:
         """Linear values, float32. With `raw`, as in Mitsuba 3, integers are only scaled to [0, 1]."""
@@ -39,7 +40,7 @@ class Image:
         return (values if raw else srgb_to_linear(values)).astype(np.float32)[self.pixels]
 
 
-def read_image(path: str | os.PathLike) -> Image:
+def read_image(path: str | os.PathLike, with_alpha: bool = False) -> Image:
     """Read a file. Raises SceneError if it is missing, of an unknown format, damaged, empty or too large."""
     location = SourceLocation(str(path))
     try:
@@ -52,10 +53,21 @@ def read_image(path: str | os.PathLike) -> Image:
         _check_size(width, height, 12, len(data), location)
         return Image(read_rgbe(data, location))
     if data[:4] == _EXR_MAGIC:
-        return Image(_read_exr(os.fsencode(path), len(data), location))
+        return _read_exr(os.fsencode(path), len(data), location, with_alpha)
     # TGA files have no magic number
     formats = ("TGA",) if Path(path).suffix.lower() == ".tga" else ("PNG", "JPEG", "BMP")
-    return Image(_read_with_pillow(data, formats, location))
+    return _image(*_read_with_pillow(data, formats, location, with_alpha))
+
+
+def decode_image(data: bytes, name: str, with_alpha: bool = False) -> Image:
+    """Decode a PNG, JPEG or BMP file in memory, which errors call `name`. Raises SceneError as `read_image`."""
+    return _image(*_read_with_pillow(data, ("PNG", "JPEG", "BMP"), SourceLocation(name), with_alpha))
+
+
+def _image(pixels: np.ndarray, alpha: np.ndarray | None) -> Image:
+    """An Image; an alpha that is opaque everywhere is dropped."""
+    opaque = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
+    return Image(pixels, None if alpha is None or (alpha == opaque).all() else alpha)
 
 
 def _raise_unreadable(location: SourceLocation, reason) -> NoReturn:
@@ -77,8 +89,10 @@ def _check_size(width: int, height: int, bytes_per_pixel: int, file_bytes: int, 
         )
 
 
-def _read_with_pillow(data: bytes, formats: tuple[str, ...], location: SourceLocation) -> np.ndarray:
-    """(height, width, 1 or 3) uint8 or uint16."""
+def _read_with_pillow(
+    data: bytes, formats: tuple[str, ...], location: SourceLocation, with_alpha: bool
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Pixels (height, width, 1 or 3) and alpha (height, width, 1) or None, uint8 or uint16."""
     import PIL
 
     with warnings.catch_warnings():
@@ -86,13 +100,14 @@ def _read_with_pillow(data: bytes, formats: tuple[str, ...], location: SourceLoc
         try:
             with _open_with_pillow(data, formats) as image:
                 mode, (width, height), tiles = image.mode, image.size, image.tile
+                with_alpha = with_alpha and image.has_transparency_data
         except PIL.UnidentifiedImageError:
             location.raise_error("not a supported image; supported are PNG, JPEG, BMP, TGA, OpenEXR and Radiance HDR")
         except Exception as error:  # pillow raises errors of any type for a damaged file
             _raise_unreadable(location, error)
         _check_size(width, height, 8, len(data), location)
         try:
-            return _decode_with_pillow(data, formats, mode, tiles)
+            return _decode_with_pillow(data, formats, mode, tiles, with_alpha)
         except Exception as error:
             _raise_unreadable(location, error)
 
@@ -107,7 +122,9 @@ def _open_with_pillow(data: bytes, formats: tuple[str, ...]):
         PIL.Image.MAX_IMAGE_PIXELS = limit
 
 
-def _decode_with_pillow(data: bytes, formats: tuple[str, ...], mode: str, tiles: list) -> np.ndarray:
+def _decode_with_pillow(
+    data: bytes, formats: tuple[str, ...], mode: str, tiles: list, with_alpha: bool
+) -> tuple[np.ndarray, np.ndarray | None]:
     def decode(raw_mode: str = "", mode: str = "") -> np.ndarray:
         """All pixels; rows are unpacked with another raw mode than pillow's, or converted to another mode."""
         with _open_with_pillow(data, formats) as image:
@@ -118,17 +135,20 @@ def _decode_with_pillow(data: bytes, formats: tuple[str, ...], mode: str, tiles:
     raw_mode = str(tiles[0][3]) if tiles and tiles[0][0] == "zip" else ""
     if raw_mode in ("RGB;16B", "RGBA;16B"):  # pillow keeps only the high bytes: decode again for the low ones
         high, low = decode(raw_mode), decode(raw_mode[:-1] + "L")
-        return high[..., :3].astype(np.uint16) << 8 | low[..., :3]
+        pixels = high.astype(np.uint16) << 8 | low
+        return pixels[..., :3], pixels[..., 3:] if with_alpha and raw_mode == "RGBA;16B" else None
     if raw_mode == "LA;16B":
-        high, low = np.moveaxis(decode("RGBA")[..., :2], 2, 0)
-        return (high.astype(np.uint16) << 8 | low)[..., None]
+        halves = decode("RGBA")
+        pixels = halves[..., ::2].astype(np.uint16) << 8 | halves[..., 1::2]
+        return pixels[..., :1], pixels[..., 1:] if with_alpha else None
     if mode.startswith("I"):
-        return decode().astype(np.uint16)[..., None]
-    return np.atleast_3d(decode(mode="L" if mode in ("1", "L", "LA", "La") else "RGB"))
+        return decode().astype(np.uint16)[..., None], None
+    alpha = decode(mode="RGBA")[..., 3:] if with_alpha else None
+    return np.atleast_3d(decode(mode="L" if mode in ("1", "L", "LA", "La") else "RGB")), alpha
 
 
-def _read_exr(path: bytes, file_bytes: int, location: SourceLocation) -> np.ndarray:
-    """(height, width, 1 or 3) float32 of the first part."""
+def _read_exr(path: bytes, file_bytes: int, location: SourceLocation, with_alpha: bool) -> Image:
+    """The first part of a file, float32."""
     import OpenEXR
 
     try:
@@ -140,6 +160,8 @@ def _read_exr(path: bytes, file_bytes: int, location: SourceLocation) -> np.ndar
     width, height = (int(side) for side in high - low + 1)
     _check_size(width, height, 4 * max(len(names), 3), file_bytes, location)
     selected = _exr_channels(names, location)
+    with_alpha = with_alpha and "A" in names and "A" not in selected
+    selected += ["A"] if with_alpha else []
     try:
         file = OpenEXR.File(path, separate_channels=True)
         planes = [file.channels()[name].pixels for name in selected]
@@ -148,7 +170,8 @@ def _read_exr(path: bytes, file_bytes: int, location: SourceLocation) -> np.ndar
     if any(np.shape(plane) != (height, width) for plane in planes):
         _raise_unreadable(location, "its channels differ in size, or it is truncated")
     with np.errstate(all="ignore"):  # values that are not finite are kept; the users of the image check them
-        return np.stack(planes, axis=-1, dtype=np.float32, casting="unsafe")
+        pixels = np.stack(planes, axis=-1, dtype=np.float32, casting="unsafe")
+    return _image(pixels[..., :-1], pixels[..., -1:]) if with_alpha else Image(pixels)
 
 
 def _exr_channels(names: list[str], location: SourceLocation) -> list[str]:
