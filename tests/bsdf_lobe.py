@@ -129,6 +129,19 @@ LOBES = {  # append new ones: the seeds of tests follow the order
         **{"base_color": RED, "roughness": 0.6, "metallic": 0.3, "spec_trans": 0.6, "anisotropic": 0.5, "eta": 0.8},
         **{"clearcoat": 0.6, "spec_tint": 0.3, "sheen": 0.4, "flatness": 0.3},
     },
+    "principledthin": {"type": "principledthin", "base_color": RED},
+    "principledthin paper": {
+        "type": "principledthin",
+        **{"base_color": RED, "diff_trans": 1.2, "sheen": 0.6, "sheen_tint": 0.4, "flatness": 0.5, "roughness": 0.8},
+        "diffuse_transmittance_sampling_rate": 2.0,
+    },
+    "principledthin glass": {"type": "principledthin", "base_color": RED, "spec_trans": 1.0, "roughness": 0.6},
+    "principledthin all": {
+        "type": "principledthin",
+        **{"base_color": RED, "roughness": 0.7, "anisotropic": 0.6, "spec_trans": 0.5, "eta": 1.8, "spec_tint": 0.7},
+        **{"sheen": 0.3, "flatness": 0.4, "diff_trans": 0.8, "specular_reflectance_sampling_rate": 0.5},
+        **{"specular_transmittance_sampling_rate": 1.5, "diffuse_reflectance_sampling_rate": 0.7},
+    },
 }
 NARROW = {  # alpha below 0.05: compared on the scale of the lobe's peak
     "roughconductor 0.01": rough("roughconductor", 0.01, **GOLD),
@@ -138,13 +151,18 @@ NARROW = {  # alpha below 0.05: compared on the scale of the lobe's peak
     "roughplastic 0.01": rough("roughplastic", 0.01),
     "principled 0.1": {"type": "principled", "roughness": 0.1, "spec_trans": 0.5},
     "principled coat": {"type": "principled", "clearcoat": 1.0, "clearcoat_gloss": 0.8},
+    "principledthin 0.15": {"type": "principledthin", "roughness": 0.15, "spec_trans": 0.6, "diff_trans": 0.5},
 }
 DELTA = {
     "dielectric": {"type": "dielectric", **GLASS},
     "thindielectric": {"type": "thindielectric", **GLASS},
     "conductor": {"type": "conductor"},
 }
-BOTH_SIDES = [n for n, bsdf in (LOBES | NARROW).items() if "dielectric" in bsdf["type"] or "spec_trans" in bsdf]
+BOTH_SIDES = [
+    name
+    for name, bsdf in (LOBES | NARROW).items()
+    if "dielectric" in bsdf["type"] or "spec_trans" in bsdf or bsdf["type"] == "principledthin"
+]
 
 
 def smallest_alpha(bsdf: dict) -> float:
@@ -174,6 +192,8 @@ class Lobe:
         """Inside over outside; 1 for materials that transmit nothing."""
         if self.record["kind"] == bsdf_bits("principled"):
             return slot(self.record, "eta")[0, 0]
+        if self.record["kind"] == bsdf_bits("principled_thin"):
+            return 1.0
         return slot(self.record, "ior")[0, 0] if self.record["flags"] & structs.BSDF_TRANSMITS else 1.0
 
     def _run(self, kernel: str, wi, other, columns: int) -> np.ndarray:
@@ -285,3 +305,16 @@ def random_material(random: np.random.Generator) -> dict:
     for name in ("diffuse_reflectance", "main_specular", "clearcoat"):
         material |= maybe(0.3, **{f"{name}_sampling_rate": some(0.1, 3.0)})
     return material | (maybe(eta=some(1.0, 2.5)) or maybe(specular=some()))
+
+
+def random_thin_material(random: np.random.Generator) -> dict:
+    """Any parameters of `principledthin`, each left out half the time."""
+    upper = dict.fromkeys(("anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness"), 1.0)
+    upper |= {"diff_trans": 2.0, "diffuse_reflectance_sampling_rate": 3.0, "specular_transmittance_sampling_rate": 3.0}
+    material = {
+        "type": "principledthin",
+        "roughness": float(random.uniform(0.3, 1)),
+        "eta": float(random.uniform(1, 2)),
+    }
+    material["base_color"] = {"type": "rgb", "value": random.random(3).tolist()}
+    return material | {name: float(random.uniform(0, high)) for name, high in upper.items() if random.random() < 0.5}

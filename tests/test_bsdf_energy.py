@@ -33,9 +33,14 @@ WHITE = {
         for r in (0.05, 0.6)
         for more in ({"metallic": 1.0}, {"spec_trans": 1.0}, {"metallic": 0.5, "spec_trans": 1.0})
     ],
+    "principledthin": [
+        *({"type": "principledthin", "base_color": 1.0, "spec_trans": 1.0, "roughness": r} for r in (0.05, 0.6)),
+        {"type": "principledthin", "base_color": 1.0, "spec_trans": 0.5, "diff_trans": 2.0},
+    ],
+    "principledthin diffuse": [{"type": "principledthin", "base_color": 1.0, "spec_trans": 0.0, "diff_trans": 2.0}],
     **{name: [bsdf] for name, bsdf in DELTA.items()},
 }
-LOSSLESS = ("plastic", *DELTA)
+LOSSLESS = ("plastic", "principledthin diffuse", *DELTA)
 
 
 @pytest.mark.parametrize("name", WHITE)

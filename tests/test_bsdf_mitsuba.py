@@ -17,6 +17,7 @@ from bsdf_lobe import (
     lobe,
     numbers,
     random_material,
+    random_thin_material,
     uniform_sphere,
 )
 
@@ -81,6 +82,33 @@ def test_random_materials_are_mitsubas(mitsuba, seed):
     grazing = 2e-5 / np.maximum(np.abs(wi[:, 2:] + wo[:, 2:]), 1e-3)
     assert_close(value, expected, 1e-3 + grazing, 2e-6)
     assert_close(pdf[lit], expected_pdf[lit], 1e-3, 2e-6)
+
+
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 60))])
+def test_random_thin_materials_are_mitsubas(mitsuba, seed):
+    """Values and pdfs as above. Both pick the lobe by the same number; diffuse directions and weights are the same."""
+    random = np.random.default_rng([27, seed])
+    material = random_thin_material(random)
+    wi, wo, u = uniform_sphere(random, 120), uniform_sphere(random, 120), numbers(random, 120)
+    drawn, weight, drawn_pdf, _ = lobe(material).sample(wi, u)
+    wo = np.where(np.arange(120)[:, None] % 3 == 0, drawn, wo)
+    wo[np.linalg.norm(wo, axis=1) < 0.5] = [0, 0, 1]
+    wi, wo = wi.astype(np.float32), wo.astype(np.float32)
+    value, pdf = lobe(material).evaluate(wi, wo)
+    expected, expected_pdf = mitsuba_eval_pdf(mitsuba, material, wi, wo)
+    grazing = 2e-5 / np.maximum(np.abs(wi[:, 2:] + wo[:, 2:]), 1e-3)
+    assert_close(value, expected, 1e-3 + grazing, 2e-6)
+    assert_close(pdf, expected_pdf, 1e-3 + grazing[:, 0], 2e-6)
+    loaded, si = mitsuba.load_dict(material), mitsuba.SurfaceInteraction3f()
+    for i in range(0, 120, 4):
+        si.wi = wi[i]
+        sample, expected = loaded.sample(mitsuba.BSDFContext(), si, float(u[i, 0]), u[i, 1:].tolist())
+        if mitsuba.has_flag(sample.sampled_type, mitsuba.BSDFFlags.Diffuse):
+            assert drawn[i] == pytest.approx(np.array(sample.wo), abs=1e-4)
+            assert drawn_pdf[i] == pytest.approx(sample.pdf, rel=2e-3)
+            assert weight[i] == pytest.approx(np.array(expected), rel=2e-3, abs=1e-6)
+        if weight[i].any() and np.array(expected).any():
+            assert drawn[i, 2] * sample.wo.z > 0
 
 
 def test_every_metal_is_mitsubas(mitsuba):

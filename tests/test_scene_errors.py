@@ -21,7 +21,6 @@ ELEMENTS = [
     # names
     ('<bsdf type="difuse"/>', "unknown bsdf 'difuse'; did you mean 'diffuse'"),
     ('<bsdf type="measured"/>', "'measured' is not supported .*: needs measured data.*nearest: '"),
-    ('<bsdf type="principledthin"/>', "'principledthin' is not supported .*nearest: 'principled'"),
     ('<shape type="serialized"/>', "shape 'serialized' needs a 'filename'"),
     ('<emitter type="envmap"/>', "emitter 'envmap' needs a 'filename'"),
     ('<emitter type="sunsky"/>', "emitter 'sunsky' is not supported .*: .* render it to an envmap"),

@@ -201,7 +201,7 @@ INLINE Vec3 sample_microfacet(const MicrofacetDistribution* d, Vec3 w, Vec2 u)
     return sample_visible_ggx(d, w, u);
 }
 
-#if (FEATURE_ROUGH_DIELECTRIC && FEATURE_NEXT_EVENT) || FEATURE_PRINCIPLED
+#if (FEATURE_ROUGH_DIELECTRIC && FEATURE_NEXT_EVENT) || HAS_PRINCIPLED_LOBES
 // The microfacet of a rough interface that reflects or refracts w, w.z > 0, into o: its normal m, the cosines between m
 // and w, o, and the Jacobian |dm / do|. `eta`: index of the far side over that of the near side. Returns whether there
 // is such a facet.

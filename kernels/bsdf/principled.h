@@ -3,7 +3,7 @@
 // shading frame, flipped for paths from inside: a distribution of normals is the same from both sides.
 #pragma once
 #include "bsdf/fresnel.h"
-#include "bsdf/microfacet.h"
+#include "bsdf/principled_lobes.h"
 
 #if FEATURE_PRINCIPLED
 typedef struct {
@@ -24,13 +24,11 @@ INLINE Principled principled_parameters(const BsdfContext* ctx)
     p.base = bsdf_rgb(ctx, SLOT_PRINCIPLED_BASE_COLOR);
     p.roughness = bsdf_float(ctx, SLOT_PRINCIPLED_ROUGHNESS);
     p.metallic = bsdf_float(ctx, SLOT_PRINCIPLED_METALLIC);
-    const float anisotropic = bsdf_float(ctx, SLOT_PRINCIPLED_ANISOTROPIC);
     const float spec_trans = bsdf_float(ctx, SLOT_PRINCIPLED_SPEC_TRANS), index = bsdf_float(ctx, SLOT_PRINCIPLED_ETA);
     p.glass = (1.0f - p.metallic) * spec_trans;
     p.diffuse = (1.0f - p.metallic) * (1.0f - spec_trans);
     p.eta = p.front ? index : 1.0f / index;
-    const float aspect = SQRT(1.0f - 0.9f * anisotropic), square = p.roughness * p.roughness;
-    p.facets = make_microfacets(MAX(square / aspect, 1e-3f), MAX(square * aspect, 1e-3f), 0u);
+    p.facets = principled_facets(p.roughness, bsdf_float(ctx, SLOT_PRINCIPLED_ANISOTROPIC));
     const Bsdf m = material(ctx);
     const float diffuse = p.diffuse * m.constants[CONSTANT_PRINCIPLED_DIFFUSE_REFLECTANCE_SAMPLING_RATE];
     const float specular = m.constants[CONSTANT_PRINCIPLED_MAIN_SPECULAR_SAMPLING_RATE];
@@ -49,38 +47,14 @@ INLINE float transmission_probability(const Principled* p, float reflectance)
     return (p->front ? p->glass : 1.0f) * (1.0f - reflectance);
 }
 
-INLINE float schlick_weight(float cosine)
-{
-    const float m = MIN(MAX(1.0f - cosine, 0.0f), 1.0f), m2 = m * m;
-    return m2 * m2 * m;
-}
-
-// Schlick's weight between the reflectance at normal incidence and 1; from the denser side it uses the angle of
-// refraction.
-INLINE float schlick_at_interface(float cosine, float eta)
-{
-    return schlick_weight(eta > 1.0f ? cosine : SQRT(MAX(1.0f - (1.0f - cosine * cosine) / (eta * eta), 0.0f)));
-}
-
-// Blend by `tint` from white to the colour divided by its luminance.
-INLINE Vec3 tint_color(Vec3 colour, float tint)
-{
-    const float y = mitsuba_luminance(colour);
-    const Vec3 pure = y > 0.0f ? div_scalar3(colour, y) : splat3(1.0f);
-    return add3(splat3(1.0f), scale3(sub3(pure, splat3(1.0f)), tint));
-}
-
 // Reflectance of the main specular lobe: Schlick's approximation for metal and the tinted part, Fresnel's formula for
 // the rest.
 INLINE Vec3 principled_reflectance(const BsdfContext* ctx, const Principled* p, float cosine, float reflectance)
 {
     if (!p->front) return splat3(p->glass * reflectance);
-    const float towards_one = schlick_at_interface(cosine, p->eta), tint = bsdf_float(ctx, SLOT_PRINCIPLED_SPEC_TINT),
-                n = (p->eta - 1.0f) / (p->eta + 1.0f);
+    const float towards_one = schlick_at_interface(cosine, p->eta), tint = bsdf_float(ctx, SLOT_PRINCIPLED_SPEC_TINT);
     const Vec3 metal = add3(p->base, scale3(sub3(splat3(1.0f), p->base), towards_one));
-    const Vec3 normal_incidence = scale3(tint_color(p->base, 1.0f), n * n);
-    const Vec3 coloured = add3(normal_incidence, scale3(sub3(splat3(1.0f), normal_incidence), towards_one));
-    const Vec3 other = add3(splat3((1.0f - tint) * reflectance), scale3(coloured, tint));
+    const Vec3 other = partly_tinted_reflectance(p->base, tint, p->eta, towards_one, reflectance);
     return add3(scale3(metal, p->metallic), scale3(other, 1.0f - p->metallic));
 }
 
@@ -107,15 +81,12 @@ INLINE Vec3 sample_gtr1(float alpha2, Vec2 u)
     return vec3_from(scale2(p, stretch), SQRT(MAX(1.0f - power, 0.0f) * scale));
 }
 
-// Diffuse, retro-reflection, flattened subsurface scattering and sheen, over the cosine.
+// Diffuse base and sheen, over the cosine.
 INLINE Vec3 principled_diffuse(const BsdfContext* ctx, const Principled* p, float cos_w, float cos_o, float cos_m)
 {
-    const float fw = schlick_weight(cos_w), fo = schlick_weight(cos_o), retro = 2.0f * p->roughness * cos_m * cos_m;
-    const float flatness = bsdf_float(ctx, SLOT_PRINCIPLED_FLATNESS), sheen = bsdf_float(ctx, SLOT_PRINCIPLED_SHEEN);
-    const float lambert = (1.0f - 0.5f * fw) * (1.0f - 0.5f * fo) + retro * (fo + fw + fo * fw * (retro - 1.0f));
-    const float flat = (1.0f + fo * (0.5f * retro - 1.0f)) * (1.0f + fw * (0.5f * retro - 1.0f));
-    const float subsurface = 1.25f * (flat * (1.0f / (cos_o + cos_w) - 0.5f) + 0.5f);
-    Vec3 value = scale3(p->base, p->diffuse * M_1_PI_F * (lambert + flatness * (subsurface - lambert)));
+    const float shape = diffuse_shape(p->roughness, bsdf_float(ctx, SLOT_PRINCIPLED_FLATNESS), cos_w, cos_o, cos_m);
+    const float sheen = bsdf_float(ctx, SLOT_PRINCIPLED_SHEEN);
+    Vec3 value = scale3(p->base, p->diffuse * M_1_PI_F * shape);
     if (sheen > 0.0f)
         value = add3(value, scale3(tint_color(p->base, bsdf_float(ctx, SLOT_PRINCIPLED_SHEEN_TINT)),
                                    sheen * (1.0f - p->metallic) * schlick_weight(cos_m)));

@@ -121,6 +121,8 @@ _ALPHAS = tuple(
 )
 _NUMBERS = "anisotropic metallic spec_trans spec_tint sheen sheen_tint flatness clearcoat clearcoat_gloss"
 
+_THIN_NUMBERS = "roughness anisotropic spec_trans eta spec_tint sheen sheen_tint flatness diff_trans"
+
 _MAX_G = 1.0 - 2.0**-24  # below 1 as a 32-bit float too
 
 _ROWS = (
@@ -200,7 +202,7 @@ _ROWS = (
             *(Slot(name, "number") for name in _NUMBERS.split()),
         ),
         constants=_rates("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate"),
-        helpers=("DIELECTRIC_FRESNEL", "EXP_APPROX", "MICROFACETS", "SHADING_FRAME"),
+        helpers=("DIELECTRIC_FRESNEL", "EXP_APPROX", "MICROFACETS", "PRINCIPLED_LOBES", "SHADING_FRAME"),
         transmits=lambda bsdf: bsdf["spec_trans"] != 0.0,
         is_anisotropic=lambda values: values["anisotropic"] != 0,
     ),
@@ -232,6 +234,21 @@ _ROWS = (
         slots=(Slot("normalmap", "raw"),),
         helpers=("SHADING_FRAME",),
         is_wrapper=True,
+    ),
+    BsdfKind(
+        name="principled_thin",
+        description="the principled BSDF of thin sheets",
+        plugin="principledthin",
+        slots=(Slot("base_color"), *(Slot(name, "number") for name in _THIN_NUMBERS.split())),
+        constants=_rates(
+            "diffuse_reflectance_sampling_rate",
+            "diffuse_transmittance_sampling_rate",
+            "specular_reflectance_sampling_rate",
+            "specular_transmittance_sampling_rate",
+        ),
+        helpers=("DIELECTRIC_FRESNEL", "MICROFACETS", "PRINCIPLED_LOBES", "SHADING_FRAME"),
+        transmits=_always,
+        is_anisotropic=lambda values: values["anisotropic"] != 0,
     ),
     BsdfKind(
         name="hg",

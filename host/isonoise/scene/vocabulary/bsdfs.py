@@ -55,6 +55,8 @@ _PLASTIC = (
     P("nonlinear", "boolean", False, meaning="colours shift with scattering inside"),
 )
 
+_SAMPLING_RATES = "diffuse_reflectance diffuse_transmittance specular_reflectance specular_transmittance"
+
 _RELIEF = (
     P("flip_invalid_normals", "boolean", True, meaning="flip normals that point away from the viewer"),
     P("use_shadowing_function", "boolean", True, meaning="soften shadow terminators"),
@@ -118,6 +120,34 @@ BSDFS = (
             P("clearcoat_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples"),
         ),
         meaning="Disney's BSDF: metal, plastic, glass, cloth, car paint",
+    ),
+    Plugin(
+        "bsdf",
+        "principledthin",
+        (
+            _colour("base_color", 0.5, "colour"),
+            _number("roughness", 0.5, "the square root of alpha"),
+            _number("anisotropic", 0.0, "elongation of highlights along the tangent"),
+            _number("spec_trans", 0.0, "0 diffuse, 1 clear: reflects and transmits specularly"),
+            P("eta", "float", 1.5, "(0, inf)", texture=True, meaning="index of refraction, inside over outside"),
+            _number("spec_tint", 0.0, "tint of highlights by base_color"),
+            _number("sheen", 0.0, "reflection at grazing angles, as of cloth"),
+            _number("sheen_tint", 0.0, "tint of the sheen by base_color"),
+            _number("flatness", 0.0, "blend from diffuse to approximate subsurface scattering"),
+            P(
+                "diff_trans",
+                "float",
+                0.0,
+                "[0, 2]",
+                texture=True,
+                meaning="diffuse light that is transmitted: 0 none, 2 all",
+            ),
+            *(
+                P(f"{lobe}_sampling_rate", "float", 1.0, "[0, inf)", meaning="share of samples")
+                for lobe in _SAMPLING_RATES.split()
+            ),
+        ),
+        meaning="the principled BSDF of a thin sheet that light passes without refraction: paper, leaves, thin glass",
     ),
     Plugin(
         "bsdf",

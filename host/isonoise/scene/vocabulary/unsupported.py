@@ -38,7 +38,6 @@ UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
         "measured_polarized": _POLARISED,
         "polarizer": _POLARISED,
         "pplastic": "plastic with polarisation: use roughplastic",
-        "principledthin": "thin variant of principled: use principled, or thindielectric for window panes",
         "retarder": _POLARISED,
     },
     "shape": {
