@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import small_files
 
+from isonoise.scene.image.image import Image
 from isonoise.scene.vocabulary import PLUGINS
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter, Plugin
 
@@ -44,7 +45,7 @@ def minimal_plugin(plugin: Plugin, files: Path) -> dict:
         "normalmap": CHECKERBOARD,
         "name": "vertex_color",
     }
-    result = {"type": name}
+    result = {"type": name} | ({"filename": required_values["filename"]} if name == "bitmap" else {})
     for parameter in plugin.parameters:
         if parameter.required:
             assert parameter.name in required_values, f"add a value for '{parameter.name}' of {name} here"
@@ -95,7 +96,10 @@ def scene_with(plugin: Plugin, description: dict, files: Path) -> dict:
     elif plugin.name == "instance":
         mesh = description
     elif plugin.kind == "shape":
-        mesh = description | {"bsdf": matt}
+        colours = {"type": "mesh_attribute", "name": "vertex_color"}
+        mesh = description | {
+            "bsdf": {"type": "diffuse", "reflectance": colours} if "attributes" in description else matt
+        }
     elif plugin.kind in ("medium", "phase", "volume"):
         integrator = {"type": "volpath", "max_depth": 9}
         medium = {"type": "homogeneous"}
@@ -123,6 +127,8 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
         "aovs": {"aovs": "depth:depth"},
         "alpha_u": {"alpha_u": 0.4, "alpha_v": 0.4},
         "alpha_v": {"alpha_u": 0.4, "alpha_v": 0.4},
+        "attributes": {"attributes": {"vertex_color": TRIANGLE}},
+        "bitmap": {"bitmap": Image(np.zeros((2, 2, 3), np.uint8))},
     }
     special = {
         "focal_length": "35mm",
@@ -134,6 +140,9 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
         "vertices": TRIANGLE * 2,
         "faces": np.array([[0, 2, 1]]),
         "normals": np.array([[0, 0, 1], [0, 0.6, 0.8], [0.6, 0, 0.8]]),
+        "texcoords": TRIANGLE[:, :2],
+        "attributes": {"vertex_color": TRIANGLE / 2},
+        "bitmap": Image(np.eye(2, dtype=np.uint8)[..., None]),
         "format": "fp16",
         "pixel_format": "rgba",
         "component_format": "float32",
@@ -144,7 +153,10 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
     value = special.get(parameter.name)
     if value is None:
         value = generic_value(parameter)
-    return minimal_plugin(plugin, files) | context.get(parameter.name, {}), {parameter.name: value}
+    description = minimal_plugin(plugin, files) | context.get(parameter.name, {})
+    if parameter.name == "bitmap":
+        del description["filename"]
+    return description, {parameter.name: value}
 
 
 def generic_value(parameter: Parameter):

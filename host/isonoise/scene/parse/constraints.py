@@ -27,6 +27,7 @@ _MUTUALLY_EXCLUSIVE = {
     "principled": (("eta", "specular"),),
     "point": (("position", "to_world"),),
     "directional": (("direction", "to_world"),),
+    "bitmap": (("filename", "bitmap"),),
 }
 
 
@@ -146,8 +147,8 @@ def _check_bump_or_normal_map(bsdf: dict, location: Location):
 
 
 def _check_bitmap(texture: dict, location: Location):
-    if ("filename" in texture) == ("bitmap" in texture):
-        location.raise_error("give either 'filename' or 'bitmap'")
+    if "filename" not in texture and "bitmap" not in texture:
+        location.raise_error("texture 'bitmap' needs a 'filename'")
 
 
 def _check_cylinder(shape: dict, location: Location):
