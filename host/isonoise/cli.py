@@ -34,7 +34,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"isonoise {__version__}", help="print the version")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
     for add_command in (
-        _add_render, _add_merge, _add_compare, _add_bench, _add_selftest, _add_devices, _add_plugins, _add_info,
+        _add_render, _add_merge, _add_convert, _add_compare, _add_bench, _add_selftest, _add_devices, _add_plugins,
+        _add_info,
     ):  # fmt: skip
         add_command(commands)
     return parser
@@ -312,6 +313,19 @@ def _add_info(commands) -> None:
     _add_scene_parameters(info)
     _add_allow_outside(info)
     _add_device(info)
+
+
+def _add_convert(commands) -> None:
+    convert = commands.add_parser(
+        "convert",
+        help="write a scene as Mitsuba 3 XML",
+        description="Write a scene of any format as a Mitsuba 3 XML file. Its meshes (PLY) and images go to a folder\n"
+        "OUT_files beside it. Existing files with these names are replaced.",
+    )
+    convert.add_argument("scene", metavar="IN", help="a scene file or a built-in scene")
+    convert.add_argument("output", metavar="OUT.xml", help="the file to write")
+    _add_scene_parameters(convert)
+    _add_allow_outside(convert)
 
 
 def _add_size(parser) -> None:

@@ -1,0 +1,18 @@
+"""`isonoise convert`: writes a scene as Mitsuba 3 XML."""
+
+import argparse
+import warnings
+
+from isonoise.commands import EXIT_DONE
+from isonoise.convert.convert import convert
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code. Raises UserError if the scene cannot be read or written."""
+    converted = convert(options.scene, options.output, dict(options.parameters), options.allow_outside)
+    for text in converted.report.warnings() if converted.report else ():
+        warnings.warn(text, stacklevel=1)
+    files = converted.files
+    beside = f", {len(files)} file{'s' * (len(files) > 1)} in {files[0].parent.name}/" if files else ""
+    print(f"written: {options.output}{beside}")
+    return EXIT_DONE
