@@ -96,7 +96,7 @@ def test_an_adaptive_render_imports_only_its_own_strategy(tmp_path):
     assert strategies(modules) == own
 
 
-@pytest.mark.parametrize(("kind", "imports"), [("ply", False), ("glb", True)])
+@pytest.mark.parametrize(("kind", "imports"), [("ply", False), ("glb", False), ("stl", True)])
 def test_trimesh_is_imported_for_its_formats_only(tmp_path, kind, imports):
     path = tmp_path / f"mesh.{kind}"
     path.write_bytes(small_files.ply() if kind == "ply" else small_files.from_trimesh(kind))

@@ -162,9 +162,13 @@ def scene_around(suffix: str) -> str:
 
 BAD_MESHES = {  # loaded without a scene
     "stl": (bytes(80) + struct.pack("<I", HUGE_COUNT) + bytes(500), "stl", "not a readable STL|no triangles"),
-    "glb": (glb_of(accessors=[{"componentType": 5126, "type": "VEC3", "count": HUGE_COUNT}] * 9), "glb", "describe"),
-    "glb with a cycle": (glb_of(nodes=[{"children": [0, 1]}, {"children": [0]}]), "glb", "not a readable GLB|no tri"),
-    "truncated glb": (small_files.textured_glb()[:300], "glb", "not a readable GLB"),
+    "glb": (
+        glb_of(accessors=[{"componentType": 5126, "type": "VEC3", "count": HUGE_COUNT}] * 9),
+        "glb",
+        "describe much more",
+    ),
+    "glb with a cycle": (glb_of(nodes=[{"children": [0, 1]}, {"children": [0]}]), "glb", "is a child twice"),
+    "truncated glb": (small_files.textured_glb()[:300], "glb", "GLB file is truncated"),
     "obj of many libraries": (
         b"".join(b"mtllib %d\n" % i for i in range(999)) + VERTICES + b"f 1 2 3\n",
         "obj",

@@ -151,7 +151,7 @@ def _glb_chunks(path: Path, data: memoryview) -> Iterator[tuple[bytes, memoryvie
         if begin + length > len(data):
             raise SceneError(f"{path}: a chunk at byte {position} of the GLB file states {length} bytes, past its end")
         yield type_, data[begin : begin + length]
-        position = begin + length + -length % 4
+        position = begin + length
 
 
 def _decode_data_uri(uri: str, owner: JsonObject) -> bytes:

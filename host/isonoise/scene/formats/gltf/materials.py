@@ -38,6 +38,8 @@ class Materials:
 
     def surface(self, index: int | None, primitive: PrimitiveInfo) -> Surface:
         """The surface of a primitive with the material of this index; None is the default material."""
+        for image in self.document.all("images"):
+            self.document.image_bytes(image)
         key = index, primitive
         if key not in self._surfaces:
             self._surfaces[key] = self._make_surface(index)

@@ -1,0 +1,70 @@
+"""Maps the lights of KHR_lights_punctual to Mitsuba 3's emitters. Called by `read.py`.
+
+Units are as in the file: candela become W / sr and lux become W / m².
+"""
+
+import math
+
+import numpy as np
+
+from isonoise.scene import transforms
+from isonoise.scene.formats.gltf.document import Document
+from isonoise.scene.formats.gltf.json_objects import JsonObject
+from isonoise.scene.formats.gltf.nodes import PlacedNode
+from isonoise.scene.formats.mesh_shape import rgb
+from isonoise.scene.formats.report import ImportReport
+
+_EXTENSION = "KHR_lights_punctual"
+_MAX_INTENSITY = 1e30
+_MAX_CUTOFF_DEGREES = 89.99
+
+
+def emitter(placed: PlacedNode, document: Document, report: ImportReport) -> dict | None:
+    """The emitter of a node; None if it has none or emits nothing."""
+    reference = placed.node.extension(_EXTENSION)
+    if reference is None:
+        return None
+    listed = document.root.extension(_EXTENSION)
+    lights = listed.objects("lights") if listed else []
+    index = reference.integer("light")
+    if index >= len(lights):
+        reference.fail("light", f"there is no light {index}; the file has {len(lights)}")
+    light = lights[index]
+    kind = light.string("type", choices=("point", "spot", "directional"))
+    report.use(f"{kind}_lights", placed.name)
+    report.count("lights")
+    intensity = light.number("intensity", 1.0, 0.0, _MAX_INTENSITY)
+    channels = [min(channel, 1e6) * intensity for channel in light.numbers("color", 3, (1.0,) * 3)]
+    if not max(channels) > 0:
+        return None
+    if kind != "directional" and "range" in light:
+        report.limit(f"{kind}_lights", "its range is ignored: light falls off with the square of distance", placed.name)
+    colour = rgb(max(channel, 0.0) for channel in channels)
+    if kind == "point":
+        return {"type": "point", "intensity": colour, "position": placed.to_world[:3, 3].tolist()}
+    if kind == "spot":
+        return {"type": "spot", "intensity": colour, "to_world": _to_world(placed), **_cone(light, placed, report)}
+    return {"type": "directional", "irradiance": colour, "to_world": _to_world(placed)}
+
+
+def _to_world(placed: PlacedNode) -> np.ndarray:
+    """Mitsuba 3's lights shine along +z, glTF's along -z. The node's scale does not matter."""
+    back, origin = placed.to_world[:3, 2:].T
+    try:
+        return transforms.look_at(origin, origin - back / np.linalg.norm(back))
+    except (ValueError, FloatingPointError):
+        placed.node.fail("", "the transform of its light has no orientation")
+
+
+def _cone(light: JsonObject, placed: PlacedNode, report: ImportReport) -> dict:
+    """The angles of a spot. Between them glTF's intensity is a squared ramp of the cosine, Mitsuba 3's a linear one."""
+    spot = light.object("spot")
+    inner = spot.number("innerConeAngle", 0.0, 0.0, math.pi / 2) if spot else 0.0
+    outer = spot.number("outerConeAngle", math.pi / 4, 0.0, math.pi / 2 + 1e-6) if spot else math.pi / 4
+    if inner > outer or outer == 0:
+        spot.fail("innerConeAngle", "it has to be smaller than outerConeAngle")
+    cutoff = min(math.degrees(outer), _MAX_CUTOFF_DEGREES)
+    if inner < outer:
+        problem = "the falloff between its inner and outer cone is linear in the angle"
+        report.limit("spot_lights", problem, placed.name)
+    return {"cutoff_angle": cutoff, "beam_width": min(math.degrees(inner), cutoff)}
