@@ -9,6 +9,7 @@ import signal
 import sys
 
 from isonoise import __version__, argument_types
+from isonoise.commands import bench_options
 from isonoise.run_command import run_command
 from isonoise.samplers import SAMPLERS
 from isonoise.signals import exit_code
@@ -220,46 +221,8 @@ def _add_bench(commands) -> None:
     _add_scene_overrides(subjects)
     _add_allow_outside(subjects)
     _add_device(subjects)
-    modes = subjects.add_mutually_exclusive_group()
-    modes.add_argument(
-        "--peers",
-        action="store_true",
-        help="instead, measure the speed relative to Mitsuba 3 and, for rays, to Embree; see below",
-    )
-    modes.add_argument(
-        "--tune",
-        action="store_true",
-        help="instead, find the fastest device form and number of paths in flight, for all later renders on the device",
-    )
-    modes.add_argument(
-        "--specialisation",
-        action="store_true",
-        help="instead, measure the speed relative to kernels with more features than the scene uses; see below",
-    )
-    modes.add_argument(
-        "--versus",
-        metavar="OTHER",
-        help="instead, measure the speed relative to another checkout, given by its folder, or to another device, "
-        "given as device:D; see below",
-    )
-    output = bench.add_argument_group("results")
-    output.add_argument("--json", metavar="FILE", help="write all figures; fields: host/docs/benchmarks.md")
-    output.add_argument("--pytest-benchmark", metavar="FILE", help="write the times for `pytest-benchmark compare`")
-    output.add_argument(
-        "--trace", metavar="FILE", help="write a timeline of all launches of a run, for ui.perfetto.dev"
-    )
-    output.add_argument(
-        "--dump", metavar="DIR", help="write every program's source, options, build log and binary to a new folder"
-    )
-    output.add_argument(
-        "--against", metavar="FILE", help="compare with an earlier --json file; exit code 1 if something is slower"
-    )
-    output.add_argument(
-        "--threshold",
-        metavar="R",
-        type=argument_types.positive,
-        help="speed relative to the earlier or other one below which something is slower (default: 0.9)",
-    )
+    bench_options.add_modes(subjects)
+    bench_options.add_results(bench)
 
 
 def _add_selftest(commands) -> None:
