@@ -109,6 +109,19 @@ def test_all_materials(images, tmp_path):
     assert_same_picture(gallery(materials, 5, (50, 40)), tmp_path)
 
 
+@pytest.mark.long
+def test_thin_sheets(images, tmp_path):
+    """Seen from both sides and through: balls, whose far half lights the near one."""
+    thin = {"type": "principledthin", "base_color": images["colours"], "roughness": 0.4}
+    materials = [
+        thin | {"diff_trans": 1.4, "sheen": 0.5, "sheen_tint": 0.5, "flatness": 0.5},
+        thin | {"spec_trans": 0.8, "spec_tint": 0.5, "anisotropic": 0.7},
+        thin | {"spec_trans": CHECKS, "diff_trans": images["colours"], "eta": 1.8},
+        {"type": "mask", "opacity": 0.6, "inner": thin | {"spec_trans": 0.5, "diff_trans": 0.6}},
+    ]
+    assert_same_picture(gallery(materials, 2, (24, 20)), tmp_path)
+
+
 LAMP_OBJ = """
 v 1 0 0
 v 0 1 0
