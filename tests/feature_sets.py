@@ -29,6 +29,7 @@ NEEDS = {  # feature -> features that a scene with it always has
     "CHECKERBOARDS": {"TEXTURES", "UVS"},
     "MESH_ATTRIBUTES": {"TEXTURES", "UVS"},
     "BUMP": {"TEXTURES", "UVS"},
+    "NORMAL_MAP": {"UVS"},
     "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "PARALLELOGRAM_LIGHTS", "TRIANGLES"},
     "MEDIA": {"VOLPATH"},
     "LIGHT_TREE": {"NEXT_EVENT", "MANY_LIGHTS"},

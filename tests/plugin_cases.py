@@ -44,6 +44,8 @@ def minimal_plugin(plugin: Plugin, files: Path) -> dict:
         "weight": 0.4,
         "normalmap": CHECKERBOARD,
         "name": "vertex_color",
+        "value": 0.25,
+        "color": {"type": "rgb", "value": [0.1, 0.5, 0.6]},
     }
     result = {"type": name} | ({"filename": required_values["filename"]} if name == "bitmap" else {})
     for parameter in plugin.parameters:
@@ -174,6 +176,7 @@ def generic_value(parameter: Parameter):
         "transform": ROTATION_AND_SHIFT,
         "texture": CHECKERBOARD | {"color0": 0.6},
         "any": "x",
+        "raw": 0.6,
     }[parameter.type]
 
 

@@ -126,6 +126,7 @@ MATERIALS = {  # names of images are replaced by bitmaps
     "blend of bumps": blend(relief(RED), bump(GLASS, 0.05), 0.5),
     "mask of normals": mask(relief(RED), 0.5),
     "mask of a blend": mask(blend(two(RED), GLASS, 0.25), 0.5),
+    "one normal": relief(RED, normalmap={"type": "rawconstant", "value": [0.6, 0.45, 0.9]}),
     "textured diffuse": {"type": "diffuse", "reflectance": "colours"},
     "textured metal": BRUSHED | dict.fromkeys(("alpha_u", "eta", "k", "specular_reflectance"), "colours"),
     "textured glass": GLASS | dict.fromkeys(("alpha", "specular_reflectance", "specular_transmittance"), "colours"),

@@ -233,6 +233,7 @@ _ROWS = (
         plugin="normalmap",
         slots=(Slot("normalmap", "raw"),),
         helpers=("SHADING_FRAME",),
+        is_anisotropic=lambda values: True,
         is_wrapper=True,
     ),
     BsdfKind(

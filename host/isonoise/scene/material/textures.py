@@ -36,23 +36,10 @@ CONSTANTS = {name: value for name, value in list(globals().items()) if name.star
 SRGB = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
 """Linear value of each encoded byte, (256,) float32: the table with which the device decodes texel_bytes."""
 
-_CONSTANT_TYPES = ("rgb", "spectrum", "uniform", "srgb")
-
 
 def is_constant(value) -> bool:
     """Whether a value of the description is a constant colour or number that needs no texture."""
-    return not isinstance(value, dict) or value["type"] in _CONSTANT_TYPES
-
-
-def constant_colour(value, kind: str) -> np.ndarray:
-    """Linear RGB (3,) float64 of a constant value; `kind` as for `colour_to_rgb`."""
-    if isinstance(value, dict) and value["type"] == "srgb":
-        value = value["color"]
-    elif isinstance(value, dict) and value["type"] == "uniform":
-        value = value["value"]
-    if isinstance(value, dict):
-        return colour_to_rgb(value, kind)
-    return np.broadcast_to(np.asarray(value, float), 3).copy()
+    return not isinstance(value, dict) or value["type"] in ("rgb", "spectrum")
 
 
 def mesh_attributes_used(part: dict) -> set[str]:
@@ -117,7 +104,7 @@ class Textures:
     def _add(self, texture, kind: str) -> int:
         record = np.zeros(1, TEXTURE)
         if is_constant(texture):
-            mean = constant_colour(texture, kind)
+            mean = colour_to_rgb(texture, kind)
             record["kind"], record["colour"] = TEXTURE_COLOUR, mean
         elif texture["type"] == "bitmap":
             mean = self._fill_bitmap(record, texture)

@@ -13,6 +13,7 @@ from isonoise.scene.material.presets import conductors
 from isonoise.scene.parse.elements import Location, closest_name
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.sensors import SENSORS
+from isonoise.scene.vocabulary.textures import CONSTANT_TEXTURES
 
 _MAX_APERTURE_RATIO = 1e18  # the square of a tangent, 1e36, fits in 32-bit floats
 _MAX_SIGMA_T = 1e30  # per unit of length: products with distances stay within 32-bit floats
@@ -146,6 +147,12 @@ def _check_bump_or_normal_map(bsdf: dict, location: Location):
             location.raise_error(f"a {bsdf['type']} cannot contain a {nested['type']}, not even inside another bsdf")
 
 
+def _check_bump_map(bsdf: dict, location: Location):
+    _check_bump_or_normal_map(bsdf, location)
+    if bsdf["texture"]["type"] in CONSTANT_TEXTURES:
+        location.raise_error("a bumpmap needs a texture whose heights vary (so does Mitsuba 3): a bitmap")
+
+
 def _check_bitmap(texture: dict, location: Location):
     if "filename" not in texture and "bitmap" not in texture:
         location.raise_error("texture 'bitmap' needs a 'filename'")
@@ -214,7 +221,7 @@ _CHECKS = {
     "roughplastic": _check_rough_boundary,
     "roughdielectric": _check_rough_dielectric,
     "twosided": _check_twosided,
-    "bumpmap": _check_bump_or_normal_map,
+    "bumpmap": _check_bump_map,
     "normalmap": _check_bump_or_normal_map,
     "bitmap": _check_bitmap,
     "cylinder": _check_cylinder,

@@ -9,6 +9,7 @@ import numpy as np
 from isonoise.scene.image.image import Image
 from isonoise.scene.material.presets import refractive_indices
 from isonoise.scene.parse.elements import Location, closest_name
+from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter
 
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
@@ -101,7 +102,25 @@ _TYPES = {
     "image": (lambda value: value if isinstance(value, Image) else None, "an Image"),
     "indices": (_to_indices, "an array of n x 3 whole numbers"),
     "texture": (lambda value: None, "a nested texture"),
+    "raw": (lambda value: _to_vector(value) or _to_float(value), "a finite number or a vector of three"),
 }
+
+
+def constant_of(parameter: Parameter, texture: dict, location: Location):
+    """The value that a parameter gets from one of the CONSTANT_TEXTURES: a number or a colour.
+
+    As in Mitsuba 3, a number is the mean of a colour, and `rawconstant` with three values is no number.
+    """
+    value = texture["value"] if "value" in texture else texture.get("color", 1.0)
+    if texture["type"] == "rawconstant" and parameter.type == "float" and isinstance(value, tuple):
+        location.raise_error(f"'{parameter.name}' has to be a number, and this rawconstant has three")
+    kind = "reflectance" if texture["type"] == "srgb" else "radiance"
+    rgb = colour_to_rgb({"type": "rgb", "value": value} if isinstance(value, tuple) else value, kind)
+    rgb *= texture.get("scale", 1.0)
+    if parameter.type == "texture":
+        return {"type": "rgb", "value": rgb.tolist()}
+    is_number = parameter.type == "float" or not isinstance(value, (dict, tuple))
+    return check_value(parameter, float(rgb.mean()) if is_number else {"type": "rgb", "value": rgb.tolist()}, location)
 
 
 def _check_index(value, location: Location) -> float:

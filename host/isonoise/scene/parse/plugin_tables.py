@@ -25,6 +25,7 @@ _TYPES = {
     "file": "file name",
     "positions": "array",
     "indices": "array",
+    "raw": "number or vector",
     "any": "",
 }
 _INTERVALS = {"reflectance": "[0, 1]", "radiance": "[0, inf)", "unbounded": "[0, inf)", "index": "(0, inf)"}

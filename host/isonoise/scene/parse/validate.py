@@ -6,9 +6,10 @@ All checks of names, types and ranges are here, so XML files and Python dicts ge
 from isonoise.scene import vocabulary
 from isonoise.scene.parse.constraints import check_constraints
 from isonoise.scene.parse.elements import Element, Location, Reference, closest_name, with_article
-from isonoise.scene.parse.parameter_values import check_value
+from isonoise.scene.parse.parameter_values import check_value, constant_of
 from isonoise.scene.parse.xml_tags import MAX_DEPTH
-from isonoise.scene.vocabulary.plugin import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
+from isonoise.scene.vocabulary.plugin import COLOURS, IGNORED, UNSUPPORTED, Child, Parameter, Plugin
+from isonoise.scene.vocabulary.textures import CONSTANT_TEXTURES
 
 
 class SceneNormaliser:
@@ -159,6 +160,10 @@ class SceneNormaliser:
         if parameter is not None and parameter.status == IGNORED:
             return
         _check_supported(plugin, parameter, location)
+        if kind == "texture" and element.type in CONSTANT_TEXTURES and _takes_constants(parameter):
+            _check_not_given(result, name, location)
+            result[name] = constant_of(parameter, self._normalise_object(element, kind), location)
+            return
         if parameter is not None and parameter.texture and kind == "texture":
             _check_not_given(result, name, location)
             result[name] = self._normalise_object(element, kind)
@@ -181,6 +186,10 @@ class SceneNormaliser:
             )
         _add_child(plugin, child, result, child_counts.get(kind, 0), name or element.id, nested, location)
         child_counts[kind] = child_counts.get(kind, 0) + 1
+
+
+def _takes_constants(parameter: Parameter | None) -> bool:
+    return parameter is not None and (parameter.texture or parameter.type in COLOURS)
 
 
 def _check_depth(levels: int, location: Location):

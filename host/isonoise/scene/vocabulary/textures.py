@@ -47,4 +47,34 @@ TEXTURES = (
         ),
         meaning="vertex or face colours of a mesh",
     ),
+    Plugin(
+        "texture",
+        "rawconstant",
+        (P("value", "raw", required=True, meaning="a number, or three as a vector"),),
+        meaning="the same everywhere, as it is written",
+    ),
+    Plugin(
+        "texture",
+        "srgb",
+        (P("color", "reflectance", required=True, meaning="its colour"),),
+        meaning="the same colour everywhere, as <rgb>",
+    ),
+    Plugin(
+        "texture",
+        "uniform",
+        (P("value", "float", interval="[0, inf)", required=True, meaning="its value"),),
+        meaning="the same value everywhere, as a number",
+    ),
+    Plugin(
+        "texture",
+        "d65",
+        (
+            P("color", "radiance", meaning="factor on white", unset="1"),
+            P("scale", "float", 1.0, "[0, inf)", meaning="factor on its colour"),
+        ),
+        meaning="white light: the standard illuminant D65",
+    ),
 )
+
+CONSTANT_TEXTURES = ("rawconstant", "srgb", "uniform", "d65")
+"""Textures that are constant: where one is a parameter, the parameter gets its value."""

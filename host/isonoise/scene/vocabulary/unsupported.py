@@ -57,12 +57,8 @@ UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
     },
     "texture": {
         "blackbody": _SPECTRAL,
-        "d65": _SPECTRAL,
         "irregular": _SPECTRAL,
-        "rawconstant": "write the number or <rgb> directly",
         "regular": _SPECTRAL,
-        "srgb": "write <rgb> directly",
-        "uniform": "write the number directly",
         "volume": "volumes as textures are not supported",
     },
     "medium": {"heterogeneous": "only uniform media are supported"},
