@@ -98,6 +98,40 @@ def test_references_share_one_object_before_and_after_its_definition(scene_of):
     assert compiled.bsdfs["flags"].tolist() == [0, 1]
 
 
+TOP_LEVEL = (
+    '<sampler type="independent" id="s"><integer name="sample_count" value="7"/></sampler>',
+    '<film type="hdrfilm" id="f"><integer name="width" value="9"/><integer name="height" value="5"/>'
+    '<ref id="r"/></film>',
+    '<rfilter type="box" id="r"/>',
+    '<emitter type="area" id="e"><rgb name="radiance" value="3 2 1"/></emitter>',
+    '<emitter type="area" id="unused"/>',
+)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_objects_of_the_scene_that_take_effect_where_they_are_referenced(scene_of, order):
+    """As in Mitsuba 3; an area emitter that no shape refers to is no light."""
+    users = '<sensor type="perspective"><ref id="s"/><ref id="f"/></sensor><shape type="sphere"><ref id="e"/></shape>'
+    scene = scene_of("".join((*TOP_LEVEL, users)[::order]))
+    assert set(scene) == {"type", "sensor", "shape"}
+    compiled = compile_scene(scene)
+    assert (compiled.width, compiled.height, compiled.sample_count, compiled.filter) == (9, 5, 7, "box")
+    assert len(compiled.lights) == 1
+    inline = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "film": {"type": "hdrfilm", "width": 9, "height": 5, "rfilter": {"type": "box"}},
+            "sampler": {"type": "independent", "sample_count": 7},
+        },
+        "ball": {"type": "sphere", "light": {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}}},
+    }
+    assert compile_scene(load(inline)).hash == compiled.hash
+    top = {"smp": inline["sensor"].pop("sampler"), "lamp": inline["ball"].pop("light")}
+    inline["sensor"]["sampler"], inline["ball"]["light"] = ({"type": "ref", "id": name} for name in top)
+    assert compile_scene(load(inline | top)).hash == compiled.hash
+
+
 def test_includes_and_paths(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "meshes").mkdir()

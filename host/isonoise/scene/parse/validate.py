@@ -184,6 +184,9 @@ class SceneNormaliser:
                 f"{plugin.name} cannot contain {with_article(kind)} '{nested['type']}' "
                 f"(allowed: {', '.join(child.types)})"
             )
+        if nested["type"] in child.referenced_only:
+            _check_has_id(element, kind)
+            return
         _add_child(plugin, child, result, child_counts.get(kind, 0), name or element.id, nested, location)
         child_counts[kind] = child_counts.get(kind, 0) + 1
 
@@ -195,6 +198,15 @@ def _takes_constants(parameter: Parameter | None) -> bool:
 def _check_depth(levels: int, location: Location):
     if levels > MAX_DEPTH:
         location.raise_error(f"nested more than {MAX_DEPTH} levels deep through references")
+
+
+def _check_has_id(element: Element, kind: str):
+    if not element.id:
+        parent = {"emitter": "shape", "rfilter": "film"}.get(kind, "sensor")
+        element.location.raise_error(
+            f"{with_article(kind)} '{element.type}' of the scene itself has no effect: "
+            f"move it into a {parent}, or give it an id and refer to it there"
+        )
 
 
 def _check_not_given(result: dict, name: str, location: Location):

@@ -14,6 +14,12 @@ from isonoise.scene.vocabulary.shapes import SHAPES
 from isonoise.scene.vocabulary.textures import TEXTURES
 from isonoise.scene.vocabulary.unsupported import UNSUPPORTED_PLUGINS
 
+
+def _referenced_only(kind: str) -> Child:
+    names = tuple(plugin.name for plugin in (*FILMS, *SAMPLERS) if plugin.kind == kind)
+    return Child(kind, max_count=1 << 16, referenced_only=names)
+
+
 _SCENE = Plugin(
     "scene",
     "scene",
@@ -22,12 +28,13 @@ _SCENE = Plugin(
         Child("integrator"),
         Child("sensor", max_count=1 << 16),
         Child("shape", max_count=1 << 32),
-        Child("emitter", max_count=1 << 32, types=tuple(plugin.name for plugin in EMITTERS if plugin.name != "area")),
+        Child("emitter", max_count=1 << 32, referenced_only=("area",)),
         Child("bsdf", max_count=1 << 32),
         Child("texture", max_count=1 << 32),
         Child("medium", max_count=1 << 32),
         Child("phase", max_count=1 << 32),
         Child("volume", max_count=1 << 32),
+        *map(_referenced_only, ("film", "rfilter", "sampler")),
     ),
 )
 

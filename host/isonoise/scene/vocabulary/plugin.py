@@ -55,6 +55,7 @@ class Child:
     min_count: int = 0
     types: tuple[str, ...] = ()  # allowed plugins; (): all of the kind
     names: tuple[str, ...] = ()  # allowed names, if the name tells the purpose
+    referenced_only: tuple[str, ...] = ()  # plugins that take effect only where a reference names their id
 
 
 @dataclass(frozen=True)
