@@ -168,7 +168,7 @@ BAD_MESHES = {  # loaded without a scene
         "describe much more",
     ),
     "glb with a cycle": (glb_of(nodes=[{"children": [0, 1]}, {"children": [0]}]), "glb", "is a child twice"),
-    "truncated glb": (small_files.textured_glb()[:300], "glb", "GLB file is truncated"),
+    "truncated glb": (small_files.textured_glb()[:300], "glb", "is truncated"),
     "obj of many libraries": (
         b"".join(b"mtllib %d\n" % i for i in range(999)) + VERTICES + b"f 1 2 3\n",
         "obj",

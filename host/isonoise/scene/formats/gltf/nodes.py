@@ -41,35 +41,44 @@ def world_transforms(document: Document) -> np.ndarray:
             if has_parent[index]:
                 node.fail("children", f"nodes[{index}] is a child twice; nodes have to form trees")
             has_parent[index] = True
-    matrices = np.array([_local_transform(node) for node in nodes]).reshape(-1, 4, 4)
+    matrices = _local_transforms(nodes)
     queue = np.flatnonzero(~has_parent).tolist()
     is_reached = ~has_parent
     for index in queue:
         for child in children[index]:
             matrices[child] = matrices[index] @ matrices[child]
-            if not np.abs(matrices[child]).max() < _MAX_ELEMENT:
-                nodes[child].fail("", f"its transform exceeds {_MAX_ELEMENT:g}")
             is_reached[child] = True
         queue += children[index]
     if not is_reached.all():
         nodes[int(np.argmin(is_reached))].fail("children", "a node is its own ancestor; nodes have to form trees")
+    is_valid = (np.abs(matrices) < _MAX_ELEMENT).all(axis=(1, 2))
+    if not is_valid.all():
+        nodes[int(np.argmin(is_valid))].fail("", f"its transform exceeds {_MAX_ELEMENT:g}")
     return matrices
 
 
-def _local_transform(node: JsonObject) -> np.ndarray:
-    if "matrix" in node:
-        matrix = np.array(node.numbers("matrix", 16)).reshape(4, 4).T
-        if matrix[3].tolist() != [0, 0, 0, 1]:
-            node.fail("matrix", "its last row has to be 0 0 0 1")
-    else:
-        x, y, z, w = node.numbers("rotation", 4, (0.0, 0.0, 0.0, 1.0))
-        translation, factors = node.numbers("translation", 3, (0.0,) * 3), node.numbers("scale", 3, (1.0,) * 3)
-        if not 1e-30 < max(map(abs, (x, y, z, w))) < 1e30:
-            node.fail("rotation", "it is no unit quaternion")
-        matrix = compose_transforms(np.array([translation]), np.array([[x, y, z, w]]), np.array([factors]))[0]
-    if not np.abs(matrix).max() < _MAX_ELEMENT:
-        node.fail("", f"its transform exceeds {_MAX_ELEMENT:g}")
-    return matrix
+def _local_transforms(nodes: list[JsonObject]) -> np.ndarray:
+    """(nodes, 4, 4): from each node to its parent."""
+    rotations = np.array([node.numbers("rotation", 4, (0.0, 0.0, 0.0, 1.0)) for node in nodes]).reshape(-1, 4)
+    for index in np.flatnonzero(~_is_quaternion(rotations)):
+        nodes[index].fail("rotation", "it is no unit quaternion")
+    matrices = compose_transforms(
+        np.array([node.numbers("translation", 3, (0.0, 0.0, 0.0)) for node in nodes]).reshape(-1, 3),
+        rotations,
+        np.array([node.numbers("scale", 3, (1.0, 1.0, 1.0)) for node in nodes]).reshape(-1, 3),
+    )
+    for index, node in enumerate(nodes):
+        if "matrix" in node:
+            matrices[index] = np.array(node.numbers("matrix", 16)).reshape(4, 4).T
+            if matrices[index, 3].tolist() != [0, 0, 0, 1]:
+                node.fail("matrix", "its last row has to be 0 0 0 1")
+    return matrices
+
+
+def _is_quaternion(rotations: np.ndarray) -> np.ndarray:
+    """(n,) bool: whether quaternions can be normalised."""
+    largest = np.abs(rotations).max(axis=1)
+    return (largest > 1e-30) & (largest < 1e30)
 
 
 def compose_transforms(translations: np.ndarray, rotations: np.ndarray, factors: np.ndarray) -> np.ndarray:
@@ -145,6 +154,6 @@ def instance_transforms(placed: PlacedNode, accessors: Accessors, report: Import
         if not (np.abs(values) < _MAX_ELEMENT).all():
             attributes.fail(name, f"a value is not finite or exceeds {_MAX_ELEMENT:g}")
         columns.append(values)
-    if not (np.abs(columns[1]).max(axis=1, initial=0) > 0).all():
-        attributes.fail("ROTATION", "a quaternion is zero")
+    if not _is_quaternion(columns[1]).all():
+        attributes.fail("ROTATION", "an element is no unit quaternion")
     return placed.to_world @ compose_transforms(*columns)
