@@ -40,8 +40,8 @@ def test_mutated_files(tmp_path):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits process memory in the way of Linux")
 @pytest.mark.parametrize("target", fuzzing.TARGETS)
 def test_many_mutated_files(target, tmp_path):
-    """ISONOISE_FUZZ inputs per target (default 4,000), from number ISONOISE_FUZZ_FIRST (default 100,000)."""
-    first, count = int(os.environ.get("ISONOISE_FUZZ_FIRST", "100000")), int(os.environ.get("ISONOISE_FUZZ", "4000"))
+    """ISONOISE_FUZZ inputs per target (default 5,000), from number ISONOISE_FUZZ_FIRST (default 100,000)."""
+    first, count = int(os.environ.get("ISONOISE_FUZZ_FIRST", "100000")), int(os.environ.get("ISONOISE_FUZZ", "5000"))
     assert_all_pass([target], first, count, tmp_path, 3600)
 
 

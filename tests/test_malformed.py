@@ -165,7 +165,7 @@ BAD_MESHES = {  # loaded without a scene
     "glb": (
         glb_of(accessors=[{"componentType": 5126, "type": "VEC3", "count": HUGE_COUNT}] * 9),
         "glb",
-        "describe much more",
+        "describe",
     ),
     "glb with a cycle": (glb_of(nodes=[{"children": [0, 1]}, {"children": [0]}]), "glb", "is a child twice"),
     "truncated glb": (small_files.textured_glb()[:300], "glb", "is truncated"),

@@ -54,9 +54,9 @@ class Shapes:
             index, weights, joints = one.node.integer("mesh"), morph_weights(mesh, one.node), None
             if any(weights):
                 self.report.use("animation", one.name)
-            if "skin" in one.node:  # the node's own transform does not matter
+            skin = self.document.referenced(one.node, "skin", "skins")
+            if skin is not None:  # the node's own transform does not matter
                 self.report.use("animation", one.name)
-                skin = self.document.referenced(one.node, "skin", "skins")
                 joints, transforms = joint_matrices(skin, matrices, self.document, self.accessors), np.eye(4)[None]
             else:
                 transforms = instance_transforms(one, self.accessors, self.report)
