@@ -20,9 +20,13 @@ _UVS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 def obj(shift: float = 0.0, relative: bool = False) -> bytes:
     """`shift` is added to all positions, here and below.
 
-    `relative` adds a face with negative indices, which Mitsuba rejects.
+    `relative` adds a face with negative indices, and one with empty fields, which Mitsuba rejects.
     """
-    lines = ["mtllib a.mtl", *(f"v {x} {y} {z}" for x, y, z in _POINTS + shift), *(f"vt {u} {v}" for u, v in _UVS)]
+    lines = [
+        "mtllib a.mtl",
+        *(f"v {x} {y} {z} 1 0.5 {x}" for x, y, z in _POINTS + shift),
+        *(f"vt {u} {v}" for u, v in _UVS),
+    ]
     lines += [
         "vn 0 0 1",
         "# a comment",
@@ -30,13 +34,17 @@ def obj(shift: float = 0.0, relative: bool = False) -> bytes:
         "f 1/1/1 2/2/1 3/3/1",
         "usemtl lamp",
         "f 3/3 2/2 4/4",
-        *(["f -4 -3 -1"] if relative else []),
+        *(["f -4 -3 -1", "usemtl glass", "s off", "f 1/ 2//1 4 3"] if relative else []),
     ]
     return "\n".join(lines).encode() + b"\n"
 
 
 def mtl() -> bytes:
-    return b"newmtl red\nKd 0.8 0.1 0.1\nnewmtl lamp\nKd 0 0 0\nKe 5 5 4\n"
+    return (
+        b"newmtl red\nKd 0.8 0.1 0.1\nKs 0.5 0.5 0.5\nNs 40\nillum 2\nmap_Kd -s 2 2 -o 0.5 0 -clamp on a.png\n"
+        b"map_d -imfchan g a.png\nmap_Bump -bm 0.5 a.png\nnewmtl lamp\nKd 0 0 0\nKe 5 5 4\nPr 0.3\nPm 1\n"
+        b"map_Pr -mm 0 0.5 a.png\nnewmtl glass\nillum 7\nNi 1.5\nTf 1 0.5 0.5\n"
+    )
 
 
 def ply(binary: bool = True, shift: float = 0.0) -> bytes:

@@ -91,7 +91,7 @@ def test_obj_corner_keys_do_not_overflow():
     normals = np.broadcast_to(1.0, (last + 1, 3))
     uvs = np.broadcast_to(np.float32(1), (last + 1, 2))
     corners = np.array([[0, last, last], [2**20, last, last], [1, last, last]])
-    mesh = _index_corners(vertices, normals, uvs, corners, np.array([[0, 1, 2]]))
+    mesh, _ = _index_corners(vertices, normals, uvs, corners, np.array([[0, 1, 2]]))
     assert mesh.vertices[mesh.faces[0], 0].tolist() == [0, 2**20, 1]
 
 

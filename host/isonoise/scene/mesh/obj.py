@@ -1,19 +1,21 @@
-"""Reads Wavefront OBJ and MTL with numpy: a million triangles take about a second.
+"""Reads Wavefront OBJ with numpy: a million triangles take about a second. Called by `load_mesh.py` and `formats/obj`.
 
-v, vt, vn, f, usemtl and mtllib are read. Polygons become triangle fans. Other statements are ignored.
+v, vt, vn, f, usemtl and mtllib are read. Other statements are counted or ignored.
 """
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from isonoise.scene.files import read_bytes
 from isonoise.scene.mesh.mesh import Mesh, make_uvs, parse_numbers
+from isonoise.scene.mesh.polygons import triangle_fans, triangulate
 from isonoise.scene.parse.elements import SourceLocation
 
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NEWLINE, _SLASH, _SPACE, _TAB = ord("\n"), ord("/"), ord(" "), ord("\t")
 # Forms of a face's corner: number of slashes, whether they are adjacent, columns (vertex, uv, normal) that it sets.
 _CORNER_FORMS = (
@@ -22,6 +24,11 @@ _CORNER_FORMS = (
     (2, False, (0, 1, 2)),  # 1/2/3
     (2, True, (0, 2)),  # 1//3
 )
+_COUNTED = (
+    *(("objects", b"o ", b"o"), ("groups", b"g ", b"g"), ("lines", b"l ", b"l"), ("points", b"p ", b"p")),
+    *(("curves", b"cu", b"curv"), ("curves", b"cu", b"curv2"), ("surfaces", b"su", b"surf")),
+)
+"""Plural noun, key and first word of the statements that are only counted."""
 
 
 @dataclass
@@ -29,51 +36,69 @@ class ObjFile:
     """The triangles of an OBJ file and their materials."""
 
     mesh: Mesh
+    vertex_colours: np.ndarray  # (v, 3) as in the file, 1 for vertices without; (0, 3) if there are none
     face_material: np.ndarray  # (t,) index into materials
+    is_flat: np.ndarray  # (t,) whether smoothing is off: it applies where there are no normals
     materials: list[str]  # names; '' for faces before the first usemtl
-    libraries: list[str] = field(default_factory=list)  # names of mtllib statements
+    libraries: list[str]  # what follows mtllib, of each statement
+    polygons: int  # faces with more than three corners
+    counts: dict[str, int]  # statements that are not read, by plural noun
 
 
-def read_obj(path: Path, flip_tex_coords: bool = True) -> ObjFile:
+def read_obj(path: Path, flip_tex_coords: bool = True, cut_concave: bool = False) -> ObjFile:
     """Read a file. `flip_tex_coords` replaces v by 1 - v, Mitsuba 3's default.
 
-    Raises SceneError if it is not an OBJ file with faces, or has invalid indices or numbers.
+    Polygons become triangle fans, as in Mitsuba 3; with `cut_concave`, concave ones are cut correctly. Raises
+    SceneError if it is not an OBJ file with faces, or has invalid indices or numbers.
     """
-    location = SourceLocation(str(path))
-    text = read_bytes(path)
-    if b"\0" in text:
-        location.raise_error("not an OBJ file: it contains binary data")
-    text = text.replace(b"\r", b" ").replace(b"\\ \n", b"  ").replace(b"\\\n", b" ")
-    text = re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
-    text = re.sub(rb"\n[ \t]+", b"\n", b"\n" + text) + b"\n"
-    lines = _Lines(text, location)
-    vertices = lines.vectors(b"v ", 3)
+    lines = _Lines(_clean_text(read_bytes(path), SourceLocation(str(path))), str(path))
+    vertices, colours = lines.vertices()
     normals = lines.vectors(b"vn", 3)
-    if not (np.isfinite(vertices).all() and np.isfinite(normals).all()):
-        location.raise_error("a vertex or normal is not a finite number")
     corners, sizes, face_lines = lines.faces()
     if not len(sizes):
-        location.raise_error("it has no faces")
+        lines.location.raise_error("it has no faces" + (" (it is a point cloud)" if len(vertices) else ""))
     owner = np.repeat(np.arange(len(sizes)), sizes)
     for column, (key, name) in enumerate(((b"v ", "vertex"), (b"vt", "texture coordinate"), (b"vn", "normal"))):
         line_numbers = lines.lines_with_key(key)
         defined_before = np.searchsorted(line_numbers, face_lines)[owner]
-        corners[:, column] = _absolute_indices(
-            corners[:, column], defined_before, len(line_numbers), name, location, required=column == 0
-        )
+        indices = _absolute_indices(corners[:, column], defined_before, len(line_numbers), required=column == 0)
+        if np.any(indices < -1):
+            problem = f"a face uses a {name} that does not exist (there are {len(line_numbers)})"
+            lines.location_of(face_lines[owner[np.argmax(indices < -1)]]).raise_error(problem)
+        corners[:, column] = indices
     uvs = np.zeros((0, 2), np.float32)
     if np.any(corners[:, 1] >= 0):
         uvs = make_uvs(lines.vectors(b"vt", 2), flip_tex_coords)
-    mesh = _index_corners(vertices, normals, uvs, corners, _triangle_fans(sizes))
+    triangles = triangulate(vertices[corners[:, 0]], sizes) if cut_concave else triangle_fans(sizes)
+    mesh, vertex_numbers = _index_corners(vertices, normals, uvs, corners, triangles)
+    colours = colours[vertex_numbers] if len(colours) else colours
     polygon_material, names, libraries = lines.materials(face_lines)
-    return ObjFile(mesh, np.repeat(polygon_material, sizes - 2), names, libraries)
+    materials, is_flat = (np.repeat(values, sizes - 2) for values in (polygon_material, lines.is_flat(face_lines)))
+    return ObjFile(mesh, colours, materials, is_flat, names, libraries, int(np.sum(sizes > 3)), lines.counts())
+
+
+def _clean_text(text: bytes, location: SourceLocation) -> bytes:
+    """The lines of a file without leading blanks, each after a newline; continued lines are joined."""
+    if b"\0" in text:
+        location.raise_error("not an OBJ file: it contains binary data")
+    text = (
+        text.removeprefix(_BYTE_ORDER_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n" if b"\n" not in text else b" ")
+    )
+    if b"\\" in text:  # the newlines that are removed follow the joined line, so that line numbers stay
+        text = re.sub(rb"(?:[^\n]*\\ *\n)+[^\n]*", _join_lines, text)
+    return re.sub(rb"\n[ \t]+", b"\n", b"\n" + text) + b"\n"
+
+
+def _join_lines(match: re.Match) -> bytes:
+    text = match.group()
+    return re.sub(rb"\\ *\n", b" ", text) + b"\n" * text.count(b"\n")
 
 
 class _Lines:
     """The lines of a text, found by their first two characters (the key; a tab counts as a space)."""
 
-    def __init__(self, text: bytes, location: SourceLocation):
-        self.location = location
+    def __init__(self, text: bytes, file: str):
+        self.location = SourceLocation(file)
         self.bytes = np.frombuffer(text, np.uint8)
         newlines = np.flatnonzero(self.bytes == _NEWLINE)
         self.starts, self.ends = newlines[:-1] + 1, newlines[1:]
@@ -89,25 +114,52 @@ class _Lines:
         return self.lines_by_key[key]
 
     def text_without_key(self, line_numbers: np.ndarray) -> bytes:
-        """The given lines without their key, each with its newline."""
+        """The given lines without their key and comments, each with its newline."""
         steps = np.zeros(len(self.bytes) + 1, np.int8)
         steps[self.starts[line_numbers] + 2] = 1
         steps[self.ends[line_numbers] + 1] -= 1
-        return self.bytes[np.cumsum(steps[:-1], dtype=np.int8).view(bool)].tobytes()
+        text = self.bytes[np.cumsum(steps[:-1], dtype=np.int8).view(bool)].tobytes()
+        return re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
+
+    def location_of(self, line: int) -> SourceLocation:
+        return SourceLocation(self.location.file, int(line) + 1)
+
+    def vertices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) and colours (n, 3): 1 where not given, or (0, 3) if none is."""
+        values, sizes, first = self.numbers(b"v ", 3)
+        positions = values[first[:, None] + np.arange(3)]
+        has_colour = sizes >= 6
+        if not has_colour.any():
+            return positions, np.zeros((0, 3))
+        colours = np.ones((len(positions), 3))
+        last = (first + sizes)[has_colour]  # 'x y z r g b' or 'x y z w r g b'
+        colours[has_colour] = values[last[:, None] + np.arange(-3, 0)]
+        return positions, colours
 
     def vectors(self, key: bytes, size: int) -> np.ndarray:
-        """(n, size): the first numbers of each line with this key; further ones (weights, colours) are dropped."""
+        """(n, size): the first numbers of each line with this key."""
+        values, _, first = self.numbers(key, size)
+        return values[first[:, None] + np.arange(size)]
+
+    def numbers(self, key: bytes, min_size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(numbers, how many each line with this key has, index of the first one of each line)."""
         line_numbers = self.lines_with_key(key)
         if not len(line_numbers):
-            return np.zeros((0, size))
+            return np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64)
         text = self.text_without_key(line_numbers)
         values = parse_numbers(text)
         _, sizes = _find_words(np.frombuffer(text, np.uint8))
-        if sizes.min() < size or len(values) != sizes.sum():
-            number = {2: "two", 3: "three"}[size]
-            self.location.raise_error(f"a line that begins with '{key.decode().strip()}' needs {number} numbers")
+        if sizes.min() < min_size or len(values) != sizes.sum():
+            lines = enumerate(text.split(b"\n"))
+            wrong = next(i for i, line in lines if len(parse_numbers(line)) < max(min_size, len(line.split())))
+            number = {2: "two", 3: "three"}[min_size]
+            problem = f"a line that begins with '{key.decode().strip()}' needs {number} numbers"
+            self.location_of(line_numbers[wrong]).raise_error(problem)
         first = np.cumsum(sizes) - sizes
-        return values[first[:, None] + np.arange(size)]
+        if key != b"vt" and not np.isfinite(values).all():
+            line = line_numbers[np.searchsorted(first, np.argmin(np.isfinite(values)), side="right") - 1]
+            self.location_of(line).raise_error("a vertex or normal is not a finite number")
+        return values, sizes, first
 
     def faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Corners (c, 3) of (vertex, uv, normal), 0 where not given; corner count and line number of each face."""
@@ -117,7 +169,9 @@ class _Lines:
         data = np.frombuffer(self.text_without_key(line_numbers), np.uint8)
         begins, sizes = _find_words(data)
         if sizes.min() < 3:
-            self.location.raise_error("a face has fewer than three corners")
+            self.location_of(line_numbers[np.argmin(sizes)]).raise_error("a face has fewer than three corners")
+        data = _without_trailing_slashes(data)
+        begins, _ = _find_words(data)
         slashes = np.flatnonzero(data == _SLASH)
         slash_count = np.bincount(np.searchsorted(begins, slashes, side="right") - 1, minlength=len(begins))
         has_adjacent = np.zeros(len(begins), bool)
@@ -146,14 +200,47 @@ class _Lines:
         libraries = [name for _, word, name in self._statements(b"mt") if word == b"mtllib"]
         names = ["", *dict.fromkeys(name for _, name in uses if name)]
         numbers = {name: number for number, name in enumerate(names)}
-        index = np.array([0, *(numbers[name] for _, name in uses)])
+        index = np.array([0, *(numbers.get(name, 0) for _, name in uses)])
         return index[np.searchsorted([line for line, _ in uses], face_lines)], names, libraries
+
+    def is_flat(self, face_lines: np.ndarray) -> np.ndarray:
+        """Whether 's off' or 's 0' holds for each face."""
+        statements = [(line, name) for line, word, name in self._statements(b"s ") if word == b"s"]
+        values = np.array([False, *(name in ("off", "0") for _, name in statements)])
+        return values[np.searchsorted([line for line, _ in statements], face_lines)]
+
+    def counts(self) -> dict[str, int]:
+        """How many statements of each counted kind there are."""
+        counts: dict[str, int] = {}
+        for noun, key, word in _COUNTED:
+            if len(self.lines_with_key(key)):
+                counts[noun] = counts.get(noun, 0) + sum(found == word for _, found, _ in self._statements(key))
+        return counts
 
     def _statements(self, key: bytes):
         """(line number, first word, rest) of each line with this key."""
         for line in self.lines_with_key(key):
-            word, _, rest = self.bytes[self.starts[line] : self.ends[line]].tobytes().partition(b" ")
-            yield line, word, rest.strip().decode("utf-8", "replace")
+            word, *rest = self.bytes[self.starts[line] : self.ends[line]].tobytes().split(None, 1)
+            yield line, word, decode(rest[0].strip()) if rest else ""
+
+
+def decode(text: bytes) -> str:
+    """Text of OBJ and MTL files: UTF-8, or else Latin-1."""
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def _without_trailing_slashes(data: np.ndarray) -> np.ndarray:
+    """A text of faces with '1/2/' as '1/2' and '1//' as '1'."""
+    for _ in range(2):
+        is_slash = data == _SLASH
+        is_trailing = is_slash & np.isin(np.append(data[1:], _NEWLINE), (_SPACE, _TAB, _NEWLINE))
+        if not is_trailing.any():
+            break
+        data = data[~is_trailing]
+    return data
 
 
 def _find_words(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -163,25 +250,25 @@ def _find_words(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return begins, np.diff(np.searchsorted(begins, np.flatnonzero(data == _NEWLINE)), prepend=0)
 
 
-def _absolute_indices(
-    index: np.ndarray, defined_before: np.ndarray, count: int, name: str, location: SourceLocation, required: bool
-) -> np.ndarray:
-    """Indices from 0, or -1 where not given. A file counts from 1, or backwards from the last one defined so far."""
+def _absolute_indices(index: np.ndarray, defined_before: np.ndarray, count: int, required: bool) -> np.ndarray:
+    """Indices from 0, -1 where not given, -2 where invalid.
+
+    A file counts from 1, or backwards from the last one defined so far.
+    """
     result = np.where(index < 0, index + defined_before, index - 1)
-    if np.any((result < 0) & (index != 0)) or np.any(result >= count) or (required and np.any(index == 0)):
-        location.raise_error(f"a face uses a {name} that does not exist (there are {count})")
-    return result
+    is_invalid = ((result < 0) & (index != 0)) | (result >= count) | ((index == 0) if required else False)
+    return np.where(is_invalid, -2, result)
 
 
 def _index_corners(
     vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, corners: np.ndarray, triangles: np.ndarray
-) -> Mesh:
-    """A mesh with one vertex for each distinct corner, as in Mitsuba 3: normals are not smoothed across uv seams.
+) -> tuple[Mesh, np.ndarray]:
+    """A mesh with one vertex for each distinct corner, and the number in the file of each of its vertices.
 
-    `triangles` (t, 3) are numbers of corners.
+    As in Mitsuba 3, normals are not smoothed across uv seams. `triangles` (t, 3) are numbers of corners.
     """
     if np.all(corners[:, 1:] < 0):
-        return Mesh(vertices, corners[:, 0][triangles], np.zeros((0, 3)))
+        return Mesh(vertices, corners[:, 0][triangles], np.zeros((0, 3))), np.arange(len(vertices))
     sizes = corners.max(axis=0) + 2
     uv_and_normal = (corners[:, 1] + 1) * sizes[2] + corners[:, 2] + 1
     if math.prod(sizes.tolist()) >= 2**63:  # the keys below would overflow
@@ -189,12 +276,13 @@ def _index_corners(
     key = corners[:, 0] * (uv_and_normal.max() + 1) + uv_and_normal
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
     used = corners[first]
-    return Mesh(
+    mesh = Mesh(
         vertices[used[:, 0]],
         inverse.reshape(-1)[triangles],
         _take_or_zero(normals, used[:, 2]),
         _take_or_zero(uvs, used[:, 1]),
     )
+    return mesh, used[:, 0]
 
 
 def _take_or_zero(values: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -203,28 +291,3 @@ def _take_or_zero(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     if not is_given.any():
         return values[:0]
     return np.where(is_given[:, None], values[index], values.dtype.type(0))
-
-
-def _triangle_fans(sizes: np.ndarray) -> np.ndarray:
-    """Corner numbers (t, 3) of the triangles of polygons with these corner counts."""
-    first = np.cumsum(sizes) - sizes
-    count = sizes - 2
-    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    start = np.repeat(first, count)
-    return np.stack([start, start + within + 1, start + within + 2], axis=1)
-
-
-def read_mtl(path: Path) -> dict[str, dict[str, list[float]]]:
-    """Diffuse colour 'Kd' and emission 'Ke', where given, of the materials of an MTL file."""
-    materials: dict[str, dict[str, list[float]]] = {}
-    current: dict[str, list[float]] = {}
-    for line in read_bytes(path).decode("utf-8", "replace").splitlines():
-        key, _, rest = line.partition("#")[0].strip().partition(" ")
-        if key == "newmtl":
-            current = materials.setdefault(rest.strip(), {})
-        elif key in ("Kd", "Ke"):
-            values = parse_numbers(rest.encode())
-            if len(values) not in (1, 3) or not np.isfinite(values).all() or min(values) < 0:
-                SourceLocation(str(path), element=key).raise_error(f"not a colour: '{rest.strip()[:40]}'")
-            current[key] = np.broadcast_to(values, 3).tolist()
-    return materials

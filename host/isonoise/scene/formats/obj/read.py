@@ -5,59 +5,123 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.files import is_inside, outside_message
-from isonoise.scene.formats.mesh_shape import mesh_shape, rgb
+from isonoise.scene.formats.mesh_shape import mesh_shape
+from isonoise.scene.formats.obj.materials import Materials
+from isonoise.scene.formats.obj.mtl import Material, read_mtl
+from isonoise.scene.formats.obj.named_files import find_file, split_names
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.mesh.mesh import Mesh
-from isonoise.scene.mesh.obj import read_mtl, read_obj
-from isonoise.scene.parse.elements import path_exists
+from isonoise.scene.mesh.obj import ObjFile, read_obj
+from isonoise.scene.spectra import srgb_to_linear
 
 _MAX_MTL_FILES = 100  # of one OBJ
+_COUNTED_FEATURES = {"lines": "lines_points", "points": "lines_points", "curves": "curves", "surfaces": "curves"}
+_DEFAULT = Material("")
 
 
 def read(path: Path, folder: Path | None, report: ImportReport) -> dict:
-    """The scene dict of a file: one shape for each material that it uses. Raises SceneError where it is invalid."""
-    obj = read_obj(path)
-    mtl: dict[str, dict] = {}
-    libraries = list(dict.fromkeys(obj.libraries))
-    if len(libraries) > _MAX_MTL_FILES:
-        raise SceneError(f"{path}: it names more than {_MAX_MTL_FILES} MTL files")
-    for library in libraries:
-        file = _find_library(path, library, folder)
-        mtl |= read_mtl(file) if file else {}
-    report.use("triangles")
-    report.count("triangles", len(obj.mesh.faces))
+    """The scene dict of a file: a shape for each material that it uses. Raises SceneError where it is invalid."""
+    obj = read_obj(path, cut_concave=True)
+    _report_geometry(obj, report)
+    mtl = _read_libraries(path, obj, folder, report)
+    materials = Materials(path, folder, report)
     scene = {"type": "scene"}
-    order = np.argsort(obj.face_material, kind="stable")
-    used, first = np.unique(obj.face_material[order], return_index=True)
-    for number, (index, faces) in enumerate(zip(used, np.split(order, first[1:]), strict=True)):
-        material = mtl.get(obj.materials[index], {})
-        reflectance = [min(value, 1.0) for value in material.get("Kd", (0.5, 0.5, 0.5))]
-        bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(reflectance)}}
-        shape = scene[f"part_{number}"] = mesh_shape(select_faces(obj.mesh, faces), bsdf)
-        if max(material.get("Ke", (0.0,))) > 0:
-            shape["emitter"] = {"type": "area", "radiance": rgb(material["Ke"])}
+    is_flat = obj.is_flat & (not len(obj.mesh.normals))
+    for number, (part, faces) in enumerate(_split(2 * obj.face_material + is_flat)):
+        material = mtl.get(obj.materials[part // 2], _DEFAULT)
+        mesh, vertices = select_faces(obj.mesh, faces)
+        if len(obj.vertex_colours):
+            _add_colours(mesh, obj.vertex_colours[vertices], material, materials, report)
+        bsdf = materials.bsdf(material, _uv_length(mesh, material), "vertex_color" in mesh.attributes)
+        shape = scene[f"part_{number}"] = mesh_shape(mesh, bsdf, bool(part % 2))
+        if radiance := materials.radiance(material):
+            shape["emitter"] = {"type": "area", "radiance": radiance}
     return scene
 
 
-def _find_library(path: Path, name: str, folder: Path | None) -> Path | None:
-    """The MTL file of this name, or one without the name's folders beside the OBJ file; None if there is neither."""
-    candidates = [path.parent / name, path.parent / Path(name).name]
-    existing = [file for file in candidates if path_exists(file) and not file.is_dir()]
-    found = next((file for file in existing if is_inside(file, folder)), None)
-    if existing and not found:
-        raise SceneError(f"{path}: {outside_message(existing[0], folder)}")
-    return found
+def _report_geometry(obj: ObjFile, report: ImportReport) -> None:
+    report.use("triangles")
+    report.count("triangles", len(obj.mesh.faces))
+    report.count("materials", len(np.unique(obj.face_material)))
+    if obj.polygons:
+        report.use("polygons")
+        report.count("polygons", obj.polygons)
+    for feature, values in (("normals", obj.mesh.normals), ("uvs", obj.mesh.uvs)):
+        if len(values):
+            report.use(feature)
+    for noun, count in obj.counts.items():
+        if count:
+            report.count(noun, count)
+            if noun in _COUNTED_FEATURES:
+                report.use(_COUNTED_FEATURES[noun])
 
 
-def select_faces(mesh: Mesh, face_indices: np.ndarray) -> Mesh:
-    """A mesh of the given faces and the vertices that they use."""
+def _read_libraries(path: Path, obj: ObjFile, folder: Path | None, report: ImportReport) -> dict[str, Material]:
+    """The materials of all MTL files, by name."""
+    materials: dict[str, Material] = {}
+    statements = list(dict.fromkeys(obj.libraries))
+    if len(statements) > _MAX_MTL_FILES:
+        raise SceneError(f"{path}: it names more than {_MAX_MTL_FILES} MTL files")
+    is_missing = False
+    for text in statements:
+        whole = find_file(path, text, folder)
+        for name in [text] if whole else split_names(text)[:_MAX_MTL_FILES]:
+            report.use("includes")
+            if file := whole or find_file(path, name, folder):
+                materials |= read_mtl(file)
+            else:
+                is_missing = True
+                report.limit("includes", "there is no such file: its materials are grey", name)
+    for index in np.unique(obj.face_material):
+        name = obj.materials[index]
+        if name and name not in materials and not is_missing:
+            report.limit("diffuse", "no MTL file defines it: it is grey", f"material '{name}'")
+    return materials
+
+
+def _split(keys: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """(key, indices of the faces with it), in the order of keys."""
+    order = np.argsort(keys, kind="stable")
+    used, first = np.unique(keys[order], return_index=True)
+    return list(zip(used.tolist(), np.split(order, first[1:]), strict=True))
+
+
+def select_faces(mesh: Mesh, face_indices: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """A mesh of the given faces and the vertices that they use, and the numbers of these vertices."""
     if len(face_indices) == len(mesh.faces):
-        return mesh
+        return mesh, np.arange(len(mesh.vertices))
     used, faces = np.unique(mesh.faces[face_indices], return_inverse=True)
-    return Mesh(
+    part = Mesh(
         mesh.vertices[used],
         faces.reshape(-1, 3),
         mesh.normals[used] if len(mesh.normals) else mesh.normals,
         mesh.uvs[used] if len(mesh.uvs) else mesh.uvs,
     )
+    return part, used
+
+
+def _add_colours(
+    mesh: Mesh, colours: np.ndarray, material: Material, materials: Materials, report: ImportReport
+) -> None:
+    """Give the mesh its vertex colours times Kd as an attribute, unless they are white."""
+    colours = colours / 255.0 if colours.max() > 1 else colours
+    if (colours == 1).all():
+        return
+    report.use("vertex_colours")
+    if "kd" in material.maps:
+        report.limit("vertex_colours", "left out where there is a texture (map_Kd)", material.name)
+        return
+    factor = materials.diffuse_factor(material) if "kd" in material.numbers else 1.0
+    mesh.attributes["vertex_color"] = (srgb_to_linear(np.clip(colours, 0.0, 1.0)) * factor).astype(np.float32)
+
+
+def _uv_length(mesh: Mesh, material: Material) -> float:
+    """The mean length of a unit of the texture coordinates on the surface; 1 where no bump map needs it."""
+    if not {"bump", "disp"} & set(material.maps) or not len(mesh.uvs):
+        return 1.0
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    u, v, w = (mesh.uvs[mesh.faces[:, i]].astype(np.float64) for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    uv_area = np.abs(np.linalg.det(np.stack([v - u, w - u], axis=1))).sum()
+    length = np.sqrt(area / uv_area) if uv_area > 0 else 1.0
+    return float(length) if np.isfinite(length) else 1.0
