@@ -299,9 +299,8 @@ def _environment_map(emitters: dict[str, dict]) -> EnvironmentMap | None:
     for name, emitter in emitters.items():
         if emitter["type"] == "envmap":
             to_world = emitter.get("to_world", np.eye(4))
-            return build_environment_map(
-                read_image(emitter["filename"]), to_world, emitter["scale"], f"emitter '{name}'"
-            )
+            image = emitter["bitmap"] if "bitmap" in emitter else read_image(emitter["filename"])
+            return build_environment_map(image, to_world, emitter["scale"], f"emitter '{name}'")
     return None
 
 

@@ -29,6 +29,7 @@ _MUTUALLY_EXCLUSIVE = {
     "point": (("position", "to_world"),),
     "directional": (("direction", "to_world"),),
     "bitmap": (("filename", "bitmap"),),
+    "envmap": (("filename", "bitmap"),),
 }
 
 
@@ -158,6 +159,11 @@ def _check_bitmap(texture: dict, location: Location):
         location.raise_error("texture 'bitmap' needs a 'filename'")
 
 
+def _check_envmap(emitter: dict, location: Location):
+    if "filename" not in emitter and "bitmap" not in emitter:
+        location.raise_error("emitter 'envmap' needs a 'filename'")
+
+
 def _check_cylinder(shape: dict, location: Location):
     if shape["p0"] == shape["p1"]:
         location.raise_error("p0 and p1 have to differ")
@@ -224,6 +230,7 @@ _CHECKS = {
     "bumpmap": _check_bump_map,
     "normalmap": _check_bump_or_normal_map,
     "bitmap": _check_bitmap,
+    "envmap": _check_envmap,
     "cylinder": _check_cylinder,
     "directional": _check_directional,
     "spot": _check_spot,

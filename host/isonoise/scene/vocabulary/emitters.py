@@ -68,7 +68,8 @@ EMITTERS = (
         "emitter",
         "envmap",
         (
-            P("filename", "file", required=True, meaning="an image in latitude-longitude format, y up"),
+            P("filename", "file", meaning="an image in latitude-longitude format, y up", unset="required"),
+            P("bitmap", "image", meaning="an image in memory instead of a file, in dicts only", unset="by filename"),
             P("scale", "float", 1.0, "[0, inf)", meaning="factor on its radiance"),
             *ignored("boolean", "mis_compensation", why="only distributes samples"),
             *TO_WORLD,
