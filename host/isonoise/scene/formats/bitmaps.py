@@ -94,22 +94,46 @@ class Bitmaps:
 
         return self.once(("threshold", number, cutoff, factor), ramp)
 
-    def normal_map(self, image: Image, scale: float = 1.0, flip_green: bool = False) -> Image:
-        """A normal map whose first two components are multiplied by `scale`, and the second one negated on demand."""
-        if scale == 1 and not flip_green:
+    def normal_map(self, image: Image, matrix: tuple[tuple[float, float], tuple[float, float]]) -> Image:
+        """A normal map whose first two components are multiplied by a 2 x 2 matrix.
+
+        Bytes stay bytes if that only exchanges and negates components.
+        """
+        if matrix == ((1, 0), (0, 1)):
             return image
 
         def transformed() -> Image:
-            pixels = np.broadcast_to(image.pixels, (*image.pixels.shape[:2], 3)).copy()
-            if scale == 1 and pixels.dtype != np.float32:
-                pixels[..., 1] = np.iinfo(pixels.dtype).max - pixels[..., 1]
-                return Image(pixels)
-            pixels = Image(pixels).linear(raw=True).copy()
-            factors = np.array([scale, -scale if flip_green else scale], np.float32)
-            pixels[..., :2] = 0.5 + factors * (pixels[..., :2] - 0.5)
-            return Image(pixels)
+            pixels = np.broadcast_to(image.pixels, (*image.pixels.shape[:2], 3))
+            factors = np.array(matrix)
+            is_integer = pixels.dtype != np.float32 and sorted(map(abs, factors.ravel())) == [0, 0, 1, 1]
+            if is_integer and np.linalg.det(factors):
+                result, largest = pixels.copy(), np.iinfo(pixels.dtype).max
+                for row, entries in enumerate(factors):
+                    source = int(np.abs(entries).argmax())
+                    result[..., row] = pixels[..., source] if entries[source] > 0 else largest - pixels[..., source]
+                return Image(result)
+            result = Image(pixels).linear(raw=True).copy()
+            (a, b), (c, d) = factors.astype(np.float32)
+            x, y = result[..., 0] - np.float32(0.5), result[..., 1] - np.float32(0.5)
+            result[..., 0], result[..., 1] = 0.5 + (a * x + b * y), 0.5 + (c * x + d * y)
+            return Image(result)
 
-        return self.once(("normal map", image, scale, flip_green), transformed)
+        return self.once(("normal map", image, matrix), transformed)
+
+    def largest_channel(self, image: Image) -> Image:
+        """The largest channel of each texel of a colour, as a number."""
+        return self.once(
+            ("largest channel", image), lambda: Image(np.ascontiguousarray(image.linear().max(axis=2, keepdims=True)))
+        )
+
+    def ratio(self, image: Image, divisor: Image, factor: float = 1.0) -> Image:
+        """A colour over a number, times a factor; 0 where the number is 0."""
+
+        def quotient() -> Image:
+            below, above = divisor.linear(raw=True), image.linear() * np.float32(factor)
+            return Image(np.divide(above, below, out=np.zeros_like(above), where=below > 0))
+
+        return self.once(("ratio", image, divisor, factor), quotient)
 
     def constant(self, image: Image, raw: bool = False) -> np.ndarray | None:
         """The linear colour (3,) of an image all of whose texels are the same; otherwise None."""
@@ -120,6 +144,13 @@ class Bitmaps:
             return np.broadcast_to(Image(first).linear(raw)[0, 0], 3).astype(np.float64) if is_constant else None
 
         return self.once(("constant", image, raw), colour)
+
+    def mean(self, image: Image, raw: bool = False) -> np.ndarray:
+        """The mean linear colour (3,) of an image."""
+        return self.once(
+            ("mean", image, raw),
+            lambda: np.broadcast_to(image.linear(raw).mean(axis=(0, 1), dtype=np.float64), 3).copy(),
+        )
 
     def texture(
         self, image: Image, raw: bool = False, sampling: Sampling = DEFAULT_SAMPLING, uv_bounds=_UNIT_BOUNDS

@@ -60,8 +60,8 @@ def read_image(path: str | os.PathLike, with_alpha: bool = False) -> Image:
 
 
 def decode_image(data: bytes, name: str, with_alpha: bool = False) -> Image:
-    """Decode a PNG, JPEG or BMP file in memory, which errors call `name`. Raises SceneError as `read_image`."""
-    return _image(*_read_with_pillow(data, ("PNG", "JPEG", "BMP"), SourceLocation(name), with_alpha))
+    """Decode a PNG, JPEG, BMP or WebP file in memory, which errors call `name`. Raises SceneError as `read_image`."""
+    return _image(*_read_with_pillow(data, ("PNG", "JPEG", "BMP", "WEBP"), SourceLocation(name), with_alpha))
 
 
 def _image(pixels: np.ndarray, alpha: np.ndarray | None) -> Image:

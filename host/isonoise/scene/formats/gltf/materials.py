@@ -1,32 +1,59 @@
-"""Maps the materials of a glTF file to Mitsuba 3's vocabulary. Called by `nodes.py` for every primitive."""
+"""Maps the materials of a glTF file to Mitsuba 3's vocabulary. Called by `nodes.py` for every primitive.
 
-from dataclasses import dataclass
+Formats: glTF 2.0 section 3.9 and appendix B, and the extensions KHR_materials_*.
+"""
+
+from dataclasses import replace
+
+import numpy as np
 
 from isonoise.scene.formats.gltf.document import Document
-from isonoise.scene.formats.mesh_shape import rgb
+from isonoise.scene.formats.gltf.json_objects import JsonObject
+from isonoise.scene.formats.gltf.layers import add_clearcoat, add_normal_map, add_sheen
+from isonoise.scene.formats.gltf.opacity import add_opacity, emission, emitter
+from isonoise.scene.formats.gltf.surface import (
+    Material,
+    PrimitiveInfo,
+    Surface,
+    SurfaceContext,
+    VertexColours,
+    blend,
+)
+from isonoise.scene.formats.gltf.textures import MaterialTextures, SurfaceTextures
+from isonoise.scene.formats.gltf.transmission import base_layer, interior_medium, is_solid_glass
 from isonoise.scene.formats.report import ImportReport
+from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
+_PBR = "pbrMetallicRoughness"
+_TEXTURES = {
+    _PBR: ("baseColorTexture", "metallicRoughnessTexture"),
+    "": ("normalTexture", "emissiveTexture"),
+    "KHR_materials_transmission": ("transmissionTexture",),
+    "KHR_materials_diffuse_transmission": ("diffuseTransmissionTexture", "diffuseTransmissionColorTexture"),
+    "KHR_materials_clearcoat": ("clearcoatTexture", "clearcoatRoughnessTexture", "clearcoatNormalTexture"),
+    "KHR_materials_specular": ("specularTexture", "specularColorTexture"),
+    "KHR_materials_sheen": ("sheenColorTexture", "sheenRoughnessTexture"),
+    "KHR_materials_anisotropy": ("anisotropyTexture",),
+}
+"""By the object that holds them. The first one that a primitive can show decides which set of coordinates it keeps."""
 
-@dataclass(frozen=True)
-class PrimitiveInfo:
-    """What the surface of a primitive depends on besides its material."""
+_EXTENSIONS = {
+    "KHR_materials_ior": ("specular", ""),
+    "KHR_materials_specular": ("specular", ""),
+    "KHR_materials_emissive_strength": ("emission", ""),
+    "KHR_materials_unlit": ("unlit", ""),
+    "KHR_materials_transmission": ("transmission", "transmissionFactor"),
+    "KHR_materials_diffuse_transmission": ("transmission", "diffuseTransmissionFactor"),
+    "KHR_materials_volume": ("volume", "thicknessFactor"),
+    "KHR_materials_clearcoat": ("clearcoat", "clearcoatFactor"),
+    "KHR_materials_sheen": ("sheen", "sheenColorFactor"),
+    "KHR_materials_anisotropy": ("anisotropy", "anisotropyStrength"),
+    "KHR_materials_iridescence": ("iridescence", "iridescenceFactor"),
+    "KHR_materials_dispersion": ("dispersion", "dispersion"),
+}
+"""Extension -> (feature, the value that has to be above 0 for it to have an effect)."""
 
-    uv_sets: int = 0  # TEXCOORD_0, ...
-    has_vertex_colours: bool = False
-    has_vertex_alpha: bool = False  # and an attribute vertex_alpha
-    has_mirrored_uvs: bool = False  # see `nodes.py`: t = n x s points down in the image
-
-
-@dataclass(frozen=True)
-class Surface:
-    """The surface of a primitive as parts of a shape's dict."""
-
-    bsdf: dict
-    emission: dict | None = None  # of an `area` emitter: {'type': 'area', ...}
-    uv_set: int = 0
-    needs_vertex_colours: bool = False  # attributes vertex_color (linear) and vertex_alpha
-    interior_medium: dict | None = None
-    uses_tangents: bool = False  # it depends on the directions of u and v: `has_mirrored_uvs` matters
+_BLACK = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
 
 
 class Materials:
@@ -34,25 +61,124 @@ class Materials:
 
     def __init__(self, document: Document, report: ImportReport):
         self.document, self.report = document, report
+        self._textures = MaterialTextures(document, report)
+        self._materials: dict[int | None, Material] = {}
         self._surfaces: dict[tuple[int | None, PrimitiveInfo], Surface] = {}
 
     def surface(self, index: int | None, primitive: PrimitiveInfo) -> Surface:
         """The surface of a primitive with the material of this index; None is the default material."""
-        for image in self.document.all("images"):
-            self.document.image_bytes(image)
+        if index not in self._materials:
+            self._materials[index] = self._read(index)
+        material = self._materials[index]
+        if not _uses_tangents(material):
+            primitive = replace(primitive, has_mirrored_uvs=False, has_tangents=False)
         key = index, primitive
         if key not in self._surfaces:
-            self._surfaces[key] = self._make_surface(index)
+            self._surfaces[key] = self._make_surface(material, primitive)
         return self._surfaces[key]
 
-    def _make_surface(self, index: int | None) -> Surface:
+    def _read(self, index: int | None) -> Material:
         if index is None:
-            return Surface({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 1.0}})
-        material = self.document.all("materials")[index]
-        pbr = material.object("pbrMetallicRoughness")
-        base = pbr.numbers("baseColorFactor", 4, (1.0,) * 4)[:3] if pbr else (1.0,) * 3
-        emissive = material.numbers("emissiveFactor", 3, (0.0,) * 3)
-        reflectance = rgb(min(max(value, 0.0), 1.0) for value in base)
-        emission = {"type": "area", "radiance": rgb(max(value, 0.0) for value in emissive)}
-        bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-        return Surface(bsdf, emission if max(emissive) > 0 else None)
+            values = JsonObject(self.document.root.file, "the default material", {})
+        else:
+            values = self.document.all("materials")[index]
+        material = Material(values, {})
+        for holder, names in _TEXTURES.items():
+            found = {name: self._textures.read(material.part(holder), name) for name in names}
+            material.textures.update({name: texture for name, texture in found.items() if texture})
+        _report_features(material, self.report)
+        return material
+
+    def _make_surface(self, material: Material, primitive: PrimitiveInfo) -> Surface:
+        sets = [texture.uv_set for texture in material.textures.values()]
+        uv_set = next((number for number in sets if number < primitive.uv_sets), 0)
+        parameters = SurfaceTextures(self._textures, self.report, uv_set, primitive.uv_sets, primitive.uv_bounds)
+        context = SurfaceContext(material, primitive, parameters, self.report)
+        colour, weight, factor = _base_colour(context)
+        surface = _unlit(context, colour, weight) if _is_unlit(material) else _lit(context, colour, weight)
+        return replace(
+            surface,
+            bsdf=add_opacity(context, surface.bsdf),
+            uv_set=uv_set,
+            needs_vertex_colours=factor is not None or primitive.has_vertex_alpha,
+            vertex_colour_factor=factor or (1.0, 1.0, 1.0),
+            uses_tangents=_uses_tangents(material),
+            emits_from_both_sides=surface.emission is not None and material.values.boolean("doubleSided", False),
+        )
+
+
+def _lit(context: SurfaceContext, colour: dict, weight: dict | None) -> Surface:
+    base = base_layer(context, colour)
+    if weight is not None:  # every lobe is an affine function of the base colour
+        base = blend(weight, base_layer(context, _BLACK), base)
+    bsdf = add_normal_map(context, add_sheen(context, base))
+    bsdf = add_clearcoat(context, bsdf, is_solid_glass(context))
+    return Surface(bsdf, emission(context), interior_medium=interior_medium(context))
+
+
+def _unlit(context: SurfaceContext, colour: dict, weight: dict | None) -> Surface:
+    """A black surface that emits the base colour."""
+    context.limit("unlit", "it emits its colour, so it also lights what is around it")
+    black = {"type": "diffuse", "reflectance": _BLACK}
+    if weight is not None or colour["type"] == "mesh_attribute":
+        context.limit("vertex_colours", "on unlit materials their mean is used")
+    mean = np.array(context.primitive.vertex_colours.mean if context.primitive.vertex_colours else (1.0,) * 3)
+    factors = np.array(context.material.factors(_PBR, "baseColorFactor", 4, 1.0)[:3]) * mean
+    return Surface({"type": "twosided", "bsdf": black}, emitter(context, "baseColorTexture", np.clip(factors, 0.0, 1.0)))
+
+
+def _base_colour(context: SurfaceContext) -> tuple[dict, dict | None, tuple[float, float, float] | None]:
+    """(base colour, weight of it against black or None, factor on the attribute vertex_color or None if unused).
+
+    A texture and vertex colours cannot be multiplied. A blend with black by the luminance of the vertex colours is the
+    same as far as these are multiples of one colour.
+    """
+    texture, colours = context.texture("baseColorTexture"), context.primitive.vertex_colours
+    factors = np.array(context.material.factors(_PBR, "baseColorFactor", 4, 1.0)[:3])
+    if colours is None or colours.is_constant:
+        return context.parameters.colour(texture, factors * (colours.mean if colours else 1.0)), None, None
+    colour = context.parameters.colour(texture, factors)
+    if colour["type"] == "rgb":
+        attribute = {"type": "mesh_attribute", "name": "vertex_color"}
+        return attribute, None, tuple(colour["value"])
+    if not colours.has_one_hue:
+        context.limit("vertex_colours", "over a texture, only their luminance varies: the mean of their hue is used")
+    hue = np.array(colours.mean) / max(colours.mean) if max(colours.mean) > 0 else np.ones(3)
+    weight = {"type": "mesh_attribute", "name": "vertex_color", "scale": 1.0 / float(hue @ MITSUBA_LUMINANCE)}
+    return context.parameters.colour(texture, factors * hue), weight, (1.0, 1.0, 1.0)
+
+
+def _is_unlit(material: Material) -> bool:
+    return material.part("KHR_materials_unlit") is not None
+
+
+def _uses_tangents(material: Material) -> bool:
+    is_bumped = not material.textures.keys().isdisjoint({"normalTexture", "clearcoatNormalTexture"})
+    return is_bumped and not _is_unlit(material)
+
+
+def _report_features(material: Material, report: ImportReport) -> None:
+    used = {
+        "diffuse": material.factor(_PBR, "metallicFactor", 1.0) < 1 or "metallicRoughnessTexture" in material.textures,
+        "metal": material.factor(_PBR, "metallicFactor", 1.0) > 0,
+        "roughness": True,
+        "normal_map": "normalTexture" in material.textures,
+        "occlusion_map": "occlusionTexture" in material.values,
+        "emission": max(material.factors("", "emissiveFactor", 3, 0.0)) > 0,
+        "opacity": material.values.string("alphaMode", "OPAQUE") != "OPAQUE",
+    }
+    for extension, (feature, factor) in _EXTENSIONS.items():
+        part = material.part(extension)
+        used[feature] = used.get(feature, False) or (part is not None and _is_positive(part, factor))
+    for feature, is_used in used.items():
+        if is_used:
+            report.use(feature, material.place)
+
+
+def _is_positive(part: JsonObject, factor: str) -> bool:
+    value = part.values.get(factor, 0.0) if factor else 1.0
+    values = value if isinstance(value, list) else [value]
+    return any(isinstance(number, (int, float)) and number > 0 for number in values)
+
+
+__all__ = ["Materials", "PrimitiveInfo", "Surface", "VertexColours"]
