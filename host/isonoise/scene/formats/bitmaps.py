@@ -14,7 +14,7 @@ from isonoise.scene.image.image import Image, read_image
 
 REPEAT, MIRROR, CLAMP = "repeat", "mirror", "clamp"
 BILINEAR, NEAREST = "bilinear", "nearest"
-_UNIT_BOUNDS = ((0.0, 1.0), (0.0, 1.0))
+UNIT_BOUNDS = ((0.0, 1.0), (0.0, 1.0))
 _THRESHOLD_GAIN = 65536.0  # opacity per unit of alpha: one step of an 8-bit alpha is 257 times the ramp
 _MAX_PADDING = 2.0  # columns or rows added for a mixed wrap mode, as a multiple of the image's
 
@@ -120,6 +120,10 @@ class Bitmaps:
 
         return self.once(("normal map", image, matrix), transformed)
 
+    def clipped(self, number: Image) -> Image:
+        """A number, read raw, limited to [0, 1]: the opacity of `threshold` at the texels."""
+        return self.once(("clipped", number), lambda: Image(np.clip(number.linear(raw=True), 0.0, 1.0)))
+
     def largest_channel(self, image: Image) -> Image:
         """The largest channel of each texel of a colour, as a number."""
         return self.once(
@@ -153,7 +157,7 @@ class Bitmaps:
         )
 
     def texture(
-        self, image: Image, raw: bool = False, sampling: Sampling = DEFAULT_SAMPLING, uv_bounds=_UNIT_BOUNDS
+        self, image: Image, raw: bool = False, sampling: Sampling = DEFAULT_SAMPLING, uv_bounds=UNIT_BOUNDS
     ) -> dict:
         """The texture that shows an image.
 
@@ -168,7 +172,7 @@ class Bitmaps:
                 image, sampling = self._extended(image, sampling, axis, wrap, bounds[axis])
         return self._texture(image, raw, sampling._replace(wrap_u=REPEAT, wrap_v=REPEAT))
 
-    def is_exact(self, image: Image, sampling: Sampling, uv_bounds=_UNIT_BOUNDS) -> bool:
+    def is_exact(self, image: Image, sampling: Sampling, uv_bounds=UNIT_BOUNDS) -> bool:
         """Whether `texture` shows the image as the sampling says, inside `uv_bounds`."""
         if sampling.wrap_u == sampling.wrap_v:
             return True

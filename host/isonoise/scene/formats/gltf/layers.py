@@ -61,7 +61,9 @@ def _eta(context: SurfaceContext) -> float:
     if texture and context.parameters.bitmaps.constant(texture.image) is None:
         context.limit("specular", "the mean of the texture of the specular colour is used")
     if np.ptp(colour) > 1e-3:
-        context.limit("specular", "reflection of dielectrics has no colour: the luminance of the specular colour is used")
+        context.limit(
+            "specular", "reflection of dielectrics has no colour: the luminance of the specular colour is used"
+        )
     elif (colour == 1).all():
         return ior
     return _eta_of_reflectance(((ior - 1.0) / (ior + 1.0)) ** 2 * float(np.maximum(colour, 0.0) @ MITSUBA_LUMINANCE))

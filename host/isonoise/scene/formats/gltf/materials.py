@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from isonoise.scene.formats.bitmaps import UNIT_BOUNDS
 from isonoise.scene.formats.gltf.document import Document
 from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.gltf.layers import add_clearcoat, add_normal_map, add_sheen
@@ -16,7 +17,6 @@ from isonoise.scene.formats.gltf.surface import (
     PrimitiveInfo,
     Surface,
     SurfaceContext,
-    VertexColours,
     blend,
 )
 from isonoise.scene.formats.gltf.textures import MaterialTextures, SurfaceTextures
@@ -72,6 +72,8 @@ class Materials:
         material = self._materials[index]
         if not _uses_tangents(material):
             primitive = replace(primitive, has_mirrored_uvs=False, has_tangents=False)
+        if all(texture.sampling.wrap_u == texture.sampling.wrap_v for texture in material.textures.values()):
+            primitive = replace(primitive, uv_bounds=())
         key = index, primitive
         if key not in self._surfaces:
             self._surfaces[key] = self._make_surface(material, primitive)
@@ -92,7 +94,8 @@ class Materials:
     def _make_surface(self, material: Material, primitive: PrimitiveInfo) -> Surface:
         sets = [texture.uv_set for texture in material.textures.values()]
         uv_set = next((number for number in sets if number < primitive.uv_sets), 0)
-        parameters = SurfaceTextures(self._textures, self.report, uv_set, primitive.uv_sets, primitive.uv_bounds)
+        bounds = primitive.uv_bounds[uv_set] if primitive.uv_bounds else UNIT_BOUNDS
+        parameters = SurfaceTextures(self._textures.bitmaps, self.report, uv_set, primitive.uv_sets, bounds)
         context = SurfaceContext(material, primitive, parameters, self.report)
         colour, weight, factor = _base_colour(context)
         surface = _unlit(context, colour, weight) if _is_unlit(material) else _lit(context, colour, weight)
@@ -119,12 +122,9 @@ def _lit(context: SurfaceContext, colour: dict, weight: dict | None) -> Surface:
 def _unlit(context: SurfaceContext, colour: dict, weight: dict | None) -> Surface:
     """A black surface that emits the base colour."""
     context.limit("unlit", "it emits its colour, so it also lights what is around it")
-    black = {"type": "diffuse", "reflectance": _BLACK}
-    if weight is not None or colour["type"] == "mesh_attribute":
-        context.limit("vertex_colours", "on unlit materials their mean is used")
-    mean = np.array(context.primitive.vertex_colours.mean if context.primitive.vertex_colours else (1.0,) * 3)
-    factors = np.array(context.material.factors(_PBR, "baseColorFactor", 4, 1.0)[:3]) * mean
-    return Surface({"type": "twosided", "bsdf": black}, emitter(context, "baseColorTexture", np.clip(factors, 0.0, 1.0)))
+    if weight is not None:
+        context.limit("vertex_colours", "over the texture of an unlit material they are left out")
+    return Surface({"type": "diffuse", "reflectance": _BLACK}, emitter(context, "baseColorTexture", colour))
 
 
 def _base_colour(context: SurfaceContext) -> tuple[dict, dict | None, tuple[float, float, float] | None]:
@@ -179,6 +179,3 @@ def _is_positive(part: JsonObject, factor: str) -> bool:
     value = part.values.get(factor, 0.0) if factor else 1.0
     values = value if isinstance(value, list) else [value]
     return any(isinstance(number, (int, float)) and number > 0 for number in values)
-
-
-__all__ = ["Materials", "PrimitiveInfo", "Surface", "VertexColours"]

@@ -47,18 +47,19 @@ def emission(context: SurfaceContext) -> dict | None:
     """The `area` emitter: emissiveFactor times texture times KHR_materials_emissive_strength."""
     strength = context.material.factor("KHR_materials_emissive_strength", "emissiveStrength", 1.0)
     factors = np.array(context.material.factors("", "emissiveFactor", 3, 0.0)) * max(strength, 0.0)
-    return emitter(context, "emissiveTexture", np.clip(factors, 0.0, _MAX_RADIANCE))
+    radiance = context.parameters.colour(context.texture("emissiveTexture"), factors, _MAX_RADIANCE)
+    return emitter(context, "emissiveTexture", radiance)
 
 
-def emitter(context: SurfaceContext, name: str, factors: np.ndarray) -> dict | None:
-    """An `area` emitter whose radiance is factors times a texture; nothing is emitted where the surface is not."""
-    radiance = context.parameters.colour(context.texture(name), factors, _MAX_RADIANCE)
-    if radiance["type"] == "rgb":
-        if not any(radiance["value"]):
-            return None
-    elif not radiance["bitmap"].pixels.any():
-        return None
-    return {"type": "area", "radiance": _covered(context, radiance, name)}
+def emitter(context: SurfaceContext, name: str, radiance: dict) -> dict | None:
+    """The `area` emitter of a radiance, which may show the material's texture of this name; None if it is black.
+
+    Nothing is emitted where the surface is transparent.
+    """
+    is_black = not any(radiance["value"]) if radiance["type"] == "rgb" else False
+    if radiance["type"] == "bitmap":
+        is_black = not radiance["bitmap"].pixels.any()
+    return None if is_black else {"type": "area", "radiance": _covered(context, radiance, name)}
 
 
 def _covered(context: SurfaceContext, radiance: dict, name: str) -> dict:
@@ -66,16 +67,16 @@ def _covered(context: SurfaceContext, radiance: dict, name: str) -> dict:
     opacity = _opacity(context)
     if opacity == 1:
         return radiance
-    bitmaps = context.parameters.bitmaps
-    if not isinstance(opacity, dict):
-        factors = (opacity,) * 3
-        if radiance["type"] == "rgb":
-            return rgb(np.multiply(radiance["value"], opacity))
-        return radiance | {"bitmap": bitmaps.scaled(radiance["bitmap"], factors)}
-    cover = bitmaps.clipped(opacity["bitmap"])
-    if radiance["type"] == "rgb":
-        return context.parameters.show(context.texture(_BASE), bitmaps.scaled(cover, radiance["value"], raw=True), False)
-    is_similar = context.texture(name).sampling == context.texture(_BASE).sampling
+    bitmaps, kind = context.parameters.bitmaps, radiance["type"]
+    cover = bitmaps.clipped(opacity["bitmap"]) if isinstance(opacity, dict) else opacity
+    if kind == "rgb" and cover is opacity:
+        return rgb(np.multiply(radiance["value"], opacity))
+    if kind == "rgb":
+        image = bitmaps.scaled(cover, radiance["value"], raw=True)
+        return context.parameters.show(context.texture(_BASE), image, raw=False)
+    if kind == "bitmap" and cover is opacity:
+        return radiance | {"bitmap": bitmaps.scaled(radiance["bitmap"], opacity)}
+    is_similar = kind == "bitmap" and context.texture(name).sampling == context.texture(_BASE).sampling
     if is_similar and radiance["bitmap"].pixels.shape[:2] == cover.pixels.shape[:2]:
         return radiance | {"bitmap": bitmaps.product(radiance["bitmap"], cover)}
     context.limit("emission", "transparent parts emit too")

@@ -136,3 +136,13 @@ def has_mirrored_uvs(geometry: Geometry, uvs: np.ndarray) -> np.ndarray:
     winding = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = geometry.normals[geometry.faces].astype(float).sum(axis=1)
     return is_mirrored != (np.einsum("ij,ij->i", winding, normals) < 0)
+
+
+def is_closed(geometry: Geometry) -> bool:
+    """Whether every edge has a second triangle, on the other side; vertices at the same position count as one."""
+    _, point = np.unique(geometry.vertices, axis=0, return_inverse=True)
+    corners = point.reshape(-1)[geometry.faces]
+    begin, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    is_edge = begin != end
+    forward, backward = begin * len(geometry.vertices) + end, end * len(geometry.vertices) + begin
+    return np.array_equal(np.sort(forward[is_edge]), np.sort(backward[is_edge]))

@@ -10,9 +10,10 @@ from isonoise.scene.formats.gltf.accessors import Accessors
 from isonoise.scene.formats.gltf.deform import apply_skin, joint_matrices, morph, morph_weights, normal_matrices
 from isonoise.scene.formats.gltf.document import Document
 from isonoise.scene.formats.gltf.json_objects import JsonObject
-from isonoise.scene.formats.gltf.materials import Materials, PrimitiveInfo, Surface
+from isonoise.scene.formats.gltf.materials import Materials
 from isonoise.scene.formats.gltf.nodes import PlacedNode, instance_transforms
-from isonoise.scene.formats.gltf.primitives import Geometry, has_mirrored_uvs, read_geometry
+from isonoise.scene.formats.gltf.primitives import Geometry, has_mirrored_uvs, is_closed, read_geometry
+from isonoise.scene.formats.gltf.surface import PrimitiveInfo, Surface, describe_vertex_colours
 from isonoise.scene.formats.mesh_shape import mesh_shape
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.mesh.mesh import Mesh
@@ -119,10 +120,7 @@ class Shapes:
             material = primitive.integer("material", None)
             if material is not None:
                 self.document.get("materials", material, primitive, "material")
-            info = PrimitiveInfo(
-                len(geometry.uv_sets), geometry.colours is not None, geometry.alphas is not None, False
-            )
-            yield geometry, material, info
+            yield geometry, material, describe(geometry, "TANGENT" in primitive.object("attributes"))
 
     def _parts(self, primitives: list, is_mirrored: bool) -> Iterator[tuple[Geometry, Surface]]:
         """The primitives with their surfaces, divided where the image of a normal map is mirrored on some triangles."""
@@ -165,10 +163,13 @@ class Shapes:
         if surface.needs_vertex_colours:
             for name, values in (("vertex_color", geometry.colours), ("vertex_alpha", geometry.alphas)):
                 if values is not None:
-                    mesh.attributes[name] = np.tile(values[is_used].astype(np.float32), (copies, 1))
+                    factor = np.float32(surface.vertex_colour_factor if name == "vertex_color" else 1.0)
+                    mesh.attributes[name] = np.tile(factor * values[is_used].astype(np.float32), (copies, 1))
         shape = mesh_shape(mesh, surface.bsdf, face_normals=geometry.normals is None)
         if surface.emission is not None:
             shape["emitter"] = surface.emission
+            if surface.emits_from_both_sides and not is_closed(geometry):
+                self.report.limit("emission", "only the front of a surface emits, also where it is double-sided")
         if surface.interior_medium is not None:
             shape["interior"] = surface.interior_medium
         return shape
@@ -176,6 +177,18 @@ class Shapes:
     def _unique_name(self, name: str) -> str:
         """The name with characters that any scene file may have, and a number if it is taken."""
         return unique_name(name, self._name_counts)
+
+
+def describe(geometry: Geometry, has_tangents: bool) -> PrimitiveInfo:
+    """What a surface depends on besides its material; whether images are mirrored on it is found later."""
+    bounds = [tuple(zip(uvs.min(axis=0).tolist(), uvs.max(axis=0).tolist(), strict=True)) for uvs in geometry.uv_sets]
+    return PrimitiveInfo(
+        len(geometry.uv_sets),
+        None if geometry.colours is None else describe_vertex_colours(geometry.colours[geometry.faces.ravel()]),
+        geometry.alphas is not None and bool((geometry.alphas[geometry.faces.ravel()] != 1).any()),
+        has_tangents=has_tangents,
+        uv_bounds=tuple(bounds),
+    )
 
 
 def unique_name(name: str, counts: dict[str, int]) -> str:

@@ -16,6 +16,39 @@ SUPPORT = {
     "instances": Support(YES, "copies of a mesh become instances if that saves 100,000 triangles"),
     "animation": Support(PARTLY, "skins in rest pose, morph targets with their default weights, no animation"),
     "includes": Support(YES, "buffers and images in files inside the folder of the scene, or in data URIs"),
+    "diffuse": Support(YES, "`principled` base_color: factor, texture and vertex colours"),
+    "metal": Support(YES, "`principled` metallic: factor and texture"),
+    "roughness": Support(YES, "`principled` roughness: factor and texture"),
+    "specular": Support(
+        PARTLY,
+        "`principled` eta from KHR_materials_ior and _specular; specularFactor as `blendbsdf`; "
+        "reflection of dielectrics has no colour",
+    ),
+    "emission": Support(
+        PARTLY, "`area` with factor, texture and KHR_materials_emissive_strength, on the front of a surface only"
+    ),
+    "opacity": Support(YES, "`mask`; the cutoff of alphaMode MASK is compared after interpolation of the texture"),
+    "transmission": Support(
+        PARTLY,
+        "`thindielectric`, `principledthin` or, with a volume, `dielectric`, `principled`; diffuse transmission as "
+        "`principledthin`",
+    ),
+    "volume": Support(YES, "absorption as medium `homogeneous` in closed meshes; thickness only switches it on"),
+    "clearcoat": Support(
+        PARTLY, "`blendbsdf` with a white `principled`: right at normal incidence and on average, too weak at grazing"
+    ),
+    "sheen": Support(PARTLY, "`blendbsdf` with a cloth-like `principled`: right on average, too weak at grazing"),
+    "anisotropy": Support(PARTLY, "`principled` anisotropic from the strength; no rotation, no texture"),
+    "iridescence": Support(NO, "Mitsuba 3 has no thin films; the surface reflects without their colours"),
+    "dispersion": Support(NO, "the index of refraction is the same for all colours"),
+    "unlit": Support(PARTLY, "a black surface that emits the base colour, so it also lights others"),
+    "measured_materials": Support(NO, "KHR_materials_pbrSpecularGlossiness is ignored; convert it with a glTF tool"),
+    "material_variants": Support(PARTLY, "the default variant"),
+    "textures": Support(YES, "`bitmap`: PNG, JPEG, WebP; factors are multiplied into the image"),
+    "texture_transform": Support(YES, "`to_uv`"),
+    "texture_sampler": Support(YES, "wrap_mode and filter_type; images are extended where the axes wrap differently"),
+    "normal_map": Support(YES, "`normalmap`; meshes are divided where the image is mirrored"),
+    "occlusion_map": Support(YES, "not used: light transport computes occlusion"),
     "cameras": Support(YES, "`perspective`, `orthographic`"),
     "point_lights": Support(PARTLY, "`point`, with candela as W/sr; without its range"),
     "spot_lights": Support(

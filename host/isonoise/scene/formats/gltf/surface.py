@@ -6,9 +6,13 @@ Used by `materials.py` and the modules that it calls.
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.gltf.textures import MaterialTexture, SurfaceTextures
 from isonoise.scene.formats.report import ImportReport
+
+_MAX_HUE_SPREAD = 2e-3  # half a step of 8-bit colours
 
 
 class VertexColours(NamedTuple):
@@ -17,6 +21,14 @@ class VertexColours(NamedTuple):
     mean: tuple[float, float, float]
     is_constant: bool = False
     has_one_hue: bool = False  # each one is a multiple of the mean
+
+
+def describe_vertex_colours(colours: np.ndarray) -> VertexColours:
+    """Of (n, 3) linear colours."""
+    mean = colours.mean(axis=0, dtype=np.float64)
+    spread = np.abs(np.cross(colours, mean / max(mean.max(), 1e-9))).max(initial=0.0)  # 0 for multiples of the mean
+    is_constant = not np.ptp(colours, axis=0).any() if len(colours) else True
+    return VertexColours(tuple(mean.tolist()), bool(is_constant), bool(spread <= _MAX_HUE_SPREAD))
 
 
 @dataclass(frozen=True)
@@ -28,7 +40,7 @@ class PrimitiveInfo:
     has_vertex_alpha: bool = False  # an attribute vertex_alpha
     has_mirrored_uvs: bool = False  # see `primitives.py`: t = n x s points down in the image
     has_tangents: bool = False
-    uv_bounds: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 1.0), (0.0, 1.0))
+    uv_bounds: tuple = ()  # of each set: ((u low, u high), (v low, v high))
 
 
 @dataclass(frozen=True)

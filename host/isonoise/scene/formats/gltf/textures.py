@@ -116,8 +116,8 @@ def _transform_rows(transform: JsonObject) -> tuple[tuple[float, float, float], 
 class SurfaceTextures:
     """Makes parameters of BSDFs from factors and textures, for a primitive that shows one set of coordinates."""
 
-    def __init__(self, textures: MaterialTextures, report: ImportReport, uv_set: int, uv_set_count: int, uv_bounds):
-        self.bitmaps, self._report = textures.bitmaps, report
+    def __init__(self, bitmaps: Bitmaps, report: ImportReport, uv_set: int, uv_set_count: int, uv_bounds):
+        self.bitmaps, self._report = bitmaps, report
         self._uv_set, self._uv_set_count, self._uv_bounds = uv_set, uv_set_count, uv_bounds
 
     def colour(self, texture: MaterialTexture | None, factor, maximum: float = 1.0) -> dict:
