@@ -23,16 +23,6 @@ class Mesh:
     """Other values by Mitsuba 3's names, float32, perhaps not finite: 'vertex_...' are (v, c), 'face_...' (t, c)."""
 
 
-@dataclass
-class MeshPart:
-    """The triangles of one material."""
-
-    mesh: Mesh
-    reflectance: tuple[float, ...] = (0.5, 0.5, 0.5)
-    radiance: tuple[float, ...] | None = None
-    face_normals: bool = False
-
-
 def validate_mesh(mesh: Mesh, location: SourceLocation) -> Mesh:
     """Raise SceneError where a number is not finite or a vertex index is out of range; return the mesh."""
     if not (np.isfinite(mesh.vertices).all() and np.isfinite(mesh.normals).all()):
