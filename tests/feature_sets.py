@@ -32,6 +32,7 @@ NEEDS = {  # feature -> features that a scene with it always has
     "NORMAL_MAP": {"UVS"},
     "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "PARALLELOGRAM_LIGHTS", "TRIANGLES"},
     "MEDIA": {"VOLPATH"},
+    "HETEROGENEOUS": {"MEDIA", "VOLPATH"},
     "LIGHT_TREE": {"NEXT_EVENT", "MANY_LIGHTS"},
     "LIGHT_LIST": {"NEXT_EVENT", "MANY_LIGHTS"},
     "BATCH_MEANS": {"CHUNK_MEDIANS"},
@@ -275,7 +276,8 @@ def _shapes(on: dict[str, bool], materials: list[dict], folder: Path) -> dict[st
             ref = {"type": "ref", "id": "group"}
             scene[f"instance{k}"] = {"type": "instance", "group": ref, "to_world": placed((k - 0.5, 1.5, 5.0), 0.4)}
     if on["MEDIA"] and on["SPHERES"] and on["NULL"]:
-        fog = {"type": "homogeneous", "sigma_t": 1.0, "albedo": 0.7}
+        kind = "heterogeneous" if on["HETEROGENEOUS"] else "homogeneous"
+        fog = {"type": kind, "sigma_t": 1.0, "albedo": 0.7}
         ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}
         scene["cloud"] = {**ball, "to_world": placed((0.0, 0.0, 4.5), 1.2)}
     return scene

@@ -17,7 +17,7 @@ def share_programs(*feature_sets: tuple[str, ...]):
     """Returns a fixture: renders of scenes that use only features of one of the sets have all features of the set.
 
     Other scenes keep their own programs. Features that a scene does not use change no bit of its image:
-    tests/test_features.py. Only scenes for `volpath` get VOLPATH and MEDIA.
+    tests/test_features.py. Only scenes for `volpath` get VOLPATH, MEDIA and HETEROGENEOUS.
     """
 
     def create(device, scene, bvh, needs=BASIC_NEEDS, seed=0, pool_size=None, **options):
@@ -25,7 +25,7 @@ def share_programs(*feature_sets: tuple[str, ...]):
         used = {name for name, on in chosen.items() if on}
         for feature_set in feature_sets:
             if used <= {*feature_set}:
-                volpath = ("VOLPATH", "MEDIA")
+                volpath = ("VOLPATH", "MEDIA", "HETEROGENEOUS")
                 chosen |= {name: True for name in feature_set if chosen["VOLPATH"] or name not in volpath}
                 break
         return Wavefront(device, scene, bvh, needs, seed, pool_size, chosen, **options)

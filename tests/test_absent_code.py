@@ -82,6 +82,7 @@ MARKERS = {  # names that belong to one feature
         "ENVIRONMENT_MAP": "envmap_radiance",
         "VOLPATH": "paths->null_bounces",
         "MEDIA": "sample_medium",
+        "HETEROGENEOUS": "sample_heterogeneous_medium",
         "NEXT_EVENT": "direct_lighting",
         "LIGHT_LIST": "select_from_list",
         "RUSSIAN_ROULETTE": "survival",
@@ -105,6 +106,7 @@ MARKERS = {  # names that belong to one feature
         "SPHERES": "sphere_distance",
         "INSTANCES": "ray_to_object",
         "MEDIA": "medium_transmittance",
+        "HETEROGENEOUS": "heterogeneous_transmittance",
         "THIN_DIELECTRIC": "thin_dielectric_reflectance",
     },
     "stages/generate.cl": {
@@ -128,7 +130,7 @@ MARKERS = {  # names that belong to one feature
     ("file", "lanes", "never"),
     [
         *(pytest.param(file, 1, (), id=file) for file in STAGES),
-        *(pytest.param(file, 64, ("VOLPATH", "MEDIA"), id=f"{file}, many") for file in LANE_STAGES),
+        *(pytest.param(file, 64, ("VOLPATH", "MEDIA", "HETEROGENEOUS"), id=f"{file}, many") for file in LANE_STAGES),
     ],
 )
 def test_every_feature_of_a_stage_changes_its_text(file, lanes, never):
@@ -207,7 +209,7 @@ def test_features_that_are_off_leave_no_code(lanes):
 
     Tested with each feature off, and with each alone in a simple scene.
     """
-    never = ("VOLPATH", "MEDIA") if lanes > 1 else ()
+    never = ("VOLPATH", "MEDIA", "HETEROGENEOUS") if lanes > 1 else ()
     names = [name for name in FEATURES if name not in never]
     sets = {"all": all_but(*never)}
     sets |= {f"all but {name}": all_but(*never, name) for name in names}
@@ -253,3 +255,5 @@ def test_stages_named_for_a_feature_have_its_code():
     assert cost("VOLPATH", only("POINT_LIGHTS")).stages == ()
     assert cost("MEDIA", only("NEXT_EVENT", "VOLPATH")).path_bytes == 8
     assert cost("MEDIA", only("VOLPATH")).path_bytes == 4
+    assert cost("HETEROGENEOUS", only("NEXT_EVENT", "MEDIA")).path_bytes == 8
+    assert cost("HETEROGENEOUS", only("MEDIA")).path_bytes == 0

@@ -5,6 +5,7 @@
 #include "light/envmap.h"
 #include "light/light_list.h"
 #include "light/light_tree.h"
+#include "media/grid.h"
 #include "texture/texture.h"
 #include "util/math.h"
 
@@ -79,6 +80,9 @@ typedef struct {
 #endif
 #if FEATURE_MEDIA
     __global const Medium* media;
+#endif
+#if FEATURE_HETEROGENEOUS
+    HeterogeneousMedia heterogeneous;
 #endif
 #if FEATURE_ENVIRONMENT_MAP
     Envmap envmap;

@@ -4,6 +4,7 @@
 #include "bsdf/bsdf.h"
 #include "bsdf/nested.h"
 #include "light/light.h"
+#include "media/heterogeneous.h"
 #include "media/medium.h"
 #include "path/path_state.h"
 #include "util/random.h"
@@ -187,7 +188,16 @@ INLINE float sample_scatter_distance(const SceneView* scene, Path* p)
 {
     float distance = p->distance;
     if (p->medium != MEDIUM_NONE) {
-        const Vec4 u = path_random(scene, p, BLOCK_MEDIUM(random_vertex_index(p)));
+        const uint block = BLOCK_MEDIUM(random_vertex_index(p));
+        const Vec4 u = path_random(scene, p, block);
+#if FEATURE_HETEROGENEOUS
+        if (scene->heterogeneous.media[p->medium].sigma_t != NONE) {
+            RandomStream stream = random_stream(scene->seed, p->pixel, p->index, block);
+            p->in_volume = sample_heterogeneous_medium(scene, p->medium, p->origin, p->direction, u, &stream, &distance,
+                                                       &p->throughput);
+            return distance;
+        }
+#endif
         p->in_volume = sample_medium(scene->media + p->medium, u, &distance, &p->throughput);
     }
     return distance;

@@ -55,6 +55,12 @@ INLINE void sample_direct(const SceneView* scene, const PathBuffers* paths, size
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
     write_shadow_ray(paths, i, p, s, &light);
     store_planes3(radiance, paths->shadow_radiance, i, paths->plane_stride);
+#if FEATURE_HETEROGENEOUS
+    const uint block = BLOCK_SHADOW(random_vertex_index(p));
+    const Vec4 seed = philox_block(scene->seed, p->pixel, p->index, block, 0u);
+    paths->shadow_stream[i] = as_uint(seed.x);
+    PLANE(1, paths->shadow_stream, paths->plane_stride)[i] = as_uint(seed.y);
+#endif
 }
 #endif
 #endif

@@ -7,6 +7,7 @@
 // behind an interface extends to the next one, so interfaces are sorted first. Summing distance * (sigma before - sigma
 // behind) would need no order, but it cancels where a thin layer of a dense medium is far away, and it is wrong where a
 // scene names the media of one side only. Paths, which go from one interface to the next, do not need those.
+#include "media/heterogeneous.h"
 #include "media/medium.h"
 #include "bsdf/pass_through.h"
 #include "geometry/traverse.h"
@@ -19,27 +20,40 @@ typedef struct {
     bool media_only;      // a repeated traversal, for further interfaces: surfaces have been applied
     MediumInterfaces interfaces;
 #endif
+#if FEATURE_HETEROGENEOUS
+    RandomStream stream;
+#endif
 } ShadowState;
 
 #if FEATURE_MEDIA
 // Applies the medium up to `distance`, in units of the direction, whose length is `length`.
-INLINE void attenuate_medium(ShadowState* shadow, __global const Medium* media, float distance, float length)
+INLINE void attenuate_medium(ShadowState* shadow, const SceneView* scene, Vec3 origin, Vec3 direction, float distance,
+                             float length)
 {
-    if (shadow->medium != MEDIUM_NONE) {
-        const float segment = (distance - shadow->distance_done) * length;
-        shadow->attenuation = mul3(shadow->attenuation, medium_transmittance(media + shadow->medium, segment));
-    }
+    const float begin = shadow->distance_done;
     shadow->distance_done = distance;
+    if (shadow->medium == MEDIUM_NONE) return;
+#if FEATURE_HETEROGENEOUS
+    if (scene->heterogeneous.media[shadow->medium].sigma_t != NONE) {
+        const Vec3 unit = scale3(direction, 1.0f / length);
+        shadow->attenuation =
+            mul3(shadow->attenuation, heterogeneous_transmittance(scene, shadow->medium, origin, unit, begin * length,
+                                                                  distance * length, &shadow->stream));
+        return;
+    }
+#endif
+    shadow->attenuation =
+        mul3(shadow->attenuation, medium_transmittance(scene->media + shadow->medium, (distance - begin) * length));
 }
 
 // Applies the interfaces of a finished traversal. Returns whether there may be more of them, which needs another
 // traversal; else also applies the medium up to the end of the ray.
-INLINE bool attenuate_interfaces(ShadowState* shadow, __global const Medium* media, Vec3 origin, float length,
+INLINE bool attenuate_interfaces(ShadowState* shadow, const SceneView* scene, Vec3 origin, Vec3 direction, float length,
                                  float t_max, float4 scene_sphere)
 {
     const bool may_be_more = shadow->interfaces.count == MAX_MEDIUM_INTERFACES;
     for (uint k = 0u; k < shadow->interfaces.count; ++k) {
-        attenuate_medium(shadow, media, shadow->interfaces.distance[k], length);
+        attenuate_medium(shadow, scene, origin, direction, shadow->interfaces.distance[k], length);
         shadow->medium = shadow->interfaces.medium[k];
     }
     if (may_be_more) {
@@ -52,7 +66,7 @@ INLINE bool attenuate_interfaces(ShadowState* shadow, __global const Medium* med
         const Vec3 to_origin = sub3(origin, vec3(scene_sphere.x, scene_sphere.y, scene_sphere.z));
         end = MAX(2.0f * MAX(scene_sphere.w, SQRT(dot3(to_origin, to_origin))), shadow->distance_done);
     }
-    attenuate_medium(shadow, media, end, length);
+    attenuate_medium(shadow, scene, origin, direction, end, length);
     return false;
 }
 #endif
@@ -85,8 +99,8 @@ INLINE bool attenuate_triangles(ShadowState* shadow, const SceneView* scene, con
                                 __global const float8* block, uint part, Vec3 origin, Vec3 direction, float t_max)
 {
     LaneNumbers t, u, v;
-    uint hits = intersect_triangles(block, part, &traversal->ray, traversal->skip, t_max, &t.vector, &u.vector,
-                                    &v.vector);
+    uint hits =
+        intersect_triangles(block, part, &traversal->ray, traversal->skip, t_max, &t.vector, &u.vector, &v.vector);
     for (; hits; hits &= hits - 1u) {
         const uint triangle = lowest_set_bit(hits);
         const uint primitive = ((__global const uint*)(block + 9))[part * BVH_LANES + triangle];
@@ -151,6 +165,9 @@ __kernel void shadow_transmittance(
     shadow.medium = as_uint(PLANE(3, shadow_radiance, plane_stride)[i]);
     const float length = SQRT(dot3(direction, direction));
 #endif
+#if FEATURE_HETEROGENEOUS
+    shadow.stream = random_stream((uint2)(shadow_stream[i], PLANE(1, shadow_stream, plane_stride)[i]), 0u, 0u, 0u);
+#endif
 
     Traversal traversal;
 #if FEATURE_INSTANCES
@@ -166,7 +183,7 @@ __kernel void shadow_transmittance(
         const uint leaf = next_leaf(&traversal, stack, nodes, triangle_blocks, t_max, false);
         if (leaf == NO_LEAF) {
 #if FEATURE_MEDIA
-            if (attenuate_interfaces(&shadow, media, origin, length, t_max, scene_sphere)) {
+            if (attenuate_interfaces(&shadow, &scene, origin, direction, length, t_max, scene_sphere)) {
                 begin_traversal(&traversal, stack, origin, direction, skip);
                 continue;
             }

@@ -2,6 +2,7 @@
 // BSDFs (bsdf/context.h) and for emission. Conventions are Mitsuba 3's: v = 0 is the top row of an image, texel centres
 // are at half-integers, values are not clamped. The tables are made by host/isonoise/scene/material/textures.py.
 #pragma once
+#include "texture/wrap.h"
 #include "util/math.h"
 
 #if FEATURE_TEXTURES
@@ -28,13 +29,6 @@ INLINE Vec2 texture_uv(__global const Texture* t, Vec2 uv)
     return vec2(t->to_uv[0] * uv.x + t->to_uv[1] * uv.y + t->to_uv[2],
                 t->to_uv[3] * uv.x + t->to_uv[4] * uv.y + t->to_uv[5]);
 }
-
-// floor(x) for |x| < 2^31.
-INLINE float floor_float(float x)
-{
-    const float whole = (float)(int)x;
-    return whole > x ? whole - 1.0f : whole;
-}
 #endif
 
 #if FEATURE_BITMAPS
@@ -46,29 +40,6 @@ INLINE Vec3 texel(const Textures* textures, __global const Texture* t, int x, in
     const uint r = encoded & 0xFFu, g = encoded >> 8 & 0xFFu, b = encoded >> 16 & 0xFFu;
     if (t->flags & TEXTURE_RAW) return scale3(vec3((float)r, (float)g, (float)b), 1.0f / 255.0f);
     return vec3(textures->srgb[r], textures->srgb[g], textures->srgb[b]);
-}
-
-// Wraps a coordinate and converts it to texels: [0, size], or [0, 2 size] if it is mirrored. NaN, and numbers so large
-// that they have no fraction, become 0.
-INLINE float wrap_coordinate(uint flags, float x, float size)
-{
-    if (!(abs_float(x) < 0x1p24f)) x = flags & TEXTURE_CLAMP && x > 0.0f ? 1.0f : 0.0f;
-    if (flags & TEXTURE_CLAMP) return size * MIN(MAX(x, 0.0f), 1.0f);
-    if (flags & TEXTURE_MIRROR) return 2.0f * size * (0.5f * x - floor_float(0.5f * x));
-    return size * (x - floor_float(x));
-}
-
-// Wraps the index of a texel near the image.
-INLINE int wrap_texel(uint flags, int i, int size)
-{
-    if (flags & TEXTURE_MIRROR) {
-        i = i < 0 ? -1 - i : i;
-        i = i >= size ? 2 * size - 1 - i : i;
-    } else if (!(flags & TEXTURE_CLAMP)) {
-        i = i < 0 ? i + size : i;
-        i = i >= size ? i - size : i;
-    }
-    return i < 0 ? 0 : MIN(i, size - 1);
 }
 
 // The four texels around a point of the image. Returns the weights of the second column and row. For the filter

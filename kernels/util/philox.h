@@ -1,13 +1,13 @@
-// The sampler `independent`: numbers of a counter-based generator. Used by util/random.h.
+// The sampler `independent`, and streams of random numbers: a counter-based generator. Used by util/random.h.
 #pragma once
 #include "util/vec.h"
 
-#if !FEATURE_SOBOL
+#if !FEATURE_SOBOL || FEATURE_HETEROGENEOUS
 // Philox4x32 with 7 rounds, the smallest number of rounds that passes BigCrush.
 // Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011, section 3.3 and table 2.
-INLINE Vec4 philox_block(uint2 seed, uint pixel, uint index, uint block)
+INLINE Vec4 philox_block(uint2 seed, uint pixel, uint index, uint block, uint number)
 {
-    uint a = pixel, b = index, c = block, d = 0u;
+    uint a = pixel, b = index, c = block, d = number;
     // unrolled: LLVM does not vectorise a loop over paths that contains another loop
 #pragma unroll
     for (uint round = 0; round < 7u; ++round) {

@@ -28,7 +28,7 @@ def feature_superset(used: Mapping[str, bool], volpath: bool) -> dict[str, bool]
     Unless `volpath`, the features of the integrator `volpath` stay as they are too: with them a work-item shades one
     path.
     """
-    unchanged = {*ALTERNATIVES, *(() if volpath else ("VOLPATH", "MEDIA"))}
+    unchanged = {*ALTERNATIVES, *(() if volpath else ("VOLPATH", "MEDIA", "HETEROGENEOUS"))}
     return {name: used[name] if name in unchanged else True for name in FEATURES}
 
 

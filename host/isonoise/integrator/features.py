@@ -175,6 +175,16 @@ FEATURES = {
     "TWOSIDED": Feature("two-sided materials", lambda use: use.has_bsdf_flag(structs.BSDF_TWOSIDED)),
     "VOLPATH": Feature("media or pass-through surfaces, with the integrator volpath", lambda use: use.is_volpath),
     "MEDIA": Feature("media", lambda use: len(use.scene.media) > 0, {"media": _records(structs.MEDIUM, "a medium")}),
+    "HETEROGENEOUS": Feature(
+        "media that vary in space",
+        lambda use: use.scene.heterogeneous is not None,
+        {
+            "heterogeneous_media": _records(structs.HETEROGENEOUS_MEDIUM, "a medium"),
+            "grids": _records(structs.GRID, "a grid"),
+            "grid_values": "4 bytes a value of a grid",
+            "extinction_bounds": "8 bytes for up to 64 values of a grid",
+        },
+    ),
     "AREA_LIGHTS": Feature("area emitters", lambda use: use.light_bits & _AREA_LIGHTS != 0, _LIGHTS),
     "TEXTURED_LIGHTS": Feature("textured area emitters", lambda use: use.has_textured_lights),
     **_light_features(),

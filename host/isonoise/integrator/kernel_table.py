@@ -26,6 +26,8 @@ STRUCTS = {
     "Light": structs.LIGHT,
     "LightBound": structs.LIGHT_BOUND,
     "Medium": structs.MEDIUM,
+    "HeterogeneousMedium": structs.HETEROGENEOUS_MEDIUM,
+    "Grid": structs.GRID,
 }
 
 CONSTANTS: dict[str, int | str] = {
@@ -79,6 +81,7 @@ BOUNCE_BUFFERS = {
     "shadow_origin": {"NEXT_EVENT": 16},
     "shadow_direction": {"NEXT_EVENT": 16},
     "shadow_radiance": {"NEXT_EVENT": 12, "NEXT_EVENT MEDIA": 4},
+    "shadow_stream": {"NEXT_EVENT HETEROGENEOUS": 8},
 }
 """Buffers of the paths within a bounce: bytes a path, by the features that all have to be on for them."""
 
@@ -117,11 +120,15 @@ ELEMENT_TYPES = {
     "light_bounds": "LightBound",
     "environment": "Environment",
     "media": "Medium",
+    "heterogeneous_media": "HeterogeneousMedium",
+    "grids": "Grid",
+    "shadow_stream": "uint",
 }
 """C types of the elements of a buffer, where that is not `float`; those of the path state are in `PATH_STATE`."""
 
 _TEXTURES = "textures texel_bytes texel_floats srgb attributes"
 _ENVMAP = "environment environment_texels environment_rows environment_guide"
+_MEDIA = "media heterogeneous_media grids grid_values extinction_bounds"
 _LIGHT_SELECTION = "light_nodes light_parents light_bounds"
 ARGUMENT_FEATURES = {
     "uvs": ("UVS",),
@@ -132,6 +139,7 @@ ARGUMENT_FEATURES = {
     **dict.fromkeys(_ENVMAP.split(), ("ENVIRONMENT_MAP",)),
     **dict.fromkeys(("instances", "first_instance", "world_triangle_count"), ("INSTANCES",)),
     **dict.fromkeys(("media", "sensor_medium", "scene_sphere"), ("MEDIA",)),
+    **dict.fromkeys((*_MEDIA.split()[1:], "shadow_stream"), ("HETEROGENEOUS",)),
     **dict.fromkeys(("light_nodes", "light_parents"), ("LIGHT_TREE",)),
     "light_bounds": ("LIGHT_LIST",),
     "tests": ("COUNT_TESTS",),
@@ -212,8 +220,8 @@ KERNELS = {
         "shade.cl",
         "path_count plane_stride max_depth rr_depth light_count environment_light seed textured_slots "
         "world_triangle_count",
-        f"sample_pixel {_SURFACES} rough_transmittances lights light_cdf {_ENVMAP} {_LIGHT_SELECTION} media",
-        "PATH_STATE hit shadow_origin shadow_direction shadow_radiance samples alive",
+        f"sample_pixel {_SURFACES} rough_transmittances lights light_cdf {_ENVMAP} {_LIGHT_SELECTION} {_MEDIA}",
+        "PATH_STATE hit shadow_origin shadow_direction shadow_radiance shadow_stream samples alive",
     ),
     "shadow": _kernel(
         "shadow.cl",
@@ -226,7 +234,7 @@ KERNELS = {
     "shadow_transmittance": _kernel(
         "shadow_transmittance.cl",
         "path_count plane_stride first_analytic first_instance scene_sphere",
-        f"nodes triangle_blocks {_SURFACES} media instance {_SHADOW_RAY}",
+        f"nodes triangle_blocks {_SURFACES} {_MEDIA} instance {_SHADOW_RAY} shadow_stream",
         "samples",
         needs="NEXT_EVENT VOLPATH",
     ),
@@ -324,6 +332,10 @@ SCENE_VIEW = {
     "envmap.guide": "environment_guide",
     "light_list.bounds": "light_bounds",
     "light_list.light_count": "light_count",
+    "heterogeneous.media": "heterogeneous_media",
+    "heterogeneous.grids": "grids",
+    "heterogeneous.values": "grid_values",
+    "heterogeneous.bounds": "extinction_bounds",
     "light_tree.nodes": "light_nodes",
     "light_tree.parents": "light_parents",
     "light_tree.cdf": "light_cdf",
@@ -334,6 +346,7 @@ SCENE_VIEW = {
 VIEW_CONDITIONS = {
     "textures": "FEATURE_TEXTURES",
     "envmap": "FEATURE_ENVIRONMENT_MAP",
+    "heterogeneous": "FEATURE_HETEROGENEOUS",
     "light_list": "FEATURE_LIGHT_LIST",
     "light_tree": "FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST",
 }

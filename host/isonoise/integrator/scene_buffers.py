@@ -45,6 +45,7 @@ def scene_arguments(
         **_geometry(device, scene, bvh, features),
         **(_triangle_corners(device, scene) if brute_force else {}),
         **_materials(device, scene, features),
+        **_heterogeneous(device, scene),
         **_lights(device, scene),
         **_light_selection(device, scene, features),
         "max_depth": np.uint32(scene.max_depth if scene.max_depth >= 0 else _NO_LIMIT),
@@ -87,7 +88,7 @@ def _table(device: Device, array: np.ndarray, label: str):
     if array.nbytes > MAX_TABLE_BYTES:
         raise SceneError(
             f"{label} need {array.nbytes / 2**30:.1f} GiB, the limit is {MAX_TABLE_BYTES >> 30} GiB; "
-            "use fewer triangles, or smaller images"
+            "use fewer triangles, or smaller images and volumes"
         )
     return device.buffer(array, label) if array.size else None
 
@@ -150,6 +151,12 @@ def _materials(device: Device, scene: CompiledScene, features: Mapping[str, bool
         "textured_slots": np.uint32(bsdfs.textured_slots(scene.bsdfs)),
         "media": _table(device, scene.media, "the media"),
     }
+
+
+def _heterogeneous(device: Device, scene: CompiledScene) -> dict[str, object]:
+    if scene.heterogeneous is None:
+        return {}
+    return {name: _table(device, array, "the volumes") for name, array in scene.heterogeneous.arrays().items()}
 
 
 def _lights(device: Device, scene: CompiledScene) -> dict[str, object]:

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,6 +37,9 @@ from isonoise.scene.material.media import Media
 from isonoise.scene.material.textures import MeshAttributes, Textures, mesh_attributes_used
 from isonoise.scene.mesh.surfaces import Surfaces, make_surfaces
 from isonoise.scene.placement import UNPLACED, Placement, find_placement, place_scene, warn_where_rounded
+
+if TYPE_CHECKING:
+    from isonoise.scene.volume.heterogeneous import HeterogeneousMedia
 
 _DEFAULT_BSDF = {"type": "diffuse", "reflectance": 0.5}  # Mitsuba 3's, for a shape without a bsdf
 _EMITTER_BSDF = {"type": "diffuse", "reflectance": 0.0}  # Mitsuba 3's, for an emissive shape without a bsdf
@@ -104,9 +108,10 @@ def compile_scene(
         **arrays,
         **settings,
         environment=environment,
+        heterogeneous=materials.heterogeneous,
         sampler=sampler or _sampler(sensor),
         sample_count=sensor.get("sampler", {}).get("sample_count", _SAMPLE_COUNT),
-        hash=_hash(arrays, settings, environment),
+        hash=_hash(arrays, settings, environment, materials.heterogeneous),
     )
 
 
@@ -239,6 +244,7 @@ class _Materials:
     arrays: dict[str, np.ndarray]  # fields of CompiledScene
     textures: Textures
     sensor_medium: int
+    heterogeneous: "HeterogeneousMedia | None"
     area_lights: list[AreaLight]  # in the order of their shapes
 
 
@@ -280,7 +286,8 @@ def _compile_materials(geometry: _Geometry, sensor_medium: dict | None, volumetr
         "texel_floats": texture_arrays.floats,
         "attributes": texture_arrays.attributes,
     }
-    return _Materials(arrays, textures, sensor_medium_index, _area_lights(geometry, radiance_textures))
+    area_lights = _area_lights(geometry, radiance_textures)
+    return _Materials(arrays, textures, sensor_medium_index, media.heterogeneous, area_lights)
 
 
 def _area_lights(geometry: _Geometry, radiance_textures: dict[int, int]) -> list[AreaLight]:
@@ -314,8 +321,15 @@ def _scaled(environment: EnvironmentMap, radiance_scale: float) -> EnvironmentMa
     return replace(environment, record=record)
 
 
-def _hash(arrays: dict[str, np.ndarray], settings: dict, environment: EnvironmentMap | None) -> str:
+def _hash(
+    arrays: dict[str, np.ndarray],
+    settings: dict,
+    environment: EnvironmentMap | None,
+    heterogeneous: "HeterogeneousMedia | None",
+) -> str:
     """Hex digest of all arrays and settings. File names and ids do not change it."""
+    if heterogeneous is not None:
+        arrays = arrays | heterogeneous.arrays()
     if environment is not None:
         arrays = arrays | {"environment": environment.record, "environment_texels": environment.texels}
     digest = hashlib.blake2b(repr(sorted(settings.items())).encode(), digest_size=16)

@@ -1,10 +1,14 @@
 """CompiledScene: the flat arrays that `compile_scene` makes and that the integrator uploads to the device."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isonoise.scene.light.envmap import EnvironmentMap
+
+if TYPE_CHECKING:
+    from isonoise.scene.volume.heterogeneous import HeterogeneousMedia
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,7 @@ class CompiledScene:
     group_offsets: np.ndarray  # (G + 1, 2) uint32: first triangle and analytic primitive of each group; then the totals
     bsdfs: np.ndarray  # (B,) structs.BSDF
     media: np.ndarray  # (M,) structs.MEDIUM; empty unless the integrator is volumetric
+    heterogeneous: "HeterogeneousMedia | None"  # None unless a medium is heterogeneous
     rough_transmittances: np.ndarray  # (t, rough_transmittance.NODES) float32: of rough plastics, by cosine
     # (T,) bool: the corners are in reverse order of the mesh file; (0,) if all meshes have uvs
     reversed_winding: np.ndarray

@@ -14,6 +14,7 @@ import numpy as np
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.transforms import scale, translate
 from isonoise.scene.vocabulary import plugins_of
+from isonoise.scene.volume import is_volume
 
 FLOAT_STEP, DOUBLE_STEP = 2.0**-24, 2.0**-53
 """Relative rounding error of 32-bit and 64-bit floats."""
@@ -153,11 +154,23 @@ def _place_medium(medium: dict, world: Placement) -> dict:
     return {"scale": min(medium["scale"] / world.scale, _MAX_SIGMA_T / largest)}
 
 
+def _place_heterogeneous(medium: dict, world: Placement) -> dict:
+    """Density of a heterogeneous medium. A constant one fills the unit cube, which becomes a volume with a place."""
+    changes = {"scale": medium["scale"] / world.scale}
+    if not is_volume(medium["sigma_t"]):
+        changes["sigma_t"] = {"type": "constvolume", "value": medium["sigma_t"], "to_world": world.to_placed()}
+    return changes
+
+
 _SHAPES = frozenset(name for name in plugins_of("shape") if name not in ("shapegroup", "instance"))
 _CHANGES = {
     **dict.fromkeys(("perspective", "thinlens", "orthographic"), _place_camera),
     **dict.fromkeys(("point", "spot"), _place_light),
     "homogeneous": _place_medium,
+    "heterogeneous": _place_heterogeneous,
+    **dict.fromkeys(
+        ("gridvolume", "constvolume"), lambda volume, world: {"to_world": world.to_placed() @ _to_world(volume)}
+    ),
     "bumpmap": lambda bsdf, world: {"scale": bsdf["scale"] * world.scale},  # heights are lengths
 }
 

@@ -116,6 +116,29 @@ MEDIUM = np.dtype(
     ]
 )
 
+HETEROGENEOUS_MEDIUM = np.dtype(
+    [
+        ("sigma_t", "u4"),  # index of a grid, which the extinction coefficient of the medium multiplies; NONE: uniform
+        ("albedo", "u4"),  # index of a grid, which the albedo of the medium multiplies; NONE
+        ("lower", "f4", 3),  # world box outside of which there is no medium
+        ("upper", "f4", 3),
+        ("to_cells", "f4", 12),  # from the world to cells of extinction bounds: rows of 3x4
+        ("cells", "u4", 3),  # along x, y, z
+        ("first_cell", "u4"),  # index of its bounds
+    ]
+)
+"""What a heterogeneous medium has beside its MEDIUM; there is one for each medium, homogeneous ones too."""
+
+GRID = np.dtype(
+    [
+        ("to_local", "f4", 12),  # from the world to the unit cube: rows of 3x4
+        ("size", "u4", 3),  # values along x, y, z
+        ("channels", "u4"),  # 1 or 3
+        ("first", "u4"),  # index of its first value
+        ("flags", "u4"),  # TEXTURE_NEAREST | TEXTURE_MIRROR | TEXTURE_CLAMP (neither of the last two: repeat)
+    ]
+)
+
 LIGHT = np.dtype(
     [
         ("kind", "u4"),

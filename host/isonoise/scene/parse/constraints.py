@@ -39,7 +39,7 @@ def check_constraints(kind: str, result: dict, location: Location):
     for first, second in _MUTUALLY_EXCLUSIVE.get(name, ()):
         if first in result and second in result:
             location.raise_error(f"give '{first}' or '{second}', not both")
-    if kind in ("shape", "emitter") and "to_world" in result:
+    if kind in ("shape", "emitter", "volume") and "to_world" in result:
         _check_invertible(result["to_world"], location)
     if name in _CHECKS:
         _CHECKS[name](result, location)
@@ -205,6 +205,14 @@ def _check_homogeneous(medium: dict, location: Location):
         location.raise_error(f"sigma_t times scale exceeds {_MAX_SIGMA_T:g}: 32-bit floats overflow")
 
 
+def _check_gridvolume(volume: dict, location: Location):
+    if sum(name in volume for name in ("filename", "grid", "data")) != 1:
+        location.raise_error("give one of 'filename', 'grid' and 'data'")
+    in_memory = volume.get("grid", volume.get("data"))
+    if volume["use_grid_bbox"] and isinstance(in_memory, np.ndarray):
+        location.raise_error("use_grid_bbox needs a file or a VolumeGrid; an array has no box")
+
+
 def _check_scene(scene: dict, location: Location):
     environments = {plugin for plugin, kind in LIGHT_OF_PLUGIN.items() if kind.is_environment}
     if sum(isinstance(value, dict) and value["type"] in environments for value in scene.values()) > 1:
@@ -237,5 +245,6 @@ _CHECKS = {
     "mesh": _check_mesh,
     "shapegroup": _check_shapegroup,
     "homogeneous": _check_homogeneous,
+    "gridvolume": _check_gridvolume,
     "scene": _check_scene,
 }

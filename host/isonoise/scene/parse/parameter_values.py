@@ -79,6 +79,14 @@ def _to_uvs(value) -> np.ndarray | None:
     return value.astype(np.float32) if is_valid and np.isfinite(value).all() else None
 
 
+def _to_grid(value):
+    """A VolumeGrid or an array."""
+    from isonoise.scene.volume.grid_file import VolumeGrid  # imported only where it is used
+
+    is_array = isinstance(value, np.ndarray) and value.ndim in (3, 4) and value.dtype.kind in "iuf"
+    return value if is_array or isinstance(value, VolumeGrid) else None
+
+
 def _to_attributes(value) -> dict[str, np.ndarray] | None:
     is_valid = isinstance(value, dict) and all(
         name.startswith(("vertex_", "face_")) and array.ndim == 2 and array.shape[1] in (1, 3)
@@ -100,6 +108,7 @@ _TYPES = {
     "uvs": (_to_uvs, "an array of n x 2 finite numbers"),
     "attributes": (_to_attributes, "a dict of arrays n x 1 or n x 3 by names that begin with vertex_ or face_"),
     "image": (lambda value: value if isinstance(value, Image) else None, "an Image"),
+    "grid": (_to_grid, "an array of numbers with 3 or 4 dimensions, or a VolumeGrid"),
     "indices": (_to_indices, "an array of n x 3 whole numbers"),
     "texture": (lambda value: None, "a nested texture"),
     "raw": (lambda value: _to_vector(value) or _to_float(value), "a finite number or a vector of three"),

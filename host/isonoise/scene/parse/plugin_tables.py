@@ -26,6 +26,7 @@ _TYPES = {
     "positions": "array",
     "indices": "array",
     "raw": "number or vector",
+    "grid": "array",
     "any": "",
 }
 _INTERVALS = {"reflectance": "[0, 1]", "radiance": "[0, inf)", "unbounded": "[0, inf)", "index": "(0, inf)"}

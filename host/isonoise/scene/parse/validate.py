@@ -169,7 +169,7 @@ class SceneNormaliser:
             result[name] = self._normalise_object(element, kind)
             return
         if parameter is not None and parameter.volume and kind == "volume":
-            _add_parameter(plugin, result, name, self._normalise_object(element, kind)["value"], location)
+            self._add_volume(plugin, result, name, element, location)
             return
         child = plugin.child(kind)
         if child is None:
@@ -189,6 +189,23 @@ class SceneNormaliser:
             return
         _add_child(plugin, child, result, child_counts.get(kind, 0), name or element.id, nested, location)
         child_counts[kind] = child_counts.get(kind, 0) + 1
+
+    def _add_volume(self, plugin: Plugin, result: dict, name: str, element: Element, location: Location):
+        """Add a volume as a parameter; a constant one that has no place of its own as its value."""
+        allowed, kind = plugin.parameter(name).volume, self._find_plugin(element, ("volume",)).name
+        if kind not in allowed:
+            location.raise_error(
+                f"'{name}' of {with_article(plugin.kind)} '{plugin.name}' cannot be a {kind} "
+                f"(allowed: {', '.join(allowed)}); that of a medium 'heterogeneous' can"
+            )
+        volume = self._normalise_object(element, "volume")
+        if volume["type"] == "constvolume":  # checks the value
+            _add_parameter(plugin, result, name, volume["value"], location)
+            if plugin.name != "heterogeneous" or "to_world" not in volume:
+                return
+        else:
+            _check_not_given(result, name, location)
+        result[name] = volume
 
 
 def _takes_constants(parameter: Parameter | None) -> bool:

@@ -23,7 +23,7 @@ class Parameter:
     status: str = SUPPORTED  # IGNORED: does not change the image; UNSUPPORTED: only Mitsuba has it
     required: bool = False
     texture: bool = False  # a texture is allowed instead of a value
-    volume: bool = False  # a constvolume is allowed instead of a value
+    volume: tuple[str, ...] = ()  # volumes that are allowed instead of a value
     meaning: str = ""  # one line, with the unit; IGNORED, UNSUPPORTED: the reason
     unset: str = ""  # the default in words, if `default` is None
 

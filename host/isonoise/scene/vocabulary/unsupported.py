@@ -61,12 +61,10 @@ UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
         "regular": _SPECTRAL,
         "volume": "volumes as textures are not supported",
     },
-    "medium": {"heterogeneous": "only uniform media are supported"},
     "phase": {
         "blendphase": "one phase function per medium",
         "rayleigh": "hg with g = 0 is similar",
         "sggx": "for volumes of fibres and flakes",
         "tabphase": "fit hg to it",
     },
-    "volume": {"gridvolume": "only uniform media are supported"},
 }
