@@ -8,6 +8,7 @@ import small_files
 from isonoise.scene.image.image import Image
 from isonoise.scene.vocabulary import PLUGINS
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter, Plugin
+from isonoise.scene.volume.grid_file import VolumeGrid
 
 SUPPORTED_PLUGINS = [plugin for plugin in PLUGINS if plugin.kind != "scene"]
 PARAMETERS = [(plugin, parameter) for plugin in SUPPORTED_PLUGINS for parameter in plugin.parameters]
@@ -26,6 +27,7 @@ def write_files(folder: Path) -> Path:
             "obj": small_files.obj(number),
             "ply": small_files.ply(shift=number),
             "serialized": small_files.serialized(shift=number),
+            "vol": small_files.vol(number),
         }
         for suffix, data in content.items():
             (folder / f"{name}.{suffix}").write_bytes(data)
@@ -35,7 +37,7 @@ def write_files(folder: Path) -> Path:
 def minimal_plugin(plugin: Plugin, files: Path) -> dict:
     """A plugin with its required parameters and children only."""
     name, matt = plugin.name, {"type": "diffuse"}
-    suffix = {"bitmap": "png", "envmap": "png"}.get(name, name)
+    suffix = {"bitmap": "png", "envmap": "png", "gridvolume": "vol"}.get(name, name)
     required_values = {
         "filename": str(files / f"a.{suffix}"),
         "vertices": TRIANGLE,
@@ -47,7 +49,9 @@ def minimal_plugin(plugin: Plugin, files: Path) -> dict:
         "value": 0.25,
         "color": {"type": "rgb", "value": [0.1, 0.5, 0.6]},
     }
-    result = {"type": name} | ({"filename": required_values["filename"]} if name == "bitmap" else {})
+    result = {"type": name}
+    if name in ("bitmap", "gridvolume"):
+        result["filename"] = required_values["filename"]
     for parameter in plugin.parameters:
         if parameter.required:
             assert parameter.name in required_values, f"add a value for '{parameter.name}' of {name} here"
@@ -104,12 +108,11 @@ def scene_with(plugin: Plugin, description: dict, files: Path) -> dict:
         }
     elif plugin.kind in ("medium", "phase", "volume"):
         integrator = {"type": "volpath", "max_depth": 9}
-        medium = {"type": "homogeneous"}
-        medium = (
-            description
-            if plugin.kind == "medium"
-            else medium | {"albedo" if plugin.kind == "volume" else "inside": description}
-        )
+        medium = {
+            "medium": description,
+            "phase": {"type": "homogeneous", "inside": description},
+            "volume": {"type": "heterogeneous", "sigma_t": description},
+        }[plugin.kind]
         mesh = {"type": "sphere", "interior": medium, "bsdf": {"type": "null"}}
     else:
         raise AssertionError(f"add the use of a {plugin.kind} in a scene here")
@@ -131,6 +134,8 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
         "alpha_v": {"alpha_u": 0.4, "alpha_v": 0.4},
         "attributes": {"attributes": {"vertex_color": TRIANGLE}},
         "bitmap": {"bitmap": Image(np.zeros((2, 2, 3), np.uint8))},
+        "grid": {"grid": VolumeGrid(np.ones((2, 2, 2, 1), np.float32))},
+        "data": {"data": np.ones((2, 2, 2))},
     }
     special = {
         "focal_length": "35mm",
@@ -145,6 +150,8 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
         "texcoords": TRIANGLE[:, :2],
         "attributes": {"vertex_color": TRIANGLE / 2},
         "bitmap": Image(np.eye(2, dtype=np.uint8)[..., None]),
+        "grid": VolumeGrid(np.ones((1, 2, 3, 1), np.float32)),
+        "data": np.ones((3, 2, 1, 3)),
         "format": "fp16",
         "pixel_format": "rgba",
         "component_format": "float32",
@@ -156,7 +163,7 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
     if value is None:
         value = generic_value(parameter)
     description = minimal_plugin(plugin, files) | context.get(parameter.name, {})
-    if parameter.name == "bitmap":
+    if parameter.name in ("bitmap", "grid", "data"):
         del description["filename"]
     return description, {parameter.name: value}
 

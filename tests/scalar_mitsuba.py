@@ -5,6 +5,7 @@ import pytest
 import references
 
 import isonoise
+from isonoise.scene.volume.grid_file import VolumeGrid
 
 
 def import_mitsuba():
@@ -23,6 +24,10 @@ def as_mitsuba(mitsuba, scene: dict) -> dict:
             value = as_mitsuba(mitsuba, value)
         elif name in ("to_world", "to_uv"):
             value = mitsuba.ScalarTransform4f(np.asarray(value, float))
+        elif isinstance(value, VolumeGrid):
+            value = mitsuba.VolumeGrid(value.values)
+        elif name == "data":
+            value = mitsuba.TensorXf(value.astype(np.float32))
         result[name] = value
     return result
 

@@ -39,6 +39,12 @@ def obj(shift: float = 0.0, relative: bool = False) -> bytes:
     return "\n".join(lines).encode() + b"\n"
 
 
+def vol(shift: float = 0.0, channels: int = 1) -> bytes:
+    """A grid of 2 x 3 x 4 cells in a box of 2 x 2 x 2."""
+    header = b"VOL\x03" + struct.pack("<5i6f", 1, 4, 3, 2, channels, -1, -1, -1, 1, 1, 1)
+    return header + (0.25 * np.arange(24 * channels) % 1.0 + shift).astype("<f4").tobytes()
+
+
 def mtl() -> bytes:
     return (
         b"newmtl red\nKd 0.8 0.1 0.1\nKs 0.5 0.5 0.5\nNs 40\nillum 2\nmap_Kd -s 2 2 -o 0.5 0 -clamp on a.png\n"

@@ -48,7 +48,8 @@ def test_the_buffers_are_those_computed(monkeypatch, options):
 
 
 def plan_of(pool_size: int, needs: Needs = BASIC_NEEDS, shape: tuple[int, int] = (64, 64), **options) -> MemoryPlan:
-    features = dict.fromkeys(("INSTANCES", "VOLPATH", "MEDIA", "LIGHT_TREE", "LIGHT_LIST", "COUNT_TESTS"), False)
+    off = ("INSTANCES", "VOLPATH", "MEDIA", "HETEROGENEOUS", "LIGHT_TREE", "LIGHT_LIST", "COUNT_TESTS")
+    features = dict.fromkeys(off, False)
     features["NEXT_EVENT"] = True
     return MemoryPlan(0, 0, features, needs, shape, pool_size, 512, 2, **options)
 
