@@ -36,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
     for add_command in (
         _add_render, _add_merge, _add_convert, _add_compare, _add_bench, _add_selftest, _add_devices, _add_plugins,
-        _add_info,
+        _add_formats, _add_info,
     ):  # fmt: skip
         add_command(commands)
     return parser
@@ -261,6 +261,16 @@ def _add_plugins(commands) -> None:
         "name", metavar="KIND|NAME", nargs="?", help="a kind such as bsdf, or a plugin such as plastic"
     )
     plugins.add_argument("--json", action="store_true", help="print the same as JSON, with all parameters")
+
+
+def _add_formats(commands) -> None:
+    formats = commands.add_parser(
+        "formats",
+        help="list what is supported of glTF, OBJ, PLY, STL and pbrt files",
+        description="List what is supported of the formats other than Mitsuba 3 XML. With a format: what its features\n"
+        "become, and what is missing.",
+    )
+    formats.add_argument("name", metavar="FORMAT", nargs="?", help="a file extension, such as obj")
 
 
 def _add_info(commands) -> None:

@@ -14,7 +14,7 @@ from isonoise.signals import deferred, exit_code, handle_signals, interrupted_ex
 from isonoise.standard_streams import SafeStream
 
 _python_format = warnings.formatwarning
-_PRINTING_COMMANDS = ("devices", "info", "plugins")
+_PRINTING_COMMANDS = ("devices", "formats", "info", "plugins")
 """They do nothing but print, so a reader of standard output that has read enough, such as `head`, is no error."""
 
 
