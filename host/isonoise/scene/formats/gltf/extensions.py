@@ -3,6 +3,11 @@
 from isonoise.scene.formats.gltf.document import Document
 from isonoise.scene.formats.report import ImportReport
 
+# Extensions that are a feature by themselves.
+_FEATURES = {
+    "KHR_materials_pbrSpecularGlossiness": "measured_materials",
+    "KHR_materials_variants": "material_variants",
+}
 _MAX_LISTED = 8  # extensions in a warning
 
 # The modules that read these report what they cannot map.
@@ -73,8 +78,12 @@ def check_extensions(document: Document, report: ImportReport) -> None:
             advice = _ADVICE.get(name, "export the model without it")
             place = f"extensionsRequired[{number}]"
             document.root.fail(place, f"the extension '{name[:80]}' is not supported; {advice}")
+    used = dict.fromkeys(document.root.strings("extensionsUsed"))
+    for name in used:
+        if name in _FEATURES:
+            report.use(_FEATURES[name])
     known = _READ | _WITHOUT_EFFECT | _WITH_FALLBACK
-    unknown = [name[:80] for name in dict.fromkeys(document.root.strings("extensionsUsed")) if name not in known]
+    unknown = [name[:80] for name in used if name not in known]
     if unknown:
         listed = ", ".join(unknown[:_MAX_LISTED]) + (", ..." if len(unknown) > _MAX_LISTED else "")
         report.limit("extensions", f"{listed} {'is' if len(unknown) == 1 else 'are'} unknown and ignored")

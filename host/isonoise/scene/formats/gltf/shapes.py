@@ -89,12 +89,11 @@ class Shapes:
             is_instance = is_on_side & can_be_instance
             in_group = {}
             for part, surface in self._parts(primitives, is_mirrored):
-                if surface.emission is None and is_instance.any():
-                    in_group[f"shape_{len(in_group)}"] = self._shape(part, surface, np.eye(4)[None])
-                    placed_singly = matrices[is_on_side & ~can_be_instance]
-                else:
-                    placed_singly = matrices[is_on_side]
-                if len(placed_singly) and (shape := self._shape(part, surface, placed_singly)):
+                is_shared = surface.emission is None and is_instance.any()
+                if is_shared and (shape := self._shape(part, surface, np.eye(4)[None])):
+                    in_group[f"shape_{len(in_group)}"] = shape
+                is_single = is_on_side & ~can_be_instance if is_shared else is_on_side
+                if is_single.any() and (shape := self._shape(part, surface, matrices[is_single])):
                     self.shapes[self._unique_name(f"mesh_{copies.name}")] = shape
             if in_group:
                 self._add_instances(copies.name, in_group, matrices[is_instance])

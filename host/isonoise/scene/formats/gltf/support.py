@@ -50,10 +50,10 @@ SUPPORT = {
     "normal_map": Support(YES, "`normalmap`; meshes are divided where the image is mirrored"),
     "occlusion_map": Support(YES, "not used: light transport computes occlusion"),
     "cameras": Support(YES, "`perspective`, `orthographic`"),
-    "point_lights": Support(PARTLY, "`point`, with candela as W/sr; without its range"),
+    "point_lights": Support(PARTLY, "`point`, candela as W/sr (PNG previews expose themselves); without its range"),
     "spot_lights": Support(
-        PARTLY, "`spot`, with candela as W/sr; the falloff between the cones is linear in the angle; without its range"
+        PARTLY, "`spot`, candela as W/sr; the falloff between the cones is linear in the angle; without its range"
     ),
-    "directional_lights": Support(YES, "`directional`, with lux as W/m²"),
+    "directional_lights": Support(YES, "`directional`, lux as W/m²"),
     "extensions": Support(NO, "unknown optional ones are ignored, unknown required ones are an error"),
 }
