@@ -77,7 +77,8 @@ def test_alpha_of_decoded_images(tmp_path):
     file = io.BytesIO()
     palette.save(file, "PNG", transparency=bytes([10, 200]))
     image = decode_image(file.getvalue(), "an image", with_alpha=True)
-    assert image.pixels.tolist() == [[[255, 0, 0], [0, 0, 255]]] and image.alpha.ravel().tolist() == [10, 200]
+    assert image.pixels.tolist() == [[[255, 0, 0], [0, 0, 255]]]
+    assert image.alpha.ravel().tolist() == [10, 200]
 
 
 def test_alpha_of_16_bits(tmp_path):
@@ -102,7 +103,8 @@ def test_undecodable_bytes():
 
 def test_equal_operations_return_the_same_object():
     bitmaps = Bitmaps()
-    assert bitmaps.scaled(IMAGE, 1.0) is IMAGE and bitmaps.scaled(IMAGE, (1, 1, 1)) is IMAGE
+    assert bitmaps.scaled(IMAGE, 1.0) is IMAGE
+    assert bitmaps.scaled(IMAGE, (1, 1, 1)) is IMAGE
     assert bitmaps.scaled(IMAGE, 0.5) is bitmaps.scaled(IMAGE, 0.5)
     assert bitmaps.scaled(IMAGE, 0.5) is not bitmaps.scaled(IMAGE, 0.25)
     assert bitmaps.texture(IMAGE) is bitmaps.texture(IMAGE)
