@@ -146,7 +146,9 @@ TARGETS = {
     "xml-bytes": Target(lambda: [text.encode() for text in SCENES], "scene.xml", compile_file),
     "obj": Target(lambda: [small_files.obj(relative=True)], "m.obj", compile_file),
     "mtl": Target(lambda: [small_files.mtl()], "a.mtl", compile_mtl),
-    "ply": Target(lambda: [small_files.ply(), small_files.ply(binary=False)], "m.ply", compile_file),
+    "ply": Target(
+        lambda: [small_files.ply(), small_files.ply(binary=False), small_files.ply_textured()], "m.ply", compile_file
+    ),
     "serialized": Target(
         lambda: [small_files.serialized(), small_files.serialized(version=3), small_files.serialized_uncompressed()],
         "m.serialized",

@@ -75,6 +75,16 @@ def ply(binary: bool = True, shift: float = 0.0) -> bytes:
     return head.encode() + body
 
 
+def ply_textured() -> bytes:
+    """With a texture, coordinates of corners, colours with alpha and a concave quadrilateral."""
+    colours = "".join(f"property float {name}\n" for name in ("r", "g", "b", "a"))
+    head = "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 4\n"
+    head += "property float x\nproperty float y\nproperty float z\n" + colours
+    head += "element face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+    body = "0 0 0 1 1 1 1\n1 -1 0 1 0 0 0.5\n0.5 0 0 1 1 1 1\n1 1 0 1 1 1 1\n"
+    return (head + body + "4 0 1 2 3 8 0 0 1 0 1 1 0 1\n3 0 1 2 6 0 0 1 0 1 1\n").encode()
+
+
 def serialized(meshes: int = 2, version: int = 4, shift: float = 0.0) -> bytes:
     parts = []
     for number in range(meshes):

@@ -1,4 +1,4 @@
-"""Reads Stanford PLY files, ASCII and binary, with numpy. Polygons become triangle fans.
+"""Reads Stanford PLY files, ASCII and binary, with numpy. Called by `load_mesh.py` and `formats/ply`.
 
 The counts in a header are checked against the size of the file before anything is allocated.
 """
@@ -15,6 +15,7 @@ import numpy as np
 from isonoise.scene.files import read_bytes
 from isonoise.scene.mesh.mesh import Mesh, make_uvs, parse_numbers, validate_mesh
 from isonoise.scene.mesh.ply_attributes import attribute_values, find_attributes
+from isonoise.scene.mesh.polygons import triangulate
 from isonoise.scene.parse.elements import SourceLocation
 
 # numpy type of each PLY type
@@ -50,30 +51,56 @@ class _Element:
         return [f"{number} {item.name}" for number, item in enumerate(self.properties)]
 
 
+@dataclass
+class PlyFile:
+    """A mesh, and what else the file says."""
+
+    mesh: Mesh
+    comments: list[str]
+    counts: dict[str, int]  # number of records of each element
+    corner_uvs: np.ndarray  # (t, 3, 2) float32: texture coordinates of the corners of faces, or (0, 3, 2)
+
+
 def read_ply(path: Path, flip_tex_coords: bool = False) -> Mesh:
-    """Read a file. `flip_tex_coords` replaces v by 1 - v.
+    """The mesh of a file, its polygons cut into fans as in Mitsuba 3: see `read_ply_file`."""
+    return read_ply_file(path, flip_tex_coords).mesh
+
+
+def read_ply_file(path: Path, flip_tex_coords: bool = False, cut_concave: bool = False) -> PlyFile:
+    """Read a file. `flip_tex_coords` replaces v by 1 - v; `cut_concave` cuts concave polygons correctly.
 
     Raises SceneError if it is not a PLY mesh, is truncated, or has invalid vertex indices or numbers.
     """
     location = SourceLocation(str(path))
     data = read_bytes(path)
-    byte_order, elements, start = _read_header(data, location)
+    byte_order, elements, comments, start = _read_header(data, location)
     body = _Body(data, start, byte_order, location)
     mesh = faces = None
     for element in elements:
         if element.name == "vertex":
             mesh = _read_vertices(element, body.read_columns(element), flip_tex_coords, location)
         elif element.name == "face":
-            faces = body.read_triangles(element)
+            faces = body.read_triangles(element, mesh.vertices if cut_concave and mesh else None)
         else:
             body.read_triangles(element)
         if mesh is not None and faces is not None:
             break
+    counts = {element.name: element.count for element in elements}
     if mesh is None or faces is None or not len(faces[0]):
-        location.raise_error("a mesh needs vertices and faces")
+        location.raise_error("a mesh needs vertices and faces" + _hint(counts))
     mesh.faces = faces[0]
     mesh.attributes |= faces[1]
-    return validate_mesh(mesh, location)
+    corner_uvs = make_uvs(faces[2].reshape(-1, 2), flip_tex_coords).reshape(-1, 3, 2)
+    return PlyFile(validate_mesh(mesh, location), comments, counts, corner_uvs)
+
+
+def _hint(counts: dict[str, int]) -> str:
+    """What a file without faces is."""
+    if counts.get("tristrips"):
+        return "; this one has triangle strips: convert it, for example with MeshLab"
+    if counts.get("vertex"):
+        return "; this is a point cloud: make a mesh of it, for example with MeshLab's surface reconstruction"
+    return ""
 
 
 def _read_vertices(element: _Element, columns: dict[str, np.ndarray], flip: bool, location: SourceLocation) -> Mesh:
@@ -98,17 +125,19 @@ def _stack_columns(columns: dict[str, np.ndarray], names) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=1).astype(np.float64)
 
 
-def _read_header(data: bytes, location: SourceLocation) -> tuple[str, list[_Element], int]:
-    """(byte order '<', '>' or '' for ASCII, elements, offset of the body)."""
+def _read_header(data: bytes, location: SourceLocation) -> tuple[str, list[_Element], list[str], int]:
+    """(byte order '<', '>' or '' for ASCII, elements, comments, offset of the body)."""
     if data[:3] != b"ply":
         location.raise_error("not a PLY file")
     marker = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
     end = data.find(b"\n", marker)
     if marker < 0 or end < 0:
         location.raise_error("its header has no end")
-    byte_order, elements = None, []
-    for line in data[:marker].decode("ascii", "replace").splitlines():
+    byte_order, elements, comments = None, [], []
+    for line in data[:marker].decode("utf-8", "replace").splitlines():
         words = line.split()
+        if words[:1] == ["comment"]:
+            comments.append(line.split("comment", 1)[1].strip())
         if words[:1] == ["format"]:
             byte_order = _BYTE_ORDERS.get(words[1] if len(words) > 1 else "")
         elif words[:1] == ["element"]:
@@ -121,7 +150,7 @@ def _read_header(data: bytes, location: SourceLocation) -> tuple[str, list[_Elem
             elements[-1].properties.append(_parse_property(words, line, location))
     if byte_order is None:
         location.raise_error(f"its format is none of {', '.join(_BYTE_ORDERS)}")
-    return byte_order, elements, end + 1
+    return byte_order, elements, comments, end + 1
 
 
 def _parse_property(words: list[str], line: str, location: SourceLocation) -> _Property:
@@ -164,29 +193,43 @@ class _Body:
         names = (item.name for item in element.properties)
         return {name: records[column] for name, column in zip(names, element.columns(), strict=True)}
 
-    def read_triangles(self, element: _Element) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """((t, 3) vertex indices, attributes) of an element of polygons; skips an element of any other kind."""
+    def read_triangles(
+        self, element: _Element, vertices: np.ndarray | None = None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+        """((t, 3) vertex indices, attributes, (t, 3, 2) texture coordinates of corners or (0, 3, 2)) of polygons.
+
+        Skips an element of any other kind. With `vertices`, concave polygons are cut correctly.
+        """
         columns = element.columns()
         index_column = next((c for c in columns if c.endswith((" vertex_indices", " vertex_index"))), "")
+        uv_column = next((c for c in columns if c.endswith(" texcoord")), "") if index_column else ""
         names = ["" if item.count_type else item.name for item in element.properties]
         attributes = find_attributes(names, element.name) if index_column else {}
         faces, owners = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+        corner_uvs = [np.zeros((0, 3, 2))]
         value_parts: dict[str, list[np.ndarray]] = {name: [] for name in attributes}
         for numbers, records in self.records_by_length(element):
             if not index_column:
                 continue
-            polygons = records[index_column]
-            fan_size = polygons.shape[1] - 2
             with np.errstate(invalid="ignore"):  # a NaN becomes an index that validate_mesh rejects
-                faces.append(_triangle_fans(polygons.astype(np.int64), self.location))
-            owners.append(np.repeat(numbers, fan_size))
+                polygons = records[index_column].astype(np.int64)
+            size = polygons.shape[1]
+            triangles = _triangulate(polygons, vertices, self.location)
+            faces.append(polygons.reshape(-1)[triangles])
+            owners.append(np.repeat(numbers, size - 2))
+            if uv_column:
+                uvs = records[uv_column]
+                is_complete = uvs.ndim == 2 and uvs.shape[1] == 2 * size
+                uvs = uvs.reshape(-1, 2) if is_complete else np.zeros((polygons.size, 2))
+                corner_uvs.append(uvs[triangles].astype(np.float64))
             for name, positions in attributes.items():
                 components = [records[columns[i]] for i in positions]
                 values = attribute_values(components, [element.properties[i].type for i in positions])
-                value_parts[name].append(np.repeat(values, fan_size, axis=0))
+                value_parts[name].append(np.repeat(values, size - 2, axis=0))
         order = np.argsort(np.concatenate(owners), kind="stable") if len(faces) > 2 else slice(None)
         values = {name: np.concatenate(parts)[order] for name, parts in value_parts.items() if parts}
-        return np.concatenate(faces)[order], values
+        corners = np.concatenate(corner_uvs)
+        return np.concatenate(faces)[order], values, corners[order] if len(corners) else corners
 
     def records_by_length(self, element: _Element) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """(record numbers, records) of the element, in groups whose lists have equal lengths.
@@ -268,9 +311,12 @@ class _Body:
         self.location.raise_error(f"truncated: its header states {element.count} of element '{element.name}'")
 
 
-def _triangle_fans(polygons: np.ndarray, location: SourceLocation) -> np.ndarray:
-    corners = polygons.shape[1]
-    if corners < 3:
+def _triangulate(polygons: np.ndarray, vertices: np.ndarray | None, location: SourceLocation) -> np.ndarray:
+    """Corner numbers (t, 3) of the triangles of polygons (p, n) of vertex indices; fans without `vertices`."""
+    count, size = polygons.shape
+    if size < 3:
         location.raise_error("a face has fewer than three corners")
-    triangles = [polygons[:, [0, i, i + 1]] for i in range(1, corners - 1)]
-    return np.stack(triangles, axis=1).reshape(-1, 3)
+    if vertices is not None and size > 3 and polygons.min() >= 0 and polygons.max() < len(vertices):
+        return triangulate(vertices[polygons.reshape(-1)], np.full(count, size))
+    fan = np.stack([np.zeros(size - 2, np.int64), np.arange(1, size - 1), np.arange(2, size)], axis=1)
+    return (size * np.arange(count)[:, None, None] + fan).reshape(-1, 3)

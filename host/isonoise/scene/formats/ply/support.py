@@ -1,7 +1,15 @@
 """How far PLY is supported: see `formats/support.py`."""
 
-from isonoise.scene.formats.support import YES, Support
+from isonoise.scene.formats.support import NO, PARTLY, YES, Support
 
 SUPPORT = {
-    "triangles": Support(YES, "`mesh`"),
+    "triangles": Support(YES, "`mesh`; ASCII and binary"),
+    "polygons": Support(YES, "triangles; concave polygons are cut by ear clipping"),
+    "strips_fans": Support(NO, "convert triangle strips to faces, for example with MeshLab"),
+    "lines_points": Support(NO, "edges are not shown; a point cloud is an error: make a mesh of it"),
+    "normals": Support(YES),
+    "uvs": Support(YES, "per vertex, or per corner (texcoord)"),
+    "vertex_colours": Support(YES, "`mesh_attribute`: vertex colours, or else face colours"),
+    "opacity": Support(NO, "the alpha of colours is left out"),
+    "textures": Support(PARTLY, "the first comment TextureFile"),
 }
