@@ -7,7 +7,8 @@ import pytest
 from isonoise.cli import main
 from isonoise.scene.formats import tables
 from isonoise.scene.formats.registry import FORMATS
-from isonoise.scene.formats.support import FEATURES, NO, PARTLY, YES
+from isonoise.scene.formats.report import ImportReport
+from isonoise.scene.formats.support import FEATURES, NO, PARTLY, YES, Support
 
 PAGE = Path(__file__).resolve().parent.parent / "scenes" / "formats.md"
 
@@ -36,3 +37,23 @@ def test_command_lists_formats(capsys):
     assert capsys.readouterr().out.startswith("glTF 2.0\n  feature")
     assert main(["formats", "fbx"]) == 2
     assert "unknown format 'fbx'; one of glb, gltf, obj" in capsys.readouterr().err
+
+
+def test_report_names_what_is_exact_and_what_is_not():
+    support = {"triangles": Support(YES), "tangents": Support(PARTLY, "computed"), "curves": Support(NO, "left out")}
+    report = ImportReport("a.glb", support)
+    report.count("triangles", 2000)
+    report.count("meshes")
+    report.count("meshes")
+    for feature in ("triangles", "tangents", "curves"):
+        report.use(feature)
+    report.limit("tangents", "bent", "mesh 'a'")
+    report.limit("tangents", "bent", "mesh 'b'")
+    curves, tangents = "curves and subdivision surfaces: left out", "tangents of mesh 'a' and 1 more: bent"
+    assert report.rows() == [
+        ("found", "2,000 triangles, 2 meshes"),
+        ("mapped", "triangles"),
+        ("not exact", curves),
+        ("", tangents),
+    ]
+    assert report.warnings() == [f"a.glb: {curves}", f"a.glb: {tangents}"]

@@ -35,6 +35,15 @@ class ImportReport:
         if place not in places:
             places.append(place)
 
+    def rows(self) -> list[tuple[str, str]]:
+        """(label, text): what was found, the features that are mapped exactly, and a row for each loss."""
+        lossy = {feature for feature, _ in self.losses}
+        exact = [title for feature, title in FEATURES.items() if feature in self.used and feature not in lossy]
+        rows = [("found", ", ".join(f"{number:,} {noun}" for noun, number in self.counts.items()))]
+        rows += [("mapped", ", ".join(exact) or "nothing exactly")]
+        labels = ["not exact", *[""] * len(self.losses)]
+        return rows + list(zip(labels, self.loss_texts(), strict=False))
+
     def warnings(self) -> list[str]:
         """One text for each feature and problem, with the number of places and the first one."""
         return [f"{self.file}: {text}" for text in self.loss_texts()]
