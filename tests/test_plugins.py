@@ -83,6 +83,16 @@ def test_unsupported_plugins_are_rejected_with_the_reason(kind, name, scene_of):
         scene_of(plugin_in_scene(kind, name))
 
 
+@pytest.mark.parametrize("kind", UNSUPPORTED_PLUGINS)
+def test_plugins_that_errors_advise_are_supported(kind):
+    """Any word that is a plugin's name counts; those of supported plugins load in `test_every_plugin_compiles`."""
+    unsupported = {name for names in UNSUPPORTED_PLUGINS.values() for name in names}
+    for name, advice in UNSUPPORTED_PLUGINS[kind].items():
+        assert not set(re.findall(r"\w+", advice)) & unsupported - {name}
+        for advised in re.findall(r"use (\w+)", advice):
+            assert advised in plugins_of(kind) or advised == "the"
+
+
 def plugin_in_scene(kind: str, name: str) -> str:
     """XML of a scene's content with this plugin in a valid position."""
     text = f'<{kind} type="{name}"/>'

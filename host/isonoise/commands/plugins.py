@@ -7,7 +7,7 @@ import shutil
 from isonoise.commands import EXIT_DONE
 from isonoise.errors import UserError
 from isonoise.scene.parse import plugin_tables
-from isonoise.scene.parse.elements import closest_name
+from isonoise.scene.parse.elements import did_you_mean
 from isonoise.scene.vocabulary import UNSUPPORTED_PLUGINS, kinds_of, plugins_of
 from isonoise.tables import Table, columns, text_table
 
@@ -17,7 +17,7 @@ def run(options: argparse.Namespace) -> int:
     name = options.name
     kinds = plugin_tables.KINDS if name is None else (name,) if name in plugin_tables.KINDS else ()
     if name is not None and not kinds and name not in _names():
-        raise UserError(f"'{name}' is neither a kind nor a plugin; did you mean '{closest_name(name, _names())}'?")
+        raise UserError(f"'{name}' is neither a kind nor a plugin{did_you_mean(name, _names())}")
     described = [(kind, name) for kind in kinds_of(name) if kind in plugin_tables.KINDS] if not kinds else None
     if options.json:
         listed = described or [(kind, row[0]) for kind in kinds for row in plugin_tables.list_plugins(kind)]

@@ -5,7 +5,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from isonoise.errors import SceneError
-from isonoise.scene.parse.elements import closest_name
+from isonoise.scene.parse.elements import did_you_mean
 
 
 def builtin_scenes() -> list[str]:
@@ -29,8 +29,7 @@ def find_scene(source: str | os.PathLike) -> Path:
         raise SceneError(f"{name} is a folder; give the path of a scene file in it")
     if exists:
         raise SceneError(f"{name} is not a regular file")
-    hint = closest_name(name, names)
-    suggestion = f"; did you mean '{hint}'?" if hint and not path.suffix else ""
+    suggestion = "" if path.suffix else did_you_mean(name, names)
     raise SceneError(
         f"{name[:200]}: no such file or built-in scene{suggestion} (built-in: {', '.join(names) or 'none'})"
     )

@@ -10,7 +10,7 @@ from isonoise.scene.camera import crop_fits_film, is_rigid, parse_focal_length
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
 from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
 from isonoise.scene.material.presets import conductors
-from isonoise.scene.parse.elements import Location, closest_name
+from isonoise.scene.parse.elements import Location, did_you_mean
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.sensors import SENSORS
 from isonoise.scene.vocabulary.textures import CONSTANT_TEXTURES
@@ -94,7 +94,8 @@ def _check_hdrfilm(film: dict, location: Location):
 def _check_conductor(bsdf: dict, location: Location):
     material = bsdf.get("material")
     if material is not None and material not in conductors():
-        location.raise_error(f"unknown conductor '{material}'; did you mean '{closest_name(material, conductors())}'?")
+        known = ", ".join(sorted(conductors()))
+        location.raise_error(f"unknown conductor '{material}'{did_you_mean(material, conductors())} (known: {known})")
 
 
 def _check_dielectric(bsdf: dict, location: Location):

@@ -69,11 +69,17 @@ def with_article(noun: str) -> str:
 
 
 def closest_name(name: str, choices) -> str:
-    """The choice that is most similar to `name`; '' if there are no choices or too many."""
+    """The choice that is most similar to `name`; '' if none is similar or there are too many."""
     ordered = sorted(choices) if len(choices) <= _MAX_COMPARED_NAMES else ()
     by_key = {choice[:_MAX_COMPARED_CHARS].lower(): choice for choice in ordered}
-    match = get_close_matches(name[:_MAX_COMPARED_CHARS].lower(), list(by_key), n=1, cutoff=0.0)
+    match = get_close_matches(name[:_MAX_COMPARED_CHARS].lower(), list(by_key), n=1)
     return by_key[match[0]] if match else ""
+
+
+def did_you_mean(name: str, choices) -> str:
+    """The end of an error about an unknown name: '; did you mean ...?', or '' if no choice is similar."""
+    hint = closest_name(name, choices)
+    return f"; did you mean '{hint}'?" if hint else ""
 
 
 def path_exists(path: Path) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from isonoise.scene.image.image import Image
 from isonoise.scene.material.presets import refractive_indices
-from isonoise.scene.parse.elements import Location, closest_name
+from isonoise.scene.parse.elements import Location, did_you_mean
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter
 
@@ -29,9 +29,8 @@ def check_value(parameter: Parameter, value, location: Location):
     if parameter.interval and not parameter.admits(result):
         location.raise_error(f"'{parameter.name}' has to be in {parameter.interval}, got {_shortened(value)}")
     if parameter.choices and result not in parameter.choices:
-        hint = closest_name(result, parameter.choices)
-        choices = ", ".join(parameter.choices)
-        location.raise_error(f"'{parameter.name}' is one of {choices}; got '{result}', did you mean '{hint}'?")
+        choices, hint = ", ".join(parameter.choices), did_you_mean(result, parameter.choices)
+        location.raise_error(f"'{parameter.name}' is one of {choices}; got '{result}'{hint}")
     return result
 
 
@@ -137,8 +136,7 @@ def _check_index(value, location: Location) -> float:
     by_name = refractive_indices()
     if isinstance(value, str):
         if value.lower() not in by_name:
-            hint = closest_name(value, by_name)
-            location.raise_error(f"unknown material '{value}'; did you mean '{hint}'? (or give a number)")
+            location.raise_error(f"unknown material '{value}'{did_you_mean(value, by_name)} (or give a number)")
         return by_name[value.lower()]
     number = _to_float(value)
     if number is None or number <= 0:

@@ -5,7 +5,7 @@ All checks of names, types and ranges are here, so XML files and Python dicts ge
 
 from isonoise.scene import vocabulary
 from isonoise.scene.parse.constraints import check_constraints
-from isonoise.scene.parse.elements import Element, Location, Reference, closest_name, with_article
+from isonoise.scene.parse.elements import Element, Location, Reference, did_you_mean, with_article
 from isonoise.scene.parse.parameter_values import check_value, constant_of
 from isonoise.scene.parse.xml_tags import MAX_DEPTH
 from isonoise.scene.vocabulary.plugin import COLOURS, IGNORED, UNSUPPORTED, Child, Parameter, Plugin
@@ -118,17 +118,15 @@ class SceneNormaliser:
         supported = vocabulary.plugins_of(kind)
         if element.type in supported:
             return supported[element.type]
-        listed = ", ".join(sorted(supported))
-        hint = closest_name(element.type, supported)
+        listed = f" (supported: {', '.join(sorted(supported))})" if supported else ""
         reason = vocabulary.UNSUPPORTED_PLUGINS.get(kind, {}).get(element.type)
         if reason:
-            alternatives = f"; nearest: '{hint}' (supported: {listed})" if supported else ""
             element.location.raise_error(
-                f"{kind} '{element.type}' is not supported (Mitsuba 3 has it): {reason}{alternatives}"
+                f"{kind} '{element.type}' is not supported (Mitsuba 3 has it): {reason}{listed}"
             )
         if not supported:
             element.location.raise_error(f"unknown {kind} '{element.type}'; isonoise supports none")
-        element.location.raise_error(f"unknown {kind} '{element.type}'; did you mean '{hint}'? (supported: {listed})")
+        element.location.raise_error(f"unknown {kind} '{element.type}'{did_you_mean(element.type, supported)}{listed}")
 
     def _find_kind(self, element: Element, kinds: tuple[str, ...]) -> str:
         """The kind of an Element: its XML tag. For dicts a kind with a plugin of this name, preferably in `kinds`."""
@@ -139,8 +137,7 @@ class SceneNormaliser:
         if candidates:
             return candidates[0]
         names = [plugin.name for plugin in vocabulary.PLUGINS if plugin.kind in kinds]
-        hint = closest_name(element.type, names)
-        element.location.raise_error(f"unknown type '{element.type}'; did you mean '{hint}'?")
+        element.location.raise_error(f"unknown type '{element.type}'{did_you_mean(element.type, names)}")
 
     def _resolve(self, value: Element | Reference) -> Element | None:
         return self.element_by_id.get(value.id) if isinstance(value, Reference) else value
@@ -151,9 +148,8 @@ class SceneNormaliser:
         """Add a nested or referenced object to its parent: as a parameter or as a child."""
         element = self._resolve(value)
         if element is None:
-            hint = closest_name(value.id, self.element_by_id)
-            did_you_mean = f"; did you mean '{hint}'?" if hint else ""
-            location.raise_error(f"there is no object with the id '{value.id}'{did_you_mean}")
+            hint = did_you_mean(value.id, self.element_by_id)
+            location.raise_error(f"there is no object with the id '{value.id}'{hint}")
         kinds = plugin.child_kinds
         kind = self._find_kind(element, kinds)
         parameter = plugin.parameter(name)
@@ -269,10 +265,10 @@ def _add_parameter(plugin: Plugin, result: dict, name: str, value, location: Loc
         if plugin.any_parameter:
             return
         names = [p.name for p in plugin.parameters if p.status != UNSUPPORTED] + [c.kind for c in plugin.children]
-        hint = closest_name(name, names)
-        did_you_mean = f"; did you mean '{hint}'?" if hint else ""
         known = f" (known: {', '.join(names)})" if names else " (it has none)"
-        location.raise_error(f"{plugin.kind} '{plugin.name}' has no parameter '{name}'{did_you_mean}{known}")
+        location.raise_error(
+            f"{plugin.kind} '{plugin.name}' has no parameter '{name}'{did_you_mean(name, names)}{known}"
+        )
     _check_supported(plugin, parameter, location)
     if parameter.status == IGNORED:
         return

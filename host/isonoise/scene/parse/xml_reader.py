@@ -11,7 +11,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.files import is_inside, outside_message
-from isonoise.scene.parse.elements import Element, Location, Reference, closest_name, path_exists
+from isonoise.scene.parse.elements import Element, Location, Reference, closest_name, did_you_mean, path_exists
 from isonoise.scene.parse.xml_tags import MAX_DEPTH, Tag, iterate_tags
 from isonoise.scene.parse.xml_upgrade import needs_upgrade, upgrade_element, upgrade_tag
 from isonoise.scene.parse.xml_values import TRANSFORM_OPERATIONS, check_attributes, parse_value, transform_matrix
@@ -51,9 +51,10 @@ def read_xml(path: Path, parameters: dict[str, str], folder: Path | None = None,
 
 
 def _suggestion(name: str, choices: tuple[str, ...]) -> str:
-    """The element that an unknown one probably means: for <sphere> it is <shape type="sphere">."""
-    kinds = kinds_of(name)
-    return f'<{kinds[0]} type="{name}">' if kinds else f"<{closest_name(name, choices)}>"
+    """The end of an error about an unknown element: what it probably means. <sphere> means <shape type="sphere">."""
+    kinds, hint = kinds_of(name), closest_name(name, choices)
+    meant = f'{kinds[0]} type="{name}"' if kinds else hint
+    return f"; did you mean <{meant}>?" if meant else f" (known: {', '.join(choices)})"
 
 
 def _structure(tag: Tag) -> tuple | None:
@@ -123,8 +124,7 @@ class _SceneReader:
                 self.used.add(name)
                 return name
         name = re.match(r"\w*", text[start:])[0]
-        hint = closest_name(name, self.parameters)
-        tag.raise_error(f"undefined parameter ${name}" + (f"; did you mean ${hint}?" if hint else ""))
+        tag.raise_error(f"undefined parameter ${name}{did_you_mean(name, self.parameters)}")
 
 
 class _FileReader:
@@ -142,7 +142,7 @@ class _FileReader:
         if is_root:
             self.prepare(tag)
         if tag.name not in _OBJECT_SET and tag.name != "spectrum":
-            tag.raise_error(f"unknown element; did you mean {_suggestion(tag.name, _OBJECTS)}?")
+            tag.raise_error(f"unknown element{_suggestion(tag.name, _OBJECTS)}")
         required = () if is_root and tag.name == "scene" else ("type",)
         check_attributes(tag, required, ("version", "id", "name", "type") if is_root else ("id", "name"))
         kind = "texture" if tag.name == "spectrum" else tag.name
@@ -210,7 +210,7 @@ class _FileReader:
             tag.raise_error("has to be inside a <transform>")
         else:
             choices = (*_OBJECTS, *_VALUES, "transform", *_DIRECTIVES)
-            tag.raise_error(f"unknown element; did you mean {_suggestion(tag.name, choices)}?")
+            tag.raise_error(f"unknown element{_suggestion(tag.name, choices)}")
 
     def check_no_children(self, tag: Tag):
         if tag.children:

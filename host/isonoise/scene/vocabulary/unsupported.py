@@ -1,11 +1,12 @@
 """Plugins that Mitsuba 3 (3.9) has and isonoise does not, by kind, each with the reason or an alternative.
 
-Errors name them, so that users do not look for a typing mistake. To add a plugin, remove its row here.
+Errors name them, so that users do not look for a typing mistake. Plugins that the texts name have to be supported. To
+add a plugin, remove its row here.
 """
 
 _POLARISED = "polarisation is not supported"
 _DERIVATIVES = "isonoise does not compute derivatives"
-_SPECTRAL = "isonoise renders RGB: use <rgb> or a simple <spectrum>"
+_PAIRS = "write <spectrum> with pairs of wavelength and value"
 _SKY_MODEL = "needs the sky model's data, which comes with Mitsuba: render it to an envmap there"
 
 UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
@@ -23,13 +24,13 @@ UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
     },
     "integrator": {
         "depth": "shows distances, not light",
-        "direct_projective": _DERIVATIVES,
-        "prb": _DERIVATIVES,
-        "prb_basic": _DERIVATIVES,
-        "prb_projective": _DERIVATIVES,
-        "prbvolpath": _DERIVATIVES,
+        "direct_projective": f"{_DERIVATIVES}: use direct",
+        "prb": f"{_DERIVATIVES}: use path, with max_depth 6 unless it is given",
+        "prb_basic": f"{_DERIVATIVES}: use path, with max_depth 6 unless it is given",
+        "prb_projective": f"{_DERIVATIVES}: use path, with max_depth 6 unless it is given",
+        "prbvolpath": f"{_DERIVATIVES}: use volpath, with max_depth 6 unless it is given",
         "ptracer": "traces from the emitters: use path, the image is the same",
-        "stokes": _POLARISED,
+        "stokes": f"{_POLARISED}: use the integrator inside it",
     },
     "bsdf": {
         "circular": _POLARISED,
@@ -56,9 +57,9 @@ UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
         "timed_sunsky": _SKY_MODEL,
     },
     "texture": {
-        "blackbody": _SPECTRAL,
-        "irregular": _SPECTRAL,
-        "regular": _SPECTRAL,
+        "blackbody": "Mitsuba has it in spectral modes only: write its colour as <rgb>",
+        "irregular": _PAIRS,
+        "regular": _PAIRS,
         "volume": "volumes as textures are not supported",
     },
     "phase": {
