@@ -50,7 +50,7 @@ def minimal_plugin(plugin: Plugin, files: Path) -> dict:
         "color": {"type": "rgb", "value": [0.1, 0.5, 0.6]},
     }
     result = {"type": name}
-    if name in ("bitmap", "gridvolume"):
+    if name in ("bitmap", "envmap", "gridvolume"):
         result["filename"] = required_values["filename"]
     for parameter in plugin.parameters:
         if parameter.required:
@@ -133,7 +133,7 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
         "alpha_u": {"alpha_u": 0.4, "alpha_v": 0.4},
         "alpha_v": {"alpha_u": 0.4, "alpha_v": 0.4},
         "attributes": {"attributes": {"vertex_color": TRIANGLE}},
-        "bitmap": {"bitmap": Image(np.zeros((2, 2, 3), np.uint8))},
+        "bitmap": {"bitmap": Image(np.zeros((3, 3, 3), np.uint8))},
         "grid": {"grid": VolumeGrid(np.ones((2, 2, 2, 1), np.float32))},
         "data": {"data": np.ones((2, 2, 2))},
     }
@@ -149,7 +149,7 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
         "normals": np.array([[0, 0, 1], [0, 0.6, 0.8], [0.6, 0, 0.8]]),
         "texcoords": TRIANGLE[:, :2],
         "attributes": {"vertex_color": TRIANGLE / 2},
-        "bitmap": Image(np.eye(2, dtype=np.uint8)[..., None]),
+        "bitmap": Image(np.eye(3, dtype=np.uint8)[..., None]),
         "grid": VolumeGrid(np.ones((1, 2, 3, 1), np.float32)),
         "data": np.ones((3, 2, 1, 3)),
         "format": "fp16",

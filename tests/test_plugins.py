@@ -89,7 +89,7 @@ def test_plugins_that_errors_advise_are_supported(kind):
     unsupported = {name for names in UNSUPPORTED_PLUGINS.values() for name in names}
     for name, advice in UNSUPPORTED_PLUGINS[kind].items():
         assert not set(re.findall(r"\w+", advice)) & unsupported - {name}
-        for advised in re.findall(r"use (\w+)", advice):
+        for advised in re.findall(r"\buse (\w+)", advice):
             assert advised in plugins_of(kind) or advised == "the"
 
 
