@@ -323,7 +323,7 @@ def test_public_files(public_scenes):
     """Triangles of the Khronos samples: 125 boxes, 1.04 million triangles, two cameras before a square."""
     counts, sensors = {}, {}
     for name in ("SimpleInstancing.glb", "MetalRoughSpheresNoTextures.glb", "Cameras.gltf"):
-        scene, report = read(public_scenes / "gltf" / name.split(".")[0] / name)
+        _, report = read(public_scenes / "gltf" / name.split(".")[0] / name)
         counts[name], sensors[name] = report.counts["triangles"], report.counts.get("cameras", 0)
         assert report.warnings() == []
     assert list(counts.values()) == [125 * 12, 1_040_409, 2]
