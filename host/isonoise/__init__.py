@@ -21,6 +21,7 @@ _PUBLIC_NAMES = {
     "Statistics": "isonoise.statistics",
     "Stops": "isonoise.stops",
     "Strategy": "isonoise.strategies",
+    "View": "isonoise.scene.view",
     "Wave": "isonoise.strategies",
     "load": "isonoise.scene",
     "read_checkpoint": "isonoise.state.checkpoint",

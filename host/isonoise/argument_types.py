@@ -93,6 +93,37 @@ def size(text: str) -> tuple[int, int]:
     return width, height
 
 
+def angle_of_view(text: str) -> float:
+    value = finite_number(text)
+    if not 0 < value < 180:
+        raise argparse.ArgumentTypeError(f"{text} must be more than 0 and less than 180 degrees")
+    return value
+
+
+def point(text: str) -> tuple[float, ...]:
+    numbers = text.split(",")
+    if len(numbers) != 3:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a point: write x,y,z, as in 0,1.5,4")
+    return tuple(map(finite_number, numbers))
+
+
+def look_at(text: str) -> tuple[tuple[float, ...], ...]:
+    points = text.split(":")
+    if len(points) > 2:
+        raise argparse.ArgumentTypeError(f"'{text}' has more than two points: write POSITION:TARGET, or TARGET alone")
+    return tuple(map(point, points))
+
+
+def direction(text: str) -> tuple[float, ...]:
+    match = re.fullmatch(r"([+-]?)([xyz])", text, re.IGNORECASE)
+    if match:
+        return tuple((-1.0 if match[1] == "-" else 1.0) * (axis == match[2].lower()) for axis in "xyz")
+    value = point(text)
+    if not any(value):
+        raise argparse.ArgumentTypeError(f"{text} is no direction")
+    return value
+
+
 def memory_size(text: str) -> int:
     match = re.fullmatch(r"([0-9]{1,12}(?:\.[0-9]{1,12})?)([KMGT]?)(?:i?B)?", text, re.IGNORECASE)
     size = int(float(match[1]) * 2 ** (10 * " KMGT".index(match[2].upper() or " "))) if match else 0

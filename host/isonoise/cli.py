@@ -92,6 +92,7 @@ def _add_render(commands) -> None:
     _add_allow_outside(settings)
     _add_device(settings)
     _add_memory(settings)
+    _add_view(render)
     _add_checkpoints(render)
     render.set_defaults(parameters=None)
     reports = render.add_argument_group("what to report")
@@ -284,6 +285,7 @@ def _add_info(commands) -> None:
     info.add_argument("source", metavar="SCENE|OUT.exr|CHECKPOINT", help="a scene, an image, or a file of --checkpoint")
     _add_size(info)
     _add_scene_parameters(info)
+    _add_view(info)
     _add_allow_outside(info)
     _add_device(info)
 
@@ -304,6 +306,31 @@ def _add_convert(commands) -> None:
 def _add_size(parser) -> None:
     parser.add_argument(
         "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scene's"
+    )
+
+
+def _add_view(parser) -> None:
+    """The fields of `isonoise.View`."""
+    view = parser.add_argument_group("what to see, in place of the scene's own camera and environment")
+    view.add_argument("--camera", metavar="NAME|N", help="a camera of the file, by its name or its number from 0")
+    view.add_argument(
+        "--fov", metavar="DEG", type=argument_types.angle_of_view, help="horizontal angle of view, degrees"
+    )
+    view.add_argument(
+        "--look-at",
+        metavar="[X,Y,Z:]X,Y,Z",
+        type=argument_types.look_at,
+        help="turn the camera to a point; with two, put it at the first one before. Write --look-at=-1,0,0 for a point "
+        "that begins with a minus",
+    )
+    view.add_argument(
+        "--up",
+        metavar="AXIS",
+        type=argument_types.direction,
+        help="direction that is up: x, y, z, -x, -y, -z, or X,Y,Z (default for models: y, for STL z)",
+    )
+    view.add_argument(
+        "--env", metavar="FILE", help="an image in latitude-longitude format, .hdr or .exr, around the scene"
     )
 
 

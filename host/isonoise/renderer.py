@@ -6,7 +6,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import record_files
 from isonoise.scene.load import load
+from isonoise.scene.view import NO_VIEW, View
 from isonoise.signals import raise_if_received
 from isonoise.state.settings import check_settings, render_settings
 from isonoise.state.state import State, split_strategy_state, with_group
@@ -97,10 +98,11 @@ class Renderer:
         Measure `device_seconds`.
     allow_outside : bool
         Whether the files that a scene file names may be outside its folder (`isonoise.load`).
-
     memory : int or None
         Most bytes that the render may take: buffers on the device; if the device shares the host's memory, as a CPU
         does, with the arrays of the image on the host. The pool is made smaller until they fit.
+    view : View or None
+        Camera and environment in place of the scene's own.
 
     Attributes
     ----------
@@ -150,6 +152,7 @@ class Renderer:
         profile: bool = False,
         allow_outside: bool = False,
         memory: int | None = None,
+        view: View | None = None,
     ):
         if not 0 <= seed < 2**64:
             raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
@@ -163,9 +166,10 @@ class Renderer:
         self.source_name = "a scene in Python" if isinstance(scene, Mapping) else os.fspath(scene)
         self.parameters = {name: str(value) for name, value in (parameters or {}).items()}
         self.overrides = {"size": size, "max_depth": max_depth, "sampler": sampler, "parameters": self.parameters}
+        self.overrides["view"] = asdict(view or NO_VIEW)
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
-            description = load(scene, parameters, allow_outside)
+            description = load(scene, parameters, allow_outside, view, size)
             self.scene: CompiledScene = compile_scene(description, size, max_depth, sampler)
         self.files: tuple[Path, ...] = tuple(files)
         with self._measured("build"):

@@ -94,7 +94,7 @@ def measure_each(sources: Mapping[str, str], measure: Callable[[str, str, ShowPr
 
 def load_scene(source: str, settings: Settings) -> CompiledScene:
     """The compiled scene of a file or built-in scene."""
-    description = load(source, allow_outside=settings.allow_outside)
+    description = load(source, allow_outside=settings.allow_outside, size=settings.size)
     return compile_scene(description, size=settings.size, max_depth=settings.max_depth)
 
 

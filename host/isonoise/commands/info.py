@@ -15,6 +15,7 @@ from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.material import textures
 from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
+from isonoise.scene.view import view_of
 from isonoise.state.describe import describe_checkpoint, is_checkpoint
 from isonoise.statistics import Needs
 from isonoise.tables import label_lines
@@ -55,7 +56,10 @@ def _print_scene(options: argparse.Namespace) -> None:
     from isonoise.scene import compile_scene, load
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 
-    scene = compile_scene(load(options.source, dict(options.parameters), options.allow_outside), options.size)
+    scene = compile_scene(
+        load(options.source, dict(options.parameters), options.allow_outside, view_of(options), options.size),
+        options.size,
+    )
     print(label_lines(describe_scene(scene).items()))
     needs = make_strategy(DEFAULT_STRATEGY).needs.with_sampler(scene.sampler)
     used = features(scene, needs)

@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
         "isonoise.rejected": int(statistics.rejected.sum(dtype=int)),
         "isonoise.floor": floor,
     }
-    written = images.write(statistics, floor, header, may_be_partial=True)
+    written = images.write(statistics, floor, header, may_be_partial=True, exposure=merged.settings["exposure"])
     if options.checkpoint:
         write_checkpoint(options.checkpoint, merged)
     renders = merged.values["merged"]["renders"]

@@ -19,6 +19,7 @@ from isonoise.loop import Periodic, RenderLoop
 from isonoise.outcome import Outcome
 from isonoise.progress import RenderProgressBar
 from isonoise.renderer import Renderer
+from isonoise.scene.view import view_of
 from isonoise.signals import deferred, raise_if_received
 from isonoise.stops import Stops
 
@@ -110,7 +111,8 @@ class _Render:
     def _write_images(self, outcome: Outcome, has_ended: bool) -> list[WrittenFile]:
         header = image_header(result_fields(self._options, self._renderer, self._stops, outcome))
         may_be_partial = outcome.reason not in ("unfinished", "interrupted", "failed")
-        return self._images.write(outcome.statistics, outcome.floor, header, has_ended, may_be_partial)
+        exposure = self._renderer.scene.exposure
+        return self._images.write(outcome.statistics, outcome.floor, header, has_ended, may_be_partial, exposure)
 
     def _end(self, outcome: Outcome, failure: BaseException | None) -> int:
         """Write images and log, report, and return the exit code; or raise the `failure` that has ended the render."""
@@ -187,7 +189,7 @@ def _check_files(options: argparse.Namespace) -> None:
     """Check that no output overwrites an input or another output."""
     roles = {}
     files = [("the scene", options.scene), ("--reference", options.reference), ("--log", options.log)]
-    files += [("--checkpoint", options.checkpoint or options.resume)]
+    files += [("--env", options.env), ("--checkpoint", options.checkpoint or options.resume)]
     for name, path in [*files, *(("-o", path) for path in options.output)]:
         if path:
             role = f"{name} {path}"
@@ -208,6 +210,7 @@ def _make_renderer(options: argparse.Namespace) -> Renderer:
         parameters=dict(options.parameters),
         allow_outside=options.allow_outside,
         memory=options.memory,
+        view=view_of(options),
         **strategy,
     )
 

@@ -3,6 +3,7 @@
 import argparse
 import os
 import sys
+from dataclasses import asdict, fields
 from pathlib import Path
 
 from isonoise.errors import UserError
@@ -11,10 +12,11 @@ from isonoise.film.files import PathLock, check_writable
 from isonoise.film.log import LogRow, row_from_values
 from isonoise.loop import Periodic, RenderLoop
 from isonoise.renderer import Renderer
+from isonoise.scene.view import View
 from isonoise.state.state import State, split_strategy_state
 from isonoise.strategies.registry import is_built_in
 
-_OPTIONS = ("seed", "strategy", "sampler", "size", "max_depth", "parameters")
+_OPTIONS = ("seed", "strategy", "sampler", "size", "max_depth", "parameters", *(field.name for field in fields(View)))
 """Options that a continued render takes from the checkpoint if they are not given."""
 _LIMITS = ("spp", "time", "error")
 _DEFAULTS = {"seed": 0, "parameters": [], "quantile": 0.99, "confidence": 0.95}
@@ -125,6 +127,7 @@ def _complete(options: argparse.Namespace, state: State | None) -> None:
                 f"--resume {options.resume}: the strategy '{stored['strategy']}' is no part of isonoise, and a file "
                 "does not choose which code runs; name it again with --strategy"
             )
+        stored |= asdict(View(**{field.name: stored["view"][field.name] for field in fields(View)}))
         for name in _OPTIONS:
             if getattr(options, name) is None:
                 value = stored[name]

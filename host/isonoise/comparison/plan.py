@@ -224,7 +224,7 @@ def _scenes(request: Request, sources: list[str], stored: Plan | None) -> tuple[
     given = _given_references(request, sources, slugs)
     entries = []
     for source, slug in zip(sources, slugs, strict=True):
-        description = load(source, allow_outside=request.allow_outside)
+        description = load(source, allow_outside=request.allow_outside, size=request.size)
         scene = compile_scene(description, size=request.size, max_depth=request.max_depth)
         path, digest = f"references/{slug}.exr", None
         if source in given:

@@ -40,8 +40,13 @@ def check_output(path: str | os.PathLike) -> Path:
     return check_writable(path)
 
 
-def write_image(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header: Mapping[str, object]) -> None:
-    """Write an image: .exr with all layers and the header, .png with the tone-mapped image only.
+def write_image(
+    path: str | os.PathLike,
+    layers: Mapping[str, np.ndarray],
+    header: Mapping[str, object],
+    exposure: float | None = None,
+) -> None:
+    """Write an image: .exr with all layers and the header, .png with the image only, tone-mapped with `exposure`.
 
     Raises UserError as `check_output` does.
     """
@@ -49,7 +54,7 @@ def write_image(path: str | os.PathLike, layers: Mapping[str, np.ndarray], heade
     if Path(path).suffix.lower() == ".png":
         from isonoise.film.png import write_png
 
-        write_png(path, layers[""])
+        write_png(path, layers[""], exposure)
     else:
         from isonoise.film.exr import write_exr
 
@@ -81,6 +86,7 @@ class ImageFiles:
         header: Mapping[str, object],
         has_ended: bool = True,
         may_be_partial: bool = False,
+        exposure: float | None = None,
     ) -> list[WrittenFile]:
         """Write all images that can be written.
 
@@ -90,6 +96,8 @@ class ImageFiles:
             Whether the render has ended: then images that cannot be written go to another place.
         may_be_partial : bool
             Whether pixels without samples are as the user wants them.
+        exposure : float or None
+            Factor on radiance in .png files; None: by the image's brightness.
 
         Returns
         -------
@@ -100,7 +108,7 @@ class ImageFiles:
         is_partial = not may_be_partial and not ((statistics.count > 0) | (statistics.rejected > 0)).all()
 
         def write(path: str | os.PathLike) -> None:
-            write_image(path, layers, header)
+            write_image(path, layers, header, exposure)
 
         return [self._write_one(path, write, has_ended, is_partial) for path in self._paths]
 

@@ -15,19 +15,21 @@ SHOULDER = 0.6
 """Display value up to which the curve is linear, so that only highlights are compressed."""
 
 
-def tone_map(rgb: np.ndarray) -> np.ndarray:
+def tone_map(rgb: np.ndarray, exposure: float | None = None) -> np.ndarray:
     """Tone-map linear RGB of any scale to 8-bit sRGB.
 
-    Exposure: the log-average luminance becomes `MIDDLE_GREY` (Reinhard, Stark, Shirley, Ferwerda 2002, equations 1 and
-    2). The average is over pixels with light, none counted darker than 1e-4 of the mean, so that a black background or
-    a few nearly black pixels do not brighten the rest. Curve, per channel: linear to `SHOULDER` s, then
-    s + (1 - s)(1 - exp(-(v - s)/(1 - s))), which continues value and slope and reaches 1 only at infinity.
+    Exposure, unless given: the log-average luminance becomes `MIDDLE_GREY` (Reinhard, Stark, Shirley, Ferwerda 2002,
+    equations 1 and 2). The average is over pixels with light, none counted darker than 1e-4 of the mean, so that a
+    black background or a few nearly black pixels do not brighten the rest. Curve, per channel: linear to `SHOULDER` s,
+    then s + (1 - s)(1 - exp(-(v - s)/(1 - s))), which continues value and slope and reaches 1 only at infinity.
     Encoding: IEC 61966-2-1. The result depends only on the pixels, so equal images give equal bytes.
 
     Parameters
     ----------
     rgb : (height, width, 3)
         Linear, Rec. 709 primaries; negative and non-finite values count as 0.
+    exposure : float or None
+        Factor on `rgb`, in place of that by the image's brightness.
 
     Returns
     -------
@@ -35,24 +37,24 @@ def tone_map(rgb: np.ndarray) -> np.ndarray:
     """
     value = np.where(np.isfinite(rgb), rgb, 0).astype(np.float32).clip(min=0)
     with np.errstate(over="ignore"):  # infinity is white as well
-        value *= np.float32(_exposure(luminance(value)))
+        value *= np.float32(_automatic_exposure(luminance(value)) if exposure is None else exposure)
     above = np.maximum(value - SHOULDER, 0) / (1 - SHOULDER)
     value = np.where(value <= SHOULDER, value, SHOULDER + (1 - SHOULDER) * -np.expm1(-above))
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.rint(encoded * 255).astype(np.uint8)
 
 
-def write_png(path: str | os.PathLike, rgb: np.ndarray) -> None:
-    """Tone-map linear RGB (height, width, 3) and write it as a PNG, atomically.
+def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None = None) -> None:
+    """Tone-map linear RGB (height, width, 3) as `tone_map` does and write it as a PNG, atomically.
 
     Raises UserError if the file cannot be written.
     """
     from PIL import Image
 
-    picture = Image.fromarray(tone_map(rgb))
+    picture = Image.fromarray(tone_map(rgb, exposure))
     write_atomically(path, lambda temporary: picture.save(temporary, format="PNG"))
 
 
-def _exposure(brightness: np.ndarray) -> float:
+def _automatic_exposure(brightness: np.ndarray) -> float:
     average = 100 * image_floor(brightness)  # the floor is 1 % of the log-average
     return MIDDLE_GREY / average if average > 0 else 1.0

@@ -111,6 +111,7 @@ def compile_scene(
         heterogeneous=materials.heterogeneous,
         sampler=sampler or _sampler(sensor),
         sample_count=sensor.get("sampler", {}).get("sample_count", _SAMPLE_COUNT),
+        exposure=sensor.get("film", {}).get("exposure"),
         hash=_hash(arrays, settings, environment, materials.heterogeneous),
     )
 

@@ -29,6 +29,7 @@ class CompiledScene:
     sensor_medium: int  # index of the medium around the camera, or MEDIUM_NONE
     sampler: str  # one of samplers.SAMPLERS
     sample_count: int  # the scene's samples per pixel, default of --spp
+    exposure: float | None  # factor on radiance in previews; None: by the image's brightness
     vertices: np.ndarray  # (V, 3) float32
     faces: np.ndarray  # (T, 3) uint32
     vertex_normals: np.ndarray  # (V, 3) float32 if a shape has SHAPE_VERTEX_NORMALS, else (0, 3)

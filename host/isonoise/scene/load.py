@@ -5,7 +5,7 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from isonoise.scene.parse.dict_reader import read_dict
 from isonoise.scene.parse.elements import Element
 from isonoise.scene.parse.validate import SceneNormaliser
 from isonoise.scene.parse.xml_reader import read_xml
+from isonoise.scene.view import NO_VIEW, View, apply_view
 
 if TYPE_CHECKING:
     from isonoise.scene.formats.registry import Format
@@ -38,7 +39,11 @@ class LoadedScene:
 
 
 def load(
-    source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None, allow_outside: bool = False
+    source: str | os.PathLike | Mapping,
+    parameters: dict[str, str] | None = None,
+    allow_outside: bool = False,
+    view: View | None = None,
+    size: tuple[int, int] | None = None,
 ) -> dict:
     """Read a scene and return its normalised description.
 
@@ -52,6 +57,10 @@ def load(
     allow_outside : bool
         Whether the files that a scene file names may be anywhere. Otherwise they have to be in its folder or below it,
         with symbolic links resolved. A dict may name any file.
+    view : View or None
+        Camera and environment in place of the scene's own.
+    size : (width, height) or None
+        Image size in pixels, for which a model is framed. Of other scenes, `compile_scene` replaces the size.
 
     Returns
     -------
@@ -69,7 +78,7 @@ def load(
     >>> isonoise.load("cornell")["integrator"]["type"]
     'path'
     """
-    scene = load_scene(source, parameters, allow_outside)
+    scene = load_scene(source, parameters, allow_outside, view, size)
     if scene.report:
         for text in scene.report.warnings():
             warnings.warn(text, stacklevel=2)
@@ -77,14 +86,18 @@ def load(
 
 
 def load_scene(
-    source: str | os.PathLike | Mapping, parameters: dict[str, str] | None = None, allow_outside: bool = False
+    source: str | os.PathLike | Mapping,
+    parameters: dict[str, str] | None = None,
+    allow_outside: bool = False,
+    view: View | None = None,
+    size: tuple[int, int] | None = None,
 ) -> LoadedScene:
     """`load` without its warnings, with the report on which they are based. The parameters are those of `load`."""
-    parameters = {name: str(value) for name, value in (parameters or {}).items()}
+    parameters, view = {name: str(value) for name, value in (parameters or {}).items()}, view or NO_VIEW
     if isinstance(source, Mapping):
         if parameters:
             raise SceneError("parameters belong to XML scenes; change the dict itself")
-        return _normalise_dict(source)
+        return _with_view(_normalise_dict(source), view)
     path = find_scene(source)
     folder = scene_folder(path, allow_outside)
     if path.suffix.lower() != ".xml":
@@ -93,20 +106,29 @@ def load_scene(
         if format_ := find_format(path):
             if parameters:
                 raise SceneError(f"{path}: parameters belong to Mitsuba's XML scenes, this is {format_.title}")
-            return _import_scene(path, format_, folder)
+            return _import_scene(path, format_, folder, view, size)
     scene = SceneNormaliser()
     with _paused_garbage_collection():
         description = scene.finish(read_xml(path, parameters, folder, scene.add))
-    return LoadedScene(description, None, scene.element_by_id)
+    return _with_view(LoadedScene(description, None, scene.element_by_id), view)
 
 
-def _import_scene(path: Path, format_: "Format", folder: Path | None) -> LoadedScene:
+def _with_view(scene: LoadedScene, view: View) -> LoadedScene:
+    return replace(scene, description=apply_view(scene.description, view))
+
+
+def _import_scene(
+    path: Path, format_: "Format", folder: Path | None, view: View, size: tuple[int, int] | None
+) -> LoadedScene:
     """The scene of a file in another format, completed if it is a model."""
     from isonoise.scene.formats.registry import read_scene
-    from isonoise.scene.formats.staging import stage
 
     scene, report = read_scene(path, format_, folder)
-    return _normalise_dict(stage(scene, str(path)) if format_.is_model else scene, report)
+    if not format_.is_model:
+        return _with_view(_normalise_dict(scene, report), view)
+    from isonoise.scene.formats.staging import stage
+
+    return _normalise_dict(stage(scene, str(path), view, size, format_.up), report)
 
 
 def _normalise_dict(source: Mapping, report: "ImportReport | None" = None) -> LoadedScene:

@@ -90,6 +90,7 @@ _SETTINGS = {
     "scene_parts": _is_text_table,
     "files": _is_text_table,
     "radiance_scale": _is_positive,
+    "exposure": _or_none(_is_positive),
     "overrides": _is_object,
     "needs": _is_object,
 }
@@ -98,6 +99,14 @@ _OVERRIDES = {
     "max_depth": _or_none(_is_depth),
     "sampler": _or_none(_is_sampler),
     "parameters": _is_text_table,
+    "view": _is_object,
+}
+_VIEW = {  # `View` checks the numbers
+    "camera": _or_none(_is_text),
+    "fov": _or_none(_is_positive),
+    "look_at": _or_none(lambda value: isinstance(value, list)),
+    "up": _or_none(lambda value: isinstance(value, list)),
+    "env": _or_none(_is_text),
 }
 _NEEDS = {
     "median": _is_flag,
@@ -161,6 +170,7 @@ def check_consistency(state: State) -> None:
     is_merged = "merged" in values
     _check_members("settings", settings, _SETTINGS if is_merged else _SETTINGS | _OF_A_RENDER)
     _check_members("overrides", settings["overrides"], _OVERRIDES)
+    _check_members("view", settings["overrides"]["view"], _VIEW)
     _check_object("needs", settings["needs"], _NEEDS)
     shape = tuple(reversed(settings["size"]))
     if is_merged:

@@ -27,7 +27,7 @@ NAMES = {
     "parameters": "scene parameters (-D)",
 }
 """Settings with a value of their own -> name in messages."""
-_NOT_IN_THE_SCENE = ("max_depth", "sampler", "sample_count", "hash")
+_NOT_IN_THE_SCENE = ("max_depth", "sampler", "sample_count", "exposure", "hash")
 """Fields of `CompiledScene` with a setting of their own, or that follow from the others."""
 
 
@@ -37,7 +37,8 @@ def render_settings(renderer) -> dict[str, object]:
     - `scene`: the file or built-in scene; `scene_hash`: of all that the scene compiles to;
     - `scene_parts`: name of an array or setting of `CompiledScene` -> hash;
     - `files`: name of a file that the scene was read from, relative to the scene's folder -> sha256 of its content;
-    - `overrides`: what the caller gave in place of the scene's own size, depth and sampler, else None;
+    - `exposure`: of the scene, for previews;
+    - `overrides`: what the caller gave in place of the scene's own size, depth, sampler and view, else None;
     - `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
     """
     scene: CompiledScene = renderer.scene
@@ -54,6 +55,7 @@ def render_settings(renderer) -> dict[str, object]:
         "scene_parts": {field.name: _part_hash(getattr(scene, field.name)) for field in fields(scene)},
         "files": file_hashes(renderer.files),
         "radiance_scale": scene.radiance_scale,
+        "exposure": scene.exposure,
         "overrides": renderer.overrides,
         "needs": asdict(renderer.strategy.needs.with_sampler(scene.sampler)),
         "device": renderer.device_name,

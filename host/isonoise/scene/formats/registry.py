@@ -17,6 +17,7 @@ class Format:
     suffixes: tuple[str, ...]
     package: str
     is_model: bool = True  # what a file lacks (camera, lights) is added
+    up: tuple[float, float, float] = (0, 1, 0)  # of a model
 
     @property
     def support(self) -> Mapping[str, Support]:
@@ -28,7 +29,7 @@ FORMATS = (
     Format("glTF 2.0", (".glb", ".gltf"), "gltf"),
     Format("OBJ and MTL", (".obj",), "obj"),
     Format("PLY", (".ply",), "ply"),
-    Format("STL", (".stl",), "stl"),
+    Format("STL", (".stl",), "stl", up=(0, 0, 1)),
     Format("pbrt", (".pbrt",), "pbrt", is_model=False),
 )
 

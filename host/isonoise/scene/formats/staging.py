@@ -1,72 +1,176 @@
-"""Completes the scene of a model: a camera that frames it, and lights if it has none. Called by `load`."""
+"""Completes the scene of a model: a camera that frames it, a ground and a studio around it. Called by `load`.
+
+The rules are in host/docs/scenes.md. The camera is found by `framing.py`, the light by `studio.py`.
+"""
 
 import math
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
-from isonoise.errors import SceneError
 from isonoise.scene import transforms
-from isonoise.scene.mesh.mesh import used_vertices
+from isonoise.scene.formats.framing import Extent, find_extent, frame, three_quarter_direction
+from isonoise.scene.formats.model_lights import brightness_by_own_lights
+from isonoise.scene.formats.studio import GROUND_REFLECTANCE, WHITE, meter, studio_image
+from isonoise.scene.image.image import Image, read_image
+from isonoise.scene.view import (
+    View,
+    environment_map,
+    find_camera,
+    is_environment,
+    move_camera,
+    rotation_from_y,
+    sensors_of,
+)
 
-_IMAGE_SIZE = 512
-_FOV_DEGREES = 35.0
-_CAMERA_DIRECTION = (0.55, 0.4, 1.0)  # from the mesh to the camera: three-quarter view from above, y up
-_KEY_LIGHT_DIRECTION = (-0.6, 1.0, 0.5)  # from the mesh to the key light
-_MARGIN = 1.05
-_MAX_DEPTH, _SAMPLE_COUNT = 8, 64
-
-
-def stage(scene: dict, file: str) -> dict:
-    """The scene with what it lacks: integrator, sensor, lights. `file` names it in errors."""
-    meshes = [shape for shape in scene.values() if isinstance(shape, dict) and shape["type"] == "mesh"]
-    points = np.concatenate([used_vertices(mesh["vertices"], mesh["faces"]) for mesh in meshes])
-    low, high = points.min(axis=0), points.max(axis=0)
-    with np.errstate(over="ignore"):
-        radius = 0.5 * float(np.linalg.norm(high - low))
-    if not (math.isfinite(radius) and radius > 0):
-        raise SceneError(f"{file}: the mesh has no extent")
-    center = 0.5 * (low + high)
-    staged = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": _MAX_DEPTH},
-        "sensor": _sensor(points - center, center, radius),
-        **scene,
-    }
-    if not any("emitter" in mesh for mesh in meshes):
-        staged["environment"] = {"type": "constant", "radiance": 0.25}
-        staged["key_light"] = _key_light(center, radius)
-    return staged
+_IMAGE_SIZE = (512, 512)
+_LENS_DEGREES = 46.8  # angle of view along the diagonal: that of a 50 mm lens of a 35 mm camera
+_MAX_DEPTH, _SAMPLE_COUNT = 16, 64
+_GROUND_SIZE = 40.0  # half its side, in the model's sizes
+_GROUND_GAP = 1e-3  # between model and ground, in the model's sizes: a floor of the model stays in sight
+_MIN_OWN_BRIGHTNESS = 0.1 * WHITE
+"""Brightness by a model's own lights from which on they light it, and not the studio."""
+_FILL_SHARE = 0.1  # light of the environment around a model that is lit by its own lights, in the light of those
 
 
-def _sensor(points: np.ndarray, center: np.ndarray, radius: float) -> dict:
-    """A camera with a square image, at the smallest distance from which every point is visible, plus a margin.
+class _Pose(NamedTuple):
+    """How the model stands before the camera."""
 
-    `points` are relative to `center`.
+    extent: Extent
+    to_world: np.ndarray  # (3, 3): rotates y to the model's up
+    position: np.ndarray  # of the camera
+    to_camera: np.ndarray  # unit vector from the model to the camera
+
+
+def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, up: tuple[float, float, float]) -> dict:
+    """The scene of a model with what it lacks: integrator, camera, ground, environment.
+
+    Parameters
+    ----------
+    scene : dict of a reader
+    file : names the model in errors
+    view : what the caller wants to see
+    size : width and height of the image; None: those of the model's camera, else `_IMAGE_SIZE`
+    up : direction that is up unless `view` has another
+
+    Raises SceneError if the model has no extent, UserError if `view` does not fit it.
     """
-    to_camera = np.array(_CAMERA_DIRECTION) / np.linalg.norm(_CAMERA_DIRECTION)
-    axes = transforms.look_at(to_camera, (0, 0, 0), (0, 1, 0))[:3, :3]
-    left, up, forward = np.einsum("ij,jk->ki", points, axes)
-    half_extent = np.maximum(np.abs(left), np.abs(up))
-    distance = float((half_extent * _MARGIN / math.tan(math.radians(_FOV_DEGREES / 2)) - forward).max())
-    distance = max(distance, 1.5 * radius)
+    extent, to_world = find_extent(scene, file), rotation_from_y(view.up or up)
+    sensors = sensors_of(scene)
+    if sensors or view.camera is not None:
+        name, sensor = find_camera(sensors, view.camera)
+    else:
+        name, sensor = "sensor", _framing_sensor(extent, view, size or _IMAGE_SIZE, to_world)
+    sensor = {"film": _film(size or _IMAGE_SIZE), "sampler": _SAMPLER, **move_camera(sensor, view)}
+    others = {key: part for key, part in scene.items() if key not in sensors}
+    staged = {"type": "scene", "integrator": {"type": "path", "max_depth": _MAX_DEPTH}, **others}
+    if view.env is None and any(map(is_environment, scene.values())):
+        return {**staged, name: sensor}
+    staged = {key: part for key, part in staged.items() if not is_environment(part)}
+    pose = _pose(extent, to_world, sensor)
+    own_brightness = brightness_by_own_lights(scene, extent, pose.to_camera)
+    if own_brightness > _MIN_OWN_BRIGHTNESS:
+        share = _FILL_SHARE if view.env is None else 1.0
+        staged[_unused("environment", staged)] = _environment(view, pose, share * own_brightness, has_ground=False)
+    else:
+        has_ground = _can_have_ground(pose)
+        staged[_unused("environment", staged)] = _environment(view, pose, WHITE, has_ground)
+        if has_ground:
+            staged[_unused("ground", staged)] = _ground(extent, to_world)
+        sensor["film"] = {"exposure": 1.0, **sensor["film"]}
+    return {**staged, _unused(name, staged): sensor}
+
+
+_SAMPLER = {"type": "multijitter", "sample_count": _SAMPLE_COUNT}
+
+
+def _film(size: tuple[int, int]) -> dict:
+    return {"type": "hdrfilm", "width": size[0], "height": size[1], "rfilter": {"type": "gaussian"}}
+
+
+def _framing_sensor(extent: Extent, view: View, size: tuple[int, int], to_world: np.ndarray) -> dict:
+    """A camera that frames the model in an image of this size."""
+    width, height = size
+    if view.fov is None:
+        half_diagonal = math.tan(math.radians(_LENS_DEGREES / 2))
+        tangent = half_diagonal * width / math.hypot(width, height)
+    else:
+        tangent = math.tan(math.radians(view.fov / 2))
+    to_camera = three_quarter_direction(extent, to_world)
+    matrix = frame(extent, to_camera, to_world[:, 1], (tangent, tangent * height / width))
+    distance = float(np.linalg.norm(matrix[:3, 3] - extent.center))
     return {
         "type": "perspective",
-        "fov": _FOV_DEGREES,
-        "near_clip": 1e-3 * radius,
-        "far_clip": 1e3 * radius,
-        "to_world": transforms.look_at(center + distance * to_camera, center, (0, 1, 0)),
-        "film": {"type": "hdrfilm", "width": _IMAGE_SIZE, "height": _IMAGE_SIZE, "rfilter": {"type": "gaussian"}},
-        "sampler": {"type": "multijitter", "sample_count": _SAMPLE_COUNT},
+        "fov": math.degrees(2 * math.atan(tangent)),
+        "fov_axis": "x",
+        "near_clip": 1e-3 * min(extent.size, distance),
+        "far_clip": distance + 1e3 * extent.size,
+        "to_world": matrix,
     }
 
 
-def _key_light(center: np.ndarray, radius: float) -> dict:
-    """A soft square light above and to the left, outside the image, facing the mesh."""
-    direction = np.array(_KEY_LIGHT_DIRECTION) / np.linalg.norm(_KEY_LIGHT_DIRECTION)
-    to_world = transforms.look_at(center + 4.0 * radius * direction, center, (0, 0, 1))
-    return {
-        "type": "rectangle",
-        "to_world": to_world @ transforms.scale(1.2 * radius),
-        "bsdf": {"type": "diffuse", "reflectance": 0.0},
-        "emitter": {"type": "area", "radiance": 8.0},
-    }
+def _pose(extent: Extent, to_world: np.ndarray, sensor: Mapping) -> _Pose:
+    camera = np.asarray(sensor.get("to_world", np.eye(4)), float)
+    forward = camera[:3, 2] / np.linalg.norm(camera[:3, 2])
+    return _Pose(extent, to_world, camera[:3, 3], -forward)
+
+
+def _can_have_ground(pose: _Pose) -> bool:
+    """Whether the camera is outside the box around the model, and above its lowest point, so that it looks down."""
+    extent, up = pose.extent, pose.to_world[:, 1]
+    is_inside = ((pose.position >= extent.low) & (pose.position <= extent.high)).all()
+    return not is_inside and float(pose.position @ up) > _lowest(extent, up)
+
+
+def _lowest(extent: Extent, up: np.ndarray) -> float:
+    """Height of the ground."""
+    return float((extent.points @ up).min()) - _GROUND_GAP * extent.size
+
+
+def _ground(extent: Extent, to_world: np.ndarray) -> dict:
+    """A horizontal square below the model."""
+    up = to_world[:, 1]
+    center = extent.center + (_lowest(extent, up) - extent.center @ up) * up
+    matrix = (
+        transforms.translate(center) @ transforms.rotation_from_z(up) @ transforms.scale(_GROUND_SIZE * extent.size)
+    )
+    bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": GROUND_REFLECTANCE}}
+    return {"type": "rectangle", "to_world": matrix, "bsdf": bsdf}
+
+
+def _environment(view: View, pose: _Pose, brightness: float, has_ground: bool) -> dict:
+    """The studio, turned to the camera, or the view's image; scaled to this brightness of a white diffuse sphere."""
+    if view.env is None:
+        image, emitter = Image(studio_image()), {"type": "envmap"}
+        emitter["to_world"] = _affine(pose.to_world @ _turn_to(pose.to_world.T @ pose.to_camera))
+    else:
+        image, emitter = read_image(view.env), environment_map(view)
+        del emitter["filename"]
+        emitter["to_world"] = _affine(pose.to_world)
+    rotation = emitter["to_world"][:3, :3]
+    reflectance = GROUND_REFLECTANCE if has_ground else None
+    level = meter(image.linear(), rotation.T @ pose.to_camera, reflectance)
+    return emitter | {"bitmap": image, "scale": brightness / level if level > 0 else 1.0}
+
+
+def _affine(rotation: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    return matrix
+
+
+def _turn_to(direction: np.ndarray) -> np.ndarray:
+    """(3, 3): the rotation about y that takes +z to the horizontal part of a direction."""
+    x, _, z = direction
+    length = math.hypot(x, z)
+    sine, cosine = (x / length, z / length) if length > 1e-6 else (0.0, 1.0)
+    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+
+
+def _unused(name: str, scene: Mapping) -> str:
+    """The name, or with a number behind it if the scene has it."""
+    number, unused = 1, name
+    while unused in scene:
+        number, unused = number + 1, f"{name}_{number}"
+    return unused

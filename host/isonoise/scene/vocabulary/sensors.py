@@ -92,6 +92,13 @@ FILMS = (
                 meaning="height of the crop window, pixels",
                 unset="height",
             ),
+            P(
+                "exposure",
+                "float",
+                interval="(0, inf)",
+                meaning="factor on radiance in .png files; isonoise's own",
+                unset="by the image's brightness",
+            ),
             *ignored("string", "file_format", "pixel_format", "component_format", why="set by the output file's name"),
             *ignored(
                 "boolean", "sample_border", why="a sample belongs to one pixel, so the border needs no extra samples"
