@@ -8,7 +8,7 @@ import importlib
 import signal
 import sys
 
-from isonoise import __version__, argument_types
+from isonoise import __version__, argument_types, shared_options
 from isonoise.commands import bench_options
 from isonoise.run_command import run_command
 from isonoise.samplers import SAMPLERS
@@ -54,7 +54,7 @@ def _add_render(commands) -> None:
     render.add_argument(
         "scene", metavar="SCENE", help="a scene file (.xml, .obj, .ply, .stl, .glb) or a built-in scene"
     )
-    _add_images(render)
+    shared_options.add_images(render)
     limits = render.add_argument_group("when to stop")
     limits.add_argument("--spp", metavar="N", type=argument_types.positive, help="mean samples per pixel")
     limits.add_argument(
@@ -87,12 +87,12 @@ def _add_render(commands) -> None:
         "--sampler", choices=SAMPLERS, help="how random numbers are distributed (default: the scene's, else sobol)"
     )
     settings.add_argument("--seed", metavar="K", type=argument_types.seed, help="same seed, same image (default: 0)")
-    _add_scene_overrides(settings)
-    _add_scene_parameters(settings)
-    _add_allow_outside(settings)
-    _add_device(settings)
-    _add_memory(settings)
-    _add_view(render)
+    shared_options.add_scene_overrides(settings)
+    shared_options.add_scene_parameters(settings)
+    shared_options.add_allow_outside(settings)
+    shared_options.add_device(settings)
+    shared_options.add_memory(settings)
+    shared_options.add_view(render)
     _add_checkpoints(render)
     render.set_defaults(parameters=None)
     reports = render.add_argument_group("what to report")
@@ -139,9 +139,9 @@ def _add_merge(commands) -> None:
     merge.add_argument(
         "checkpoints", metavar="CHECKPOINT", nargs="+", help="files of `isonoise render --checkpoint`, or merged ones"
     )
-    _add_images(merge)
+    shared_options.add_images(merge)
     merge.add_argument("--checkpoint", metavar="FILE", help="write the merged state, to merge it with further renders")
-    _add_device(merge)
+    shared_options.add_device(merge)
 
 
 def _add_compare(commands) -> None:
@@ -181,9 +181,9 @@ def _add_compare(commands) -> None:
         help="mean samples per pixel; several numbers are several comparisons in DIR/spp-N with the same references",
     )
     settings = compare.add_argument_group("how to render")
-    _add_scene_overrides(settings)
-    _add_allow_outside(settings)
-    _add_device(settings)
+    shared_options.add_scene_overrides(settings)
+    shared_options.add_allow_outside(settings)
+    shared_options.add_device(settings)
     references = compare.add_argument_group("references")
     references.add_argument(
         "--reference",
@@ -219,9 +219,9 @@ def _add_bench(commands) -> None:
     subjects.add_argument(
         "--spp", metavar="N", type=argument_types.positive, help="samples per pixel of a run; see below"
     )
-    _add_scene_overrides(subjects)
-    _add_allow_outside(subjects)
-    _add_device(subjects)
+    shared_options.add_scene_overrides(subjects)
+    shared_options.add_allow_outside(subjects)
+    shared_options.add_device(subjects)
     bench_options.add_modes(subjects)
     bench_options.add_results(bench)
 
@@ -234,7 +234,7 @@ def _add_selftest(commands) -> None:
         "difficult inputs. A case compares a number from the device with a closed form or a float64 result.",
         epilog="exit codes: 0 all passed; 1 a case failed; 2 bad input; 70 internal error; 130 after Ctrl-C",
     )
-    _add_device(selftest)
+    shared_options.add_device(selftest)
     selftest.add_argument("--json", metavar="FILE", help="write all cases; fields: host/docs/numerics.md")
     selftest.add_argument(
         "--thorough",
@@ -283,11 +283,11 @@ def _add_info(commands) -> None:
         "For an .exr file: its layers and the settings it was rendered with. For a checkpoint: its render and arrays.",
     )
     info.add_argument("source", metavar="SCENE|OUT.exr|CHECKPOINT", help="a scene, an image, or a file of --checkpoint")
-    _add_size(info)
-    _add_scene_parameters(info)
-    _add_view(info)
-    _add_allow_outside(info)
-    _add_device(info)
+    shared_options.add_size(info)
+    shared_options.add_scene_parameters(info)
+    shared_options.add_view(info)
+    shared_options.add_allow_outside(info)
+    shared_options.add_device(info)
 
 
 def _add_convert(commands) -> None:
@@ -299,98 +299,8 @@ def _add_convert(commands) -> None:
     )
     convert.add_argument("scene", metavar="IN", help="a scene file or a built-in scene")
     convert.add_argument("output", metavar="OUT.xml", help="the file to write")
-    _add_scene_parameters(convert)
-    _add_allow_outside(convert)
-
-
-def _add_size(parser) -> None:
-    parser.add_argument(
-        "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scene's"
-    )
-
-
-def _add_view(parser) -> None:
-    """The fields of `isonoise.View`."""
-    view = parser.add_argument_group("what to see, in place of the scene's own camera and environment")
-    view.add_argument("--camera", metavar="NAME|N", help="a camera of the file, by its name or its number from 0")
-    view.add_argument(
-        "--fov", metavar="DEG", type=argument_types.angle_of_view, help="horizontal angle of view, degrees"
-    )
-    view.add_argument(
-        "--look-at",
-        metavar="[X,Y,Z:]X,Y,Z",
-        type=argument_types.look_at,
-        help="turn the camera to a point; with two, put it at the first one before. Write --look-at=-1,0,0 for a point "
-        "that begins with a minus",
-    )
-    view.add_argument(
-        "--up",
-        metavar="AXIS",
-        type=argument_types.direction,
-        help="direction that is up: x, y, z, -x, -y, -z, or X,Y,Z (default for models: y, for STL z)",
-    )
-    view.add_argument(
-        "--env", metavar="FILE", help="an image in latitude-longitude format, .hdr or .exr, around the scene"
-    )
-
-
-def _add_images(parser) -> None:
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="OUT.exr",
-        action="append",
-        required=True,
-        help=".exr: all layers, float32; .png: tone-mapped preview; may be given more than once",
-    )
-
-
-def _add_scene_overrides(parser) -> None:
-    _add_size(parser)
-    parser.add_argument(
-        "--max-depth",
-        metavar="N",
-        type=argument_types.max_depth,
-        help="longest path instead of the scene's: 1 is emitters only, -1 no limit",
-    )
-
-
-def _add_allow_outside(parser) -> None:
-    parser.add_argument(
-        "--allow-outside",
-        action="store_true",
-        help="let the scene read files outside its folder: includes, meshes, images",
-    )
-
-
-def _add_scene_parameters(parser) -> None:
-    parser.add_argument(
-        "-D",
-        dest="parameters",
-        metavar="name=value",
-        type=argument_types.definition,
-        action="append",
-        default=[],
-        help="set a <default> parameter of the scene file; may be given more than once",
-    )
-
-
-def _add_memory(parser) -> None:
-    parser.add_argument(
-        "--memory",
-        metavar="SIZE",
-        type=argument_types.memory_size,
-        help="most memory to take, such as 4G or 512M: on the device, on a CPU with the host's arrays of the image",
-    )
-
-
-def _add_device(parser) -> None:
-    parser.add_argument(
-        "--device",
-        metavar="D",
-        help="number or part of the name of a device of `isonoise devices`, or its type: gpu, cpu, accelerator "
-        "(default: PYOPENCL_CTX if set, else the first)",
-    )
+    shared_options.add_scene_parameters(convert)
+    shared_options.add_allow_outside(convert)
 
 
 class _CommandParser(argparse.ArgumentParser):

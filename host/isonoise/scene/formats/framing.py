@@ -3,6 +3,7 @@
 Called by `staging.py`.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -139,25 +140,43 @@ def _outermost(points: np.ndarray) -> np.ndarray:
 def three_quarter_direction(extent: Extent, to_world: np.ndarray) -> np.ndarray:
     """The unit vector from the model to the camera. `to_world` (3, 3) rotates y to the model's up.
 
-    A flat model is turned towards the camera, so that it is seen at most at an angle of 45 degrees, and its front if
-    it stands.
+    If a flat model stands, its own front is to the front. If it lies, the camera is higher, so that it is seen at an
+    angle of 45 degrees.
     """
-    direction = to_world @ np.array(THREE_QUARTER_VIEW)
-    direction /= np.linalg.norm(direction)
+    direction = np.array(THREE_QUARTER_VIEW) / np.linalg.norm(THREE_QUARTER_VIEW)
+    normal = _normal_of_flat(extent)
+    if normal is not None:
+        normal = to_world.T @ normal
+        normal = normal if normal[1] >= -_MIN_FACING else -normal
+        if abs(normal[1]) <= _MIN_FACING:
+            direction = turn_to(normal) @ direction
+        facing = direction @ normal
+        if facing < _MIN_FACING:
+            aside = direction - facing * normal
+            aside /= np.linalg.norm(aside)
+            direction = _MIN_FACING * normal + math.sqrt(1 - _MIN_FACING**2) * aside
+    return to_world @ direction
+
+
+def _normal_of_flat(extent: Extent) -> np.ndarray | None:
+    """The unit normal of a flat model, on the side to which most of its triangles face; None if it is not flat."""
     centered = (extent.points - extent.center) / extent.size
-    _, axes = np.linalg.eigh(centered.T @ centered)  # the normal of a flat model comes first
-    normal, thickness = axes[:, 0], np.ptp(centered @ axes[:, 0])
-    if thickness > _MAX_FLATNESS:
-        return direction
-    is_lying = abs(normal @ to_world[:, 1]) > _MIN_FACING
-    front = extent.facing @ normal if not is_lying and abs(extent.facing @ normal) > 0 else direction @ normal
-    normal = normal if front >= 0 else -normal
-    facing = direction @ normal
-    if facing < _MIN_FACING:
-        aside = direction - facing * normal
-        aside /= np.linalg.norm(aside)
-        direction = _MIN_FACING * normal + np.sqrt(1 - _MIN_FACING**2) * aside
-    return direction
+    _, axes = np.linalg.eigh(centered.T @ centered)  # the direction in which it is thinnest comes first
+    normal = axes[:, 0]
+    if np.ptp(centered @ normal) > _MAX_FLATNESS:
+        return None
+    side = float(extent.facing @ normal)
+    if side == 0:
+        side = float(normal @ np.array(THREE_QUARTER_VIEW))
+    return normal * math.copysign(1.0, side)
+
+
+def turn_to(direction: np.ndarray) -> np.ndarray:
+    """(3, 3): the rotation about y that takes +z to the horizontal part of a direction; the identity if it has none."""
+    x, _, z = direction
+    length = math.hypot(x, z)
+    sine, cosine = (x / length, z / length) if length > 1e-6 else (0.0, 1.0)
+    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
 
 
 def frame(extent: Extent, to_camera: np.ndarray, up: np.ndarray, tan_half_fov: tuple[float, float]) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isonoise.scene import transforms
-from isonoise.scene.formats.framing import Extent, find_extent, frame, three_quarter_direction
+from isonoise.scene.formats.framing import Extent, find_extent, frame, three_quarter_direction, turn_to
 from isonoise.scene.formats.model_lights import brightness_by_own_lights
 from isonoise.scene.formats.studio import GROUND_REFLECTANCE, WHITE, meter, studio_image
 from isonoise.scene.image.image import Image, read_image
@@ -143,7 +143,7 @@ def _environment(view: View, pose: _Pose, brightness: float, has_ground: bool) -
     """The studio, turned to the camera, or the view's image; scaled to this brightness of a white diffuse sphere."""
     if view.env is None:
         image, emitter = Image(studio_image()), {"type": "envmap"}
-        emitter["to_world"] = _affine(pose.to_world @ _turn_to(pose.to_world.T @ pose.to_camera))
+        emitter["to_world"] = _affine(pose.to_world @ turn_to(pose.to_world.T @ pose.to_camera))
     else:
         image, emitter = read_image(view.env), environment_map(view)
         del emitter["filename"]
@@ -158,14 +158,6 @@ def _affine(rotation: np.ndarray) -> np.ndarray:
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     return matrix
-
-
-def _turn_to(direction: np.ndarray) -> np.ndarray:
-    """(3, 3): the rotation about y that takes +z to the horizontal part of a direction."""
-    x, _, z = direction
-    length = math.hypot(x, z)
-    sine, cosine = (x / length, z / length) if length > 1e-6 else (0.0, 1.0)
-    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
 
 
 def _unused(name: str, scene: Mapping) -> str:

@@ -13,7 +13,7 @@ from isonoise.luminance import REC709_LUMINANCE
 
 WHITE = 0.8
 """Mean luminance of a white diffuse sphere in the model's place: what the light is metered to."""
-GROUND_REFLECTANCE = 0.22
+GROUND_REFLECTANCE = 0.18
 _HEIGHT = 128  # texels; the width is twice that
 _MAX_METERED_HEIGHT = 512  # larger images are averaged first
 _EDGE_DEGREES = 5.0  # over which a light falls to 0
@@ -31,10 +31,10 @@ class _SoftBox(NamedTuple):
 
 
 _LIGHTS = (
-    _SoftBox(-50, 42, 24, 20, 10.0),  # key
-    _SoftBox(75, 28, 22, 22, 2.5),  # fill
-    _SoftBox(150, 38, 16, 24, 6.0),  # edge
-    _SoftBox(0, 90, 180, 22, 3.0),  # overhead
+    _SoftBox(-55, 45, 20, 18, 20.0),  # key
+    _SoftBox(75, 28, 22, 22, 1.6),  # fill
+    _SoftBox(150, 40, 16, 24, 8.0),  # edge
+    _SoftBox(0, 90, 180, 20, 1.5),  # overhead
 )
 
 

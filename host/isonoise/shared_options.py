@@ -1,0 +1,93 @@
+"""Options that several commands have; each function adds some to a parser. Called by `cli`."""
+
+from isonoise import argument_types
+
+
+def add_size(parser) -> None:
+    parser.add_argument(
+        "--size", metavar="WxH", type=argument_types.size, help="image size in pixels instead of the scene's"
+    )
+
+
+def add_view(parser) -> None:
+    """The fields of `isonoise.View`."""
+    view = parser.add_argument_group("what to see, in place of the scene's own camera and environment")
+    view.add_argument("--camera", metavar="NAME|N", help="a camera of the file, by its name or its number from 0")
+    view.add_argument(
+        "--fov", metavar="DEG", type=argument_types.angle_of_view, help="horizontal angle of view, degrees"
+    )
+    view.add_argument(
+        "--look-at",
+        metavar="[X,Y,Z:]X,Y,Z",
+        type=argument_types.look_at,
+        help="turn the camera to a point; with two, put it at the first one before. Write --look-at=-1,0,0 for a point "
+        "that begins with a minus",
+    )
+    view.add_argument(
+        "--up",
+        metavar="AXIS",
+        type=argument_types.direction,
+        help="direction that is up: x, y, z, -x, -y, -z, or X,Y,Z (default for models: y, for STL z)",
+    )
+    view.add_argument(
+        "--env", metavar="FILE", help="an image in latitude-longitude format, .hdr or .exr, around the scene"
+    )
+
+
+def add_images(parser) -> None:
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="OUT.exr",
+        action="append",
+        required=True,
+        help=".exr: all layers, float32; .png: tone-mapped preview; may be given more than once",
+    )
+
+
+def add_scene_overrides(parser) -> None:
+    add_size(parser)
+    parser.add_argument(
+        "--max-depth",
+        metavar="N",
+        type=argument_types.max_depth,
+        help="longest path instead of the scene's: 1 is emitters only, -1 no limit",
+    )
+
+
+def add_allow_outside(parser) -> None:
+    parser.add_argument(
+        "--allow-outside",
+        action="store_true",
+        help="let the scene read files outside its folder: includes, meshes, images",
+    )
+
+
+def add_scene_parameters(parser) -> None:
+    parser.add_argument(
+        "-D",
+        dest="parameters",
+        metavar="name=value",
+        type=argument_types.definition,
+        action="append",
+        default=[],
+        help="set a <default> parameter of the scene file; may be given more than once",
+    )
+
+
+def add_memory(parser) -> None:
+    parser.add_argument(
+        "--memory",
+        metavar="SIZE",
+        type=argument_types.memory_size,
+        help="most memory to take, such as 4G or 512M: on the device, on a CPU with the host's arrays of the image",
+    )
+
+
+def add_device(parser) -> None:
+    parser.add_argument(
+        "--device",
+        metavar="D",
+        help="number or part of the name of a device of `isonoise devices`, or its type: gpu, cpu, accelerator "
+        "(default: PYOPENCL_CTX if set, else the first)",
+    )
