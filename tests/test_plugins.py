@@ -32,7 +32,7 @@ def files(tmp_path_factory) -> Path:
 def compiled(plugin: Plugin, description: dict, files: Path) -> tuple:
     """What has to differ if the scene differs."""
     result = compile_scene(load(scene_with(plugin, description, files)))
-    return result.hash, result.sample_count, result.filter
+    return result.hash, result.sample_count, result.filter, result.exposure
 
 
 @pytest.mark.parametrize("plugin", SUPPORTED_PLUGINS, ids=case_id)

@@ -8,8 +8,8 @@ import importlib
 import signal
 import sys
 
-from isonoise import __version__, argument_types, shared_options
-from isonoise.commands import bench_options
+from isonoise import __version__, argument_types
+from isonoise.commands import bench_options, shared_options
 from isonoise.run_command import run_command
 from isonoise.samplers import SAMPLERS
 from isonoise.signals import exit_code
@@ -299,8 +299,10 @@ def _add_convert(commands) -> None:
     )
     convert.add_argument("scene", metavar="IN", help="a scene file or a built-in scene")
     convert.add_argument("output", metavar="OUT.xml", help="the file to write")
+    shared_options.add_size(convert)
     shared_options.add_scene_parameters(convert)
     shared_options.add_allow_outside(convert)
+    shared_options.add_view(convert)
 
 
 class _CommandParser(argparse.ArgumentParser):

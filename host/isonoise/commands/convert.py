@@ -5,11 +5,13 @@ import warnings
 
 from isonoise.commands import EXIT_DONE
 from isonoise.convert.convert import convert
+from isonoise.scene.view import view_of
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code. Raises UserError if the scene cannot be read or written."""
-    converted = convert(options.scene, options.output, dict(options.parameters), options.allow_outside)
+    view, parameters = view_of(options), dict(options.parameters)
+    converted = convert(options.scene, options.output, parameters, options.allow_outside, view, options.size)
     for text in converted.report.warnings() if converted.report else ():
         warnings.warn(text, stacklevel=1)
     files = converted.files

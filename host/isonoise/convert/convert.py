@@ -19,6 +19,7 @@ from isonoise.scene.load import load_scene
 
 if TYPE_CHECKING:
     from isonoise.scene.formats.report import ImportReport
+    from isonoise.scene.view import View
 
 _FOLDER_SUFFIX = "_files"
 
@@ -36,6 +37,8 @@ def convert(
     output: str | os.PathLike,
     parameters: dict[str, str] | None = None,
     allow_outside: bool = False,
+    view: "View | None" = None,
+    size: tuple[int, int] | None = None,
 ) -> ConvertedScene:
     """Write a scene as a Mitsuba 3 XML file, and its meshes and images to the folder `NAME_files` beside it.
 
@@ -43,7 +46,7 @@ def convert(
 
     Parameters
     ----------
-    source, parameters, allow_outside
+    source, parameters, allow_outside, view
         As of `load`.
     output : path
         The XML file.
@@ -62,7 +65,7 @@ def convert(
     if folder.exists() and not folder.is_dir():
         raise UserError(f"cannot write the folder '{folder}': a file has this name")
     with record_files() as inputs, _temporary_folder(path.parent) as temporary:
-        scene = load_scene(source, parameters, allow_outside)
+        scene = load_scene(source, parameters, allow_outside, view, size)
         files = SceneFiles(temporary, folder.name)
         comment = _comment(source, scene.report)
 

@@ -26,6 +26,8 @@ _SHARED_KINDS = ("texture", "volume", "medium", "bsdf")
 """Kinds of objects that several others may reference in Mitsuba 3; shape groups may be, too."""
 _COLOUR_TYPES = ("rgb", "spectrum")
 _NO_OBJECTS = (*_COLOUR_TYPES, None)  # None: mesh attributes
+_OWN_PARAMETERS = ("exposure",)
+"""Parameters that Mitsuba 3 does not have and would refuse."""
 _MIN_ENTRY = 2.0**-40  # of a matrix, relative to the largest: smaller ones are rounding errors of rotations
 _MAX_DISTANCE = 2.0**8
 """Translation, relative to the scale, up to which the numbers of a matrix are written with the precision of 32 bits."""
@@ -173,7 +175,12 @@ def _nested_kind(plugin: Plugin, key: str, part: dict) -> str:
 def _parameter_line(parameter: Parameter, value: dict) -> str:
     """The element of a parameter; "" if it is absent, has its default, or is an object."""
     content = value.get(parameter.name)
-    if content is None or parameter.type == "image" or _is_default(parameter, content):
+    if (
+        content is None
+        or parameter.type == "image"
+        or parameter.name in _OWN_PARAMETERS
+        or _is_default(parameter, content)
+    ):
         return ""
     name = parameter.name
     if isinstance(content, dict):

@@ -60,7 +60,7 @@ def load(
     view : View or None
         Camera and environment in place of the scene's own.
     size : (width, height) or None
-        Image size in pixels, for which a model is framed. Of other scenes, `compile_scene` replaces the size.
+        Image size in pixels, for which a model is framed. None: the scene's.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def load_scene(
     if isinstance(source, Mapping):
         if parameters:
             raise SceneError("parameters belong to XML scenes; change the dict itself")
-        return _with_view(_normalise_dict(source), view)
+        return _with_view(_normalise_dict(source), view, size)
     path = find_scene(source)
     folder = scene_folder(path, allow_outside)
     if path.suffix.lower() != ".xml":
@@ -110,11 +110,11 @@ def load_scene(
     scene = SceneNormaliser()
     with _paused_garbage_collection():
         description = scene.finish(read_xml(path, parameters, folder, scene.add))
-    return _with_view(LoadedScene(description, None, scene.element_by_id), view)
+    return _with_view(LoadedScene(description, None, scene.element_by_id), view, size)
 
 
-def _with_view(scene: LoadedScene, view: View) -> LoadedScene:
-    return replace(scene, description=apply_view(scene.description, view))
+def _with_view(scene: LoadedScene, view: View, size: tuple[int, int] | None) -> LoadedScene:
+    return replace(scene, description=apply_view(scene.description, view, size))
 
 
 def _import_scene(
@@ -125,7 +125,7 @@ def _import_scene(
 
     scene, report = read_scene(path, format_, folder)
     if not format_.is_model:
-        return _with_view(_normalise_dict(scene, report), view)
+        return _with_view(_normalise_dict(scene, report), view, size)
     from isonoise.scene.formats.staging import stage
 
     return _normalise_dict(stage(scene, str(path), view, size, format_.up), report)

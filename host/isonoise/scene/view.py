@@ -95,14 +95,19 @@ def _points(value) -> np.ndarray | None:
     return points if points.ndim == 2 and points.shape[1] == 3 and np.isfinite(points).all() else None
 
 
-def apply_view(description: dict, view: View) -> dict:
-    """A normalised scene with the view's camera and environment. Raises UserError if they do not fit the scene."""
-    if view == NO_VIEW:
+def apply_view(description: dict, view: View, size: tuple[int, int] | None) -> dict:
+    """A normalised scene with the view's camera and environment, and an image of this size.
+
+    Raises UserError if they do not fit the scene.
+    """
+    if view == NO_VIEW and size is None:
         return description
     name, sensor = find_camera(sensors_of(description), view.camera)
     others = sensors_of(description).keys() - {name}
     result = {key: part for key, part in description.items() if key not in others}
     result[name] = move_camera(sensor, view)
+    if size is not None:
+        result[name]["film"] = resized(sensor.get("film", {"type": "hdrfilm"}), size)
     if view.env is not None:
         result = {key: part for key, part in result.items() if not is_environment(part)}
         name = next(name for name in ("environment", "environment_map", "--env") if name not in result)
@@ -157,6 +162,12 @@ def move_camera(sensor: Mapping, view: View) -> dict:
     if view.look_at is not None or view.up is not None:
         moved["to_world"] = _moved(np.asarray(sensor.get("to_world", np.eye(4)), float), view)
     return moved
+
+
+def resized(film: Mapping, size: tuple[int, int]) -> dict:
+    """The film with another size, and without a crop window."""
+    kept = {key: value for key, value in film.items() if not key.startswith("crop_")}
+    return kept | {"width": size[0], "height": size[1]}
 
 
 def _moved(to_world: np.ndarray, view: View) -> np.ndarray:

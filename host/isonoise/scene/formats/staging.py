@@ -20,13 +20,16 @@ from isonoise.scene.view import (
     find_camera,
     is_environment,
     move_camera,
+    resized,
     rotation_from_y,
     sensors_of,
 )
 
 _IMAGE_SIZE = (512, 512)
 _LENS_DEGREES = 46.8  # angle of view along the diagonal: that of a 50 mm lens of a 35 mm camera
-_MAX_DEPTH, _SAMPLE_COUNT = 16, 64
+_FILM = {"type": "hdrfilm", "width": _IMAGE_SIZE[0], "height": _IMAGE_SIZE[1], "rfilter": {"type": "gaussian"}}
+_SAMPLER = {"type": "multijitter", "sample_count": 64}
+_MAX_DEPTH = 16
 _GROUND_SIZE = 40.0  # half its side, in the model's sizes
 _GROUND_GAP = 1e-3  # between model and ground, in the model's sizes: a floor of the model stays in sight
 _MIN_OWN_BRIGHTNESS = 0.1 * WHITE
@@ -62,7 +65,9 @@ def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, u
         name, sensor = find_camera(sensors, view.camera)
     else:
         name, sensor = "sensor", _framing_sensor(extent, view, size or _IMAGE_SIZE, to_world)
-    sensor = {"film": _film(size or _IMAGE_SIZE), "sampler": _SAMPLER, **move_camera(sensor, view)}
+    sensor = {"film": _FILM, "sampler": _SAMPLER, **move_camera(sensor, view)}
+    if size is not None:
+        sensor["film"] = resized(sensor["film"], size)
     others = {key: part for key, part in scene.items() if key not in sensors}
     staged = {"type": "scene", "integrator": {"type": "path", "max_depth": _MAX_DEPTH}, **others}
     if view.env is None and any(map(is_environment, scene.values())):
@@ -80,13 +85,6 @@ def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, u
             staged[_unused("ground", staged)] = _ground(extent, to_world)
         sensor["film"] = {"exposure": 1.0, **sensor["film"]}
     return {**staged, _unused(name, staged): sensor}
-
-
-_SAMPLER = {"type": "multijitter", "sample_count": _SAMPLE_COUNT}
-
-
-def _film(size: tuple[int, int]) -> dict:
-    return {"type": "hdrfilm", "width": size[0], "height": size[1], "rfilter": {"type": "gaussian"}}
 
 
 def _framing_sensor(extent: Extent, view: View, size: tuple[int, int], to_world: np.ndarray) -> dict:
