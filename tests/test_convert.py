@@ -222,5 +222,5 @@ def test_command_replaces_its_output(in_tmp_path, write_file, capsys):
     write_file("ball.ply", small_files.ply())
     for _ in range(2):
         assert main(["convert", "ball.ply", "out.xml"]) == 0
-        assert capsys.readouterr().out == "written: out.xml, 1 file in out_files/\n"
+        assert capsys.readouterr().out == "written: out.xml, 2 files in out_files/\n"
     assert sorted(path.name for path in Path().iterdir()) == ["ball.ply", "out.xml", "out_files"]
