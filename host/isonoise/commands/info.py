@@ -1,6 +1,7 @@
 """`isonoise info`: contents and compiled features of a scene, layers and settings of an image, or a checkpoint."""
 
 import argparse
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,13 +54,15 @@ def _print_scene(options: argparse.Namespace) -> None:
     from isonoise.integrator.feature_costs import cost
     from isonoise.integrator.features import FEATURES, features
     from isonoise.integrator.kernel_table import path_bytes
-    from isonoise.scene import compile_scene, load
+    from isonoise.scene import compile_scene
+    from isonoise.scene.load import load_scene
     from isonoise.strategies import DEFAULT_STRATEGY, make_strategy
 
-    scene = compile_scene(
-        load(options.source, dict(options.parameters), options.allow_outside, view_of(options), options.size),
-        options.size,
-    )
+    parameters, view = dict(options.parameters), view_of(options)
+    loaded = load_scene(options.source, parameters, options.allow_outside, view, options.size)
+    if loaded.report:
+        print(label_lines(loaded.report.rows(), wrap=shutil.get_terminal_size((120, 24)).columns) + "\n")
+    scene = compile_scene(loaded.description, options.size)
     print(label_lines(describe_scene(scene).items()))
     needs = make_strategy(DEFAULT_STRATEGY).needs.with_sampler(scene.sampler)
     used = features(scene, needs)

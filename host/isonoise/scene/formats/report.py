@@ -39,7 +39,7 @@ class ImportReport:
         """(label, text): what was found, the features that are mapped exactly, and a row for each loss."""
         lossy = {feature for feature, _ in self.losses}
         exact = [title for feature, title in FEATURES.items() if feature in self.used and feature not in lossy]
-        rows = [("found", ", ".join(f"{number:,} {noun}" for noun, number in self.counts.items()))]
+        rows = [("found", ", ".join(f"{number:,} {_noun(noun, number)}" for noun, number in self.counts.items()))]
         rows += [("mapped", ", ".join(exact) or "nothing exactly")]
         labels = ["not exact", *[""] * len(self.losses)]
         return rows + list(zip(labels, self.loss_texts(), strict=False))
@@ -51,6 +51,17 @@ class ImportReport:
     def loss_texts(self) -> list[str]:
         """The texts of `warnings` without the file's name."""
         return [f"{FEATURES[feature]}{_where(places)}: {problem}" for (feature, problem), places in self.losses.items()]
+
+
+def _noun(plural: str, number: int) -> str:
+    """The noun for a number; `plural` may have more after ' of '."""
+    word, of, rest = plural.partition(" of ")
+    if number == 1:
+        ending, singular = next(
+            pair for pair in (("ies", "y"), ("shes", "sh"), ("s", ""), ("", "")) if word.endswith(pair[0])
+        )
+        word = word.removesuffix(ending) + singular
+    return word + of + rest
 
 
 def _where(places: list[str]) -> str:
