@@ -95,6 +95,16 @@ def test_textures_with_coordinates_of_vertices_or_corners(tmp_path):
     assert losses == []
 
 
+def test_a_texture_replaces_colours(tmp_path):
+    Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "a.png")
+    for colour, reported in (("1 1 1", 0), ("1 0 1", 1)):
+        vertices = [f"{point} 0 0 {colour}" for point in SQUARE]
+        properties = "float u;float v;float r;float g;float b"
+        mesh, losses = read(tmp_path, ply_text(properties, vertices, ["3 0 1 2"], comment="TextureFile a.png"))
+        assert "attributes" not in mesh
+        assert len(losses) == reported
+
+
 def test_what_is_left_out_is_reported(tmp_path):
     text = ply_text("", SQUARE, ["3 0 1 2"], comment="TextureFile a.png")
     assert "no texture coordinates" in read(tmp_path, text)[1][0]

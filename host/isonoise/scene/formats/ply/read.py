@@ -32,7 +32,10 @@ def read(path: Path, folder: Path | None, report: ImportReport) -> dict:
     ):
         if is_used:
             report.use(feature)
-    reflectance = _texture(path, ply, folder, report) or _colours(mesh, report) or 0.5
+    texture, colours = _texture(path, ply, folder, report), _colours(mesh, report)
+    if texture and colours and (mesh.attributes.pop(colours["name"]) != 1).any():
+        report.limit("vertex_colours", "left out: there is a texture too")
+    reflectance = texture or colours or 0.5
     bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
     return {"type": "scene", "mesh": mesh_shape(mesh, bsdf)}
 
@@ -81,16 +84,16 @@ def _texture(path: Path, ply: PlyFile, folder: Path | None, report: ImportReport
 
 
 def _colours(mesh: Mesh, report: ImportReport) -> dict | None:
-    """The texture of the vertex or face colours; None without any. Other attributes are removed from the mesh."""
-    name = next((name for name in ("vertex_color", "face_color") if name in mesh.attributes), None)
-    if name is None:
-        mesh.attributes = {}
+    """The texture of the vertex or face colours; None if there are none. Removes other attributes from the mesh."""
+    given = {name: mesh.attributes[name] for name in ("vertex_color", "face_color") if name in mesh.attributes}
+    mesh.attributes = {}
+    if not given:
         return None
     report.use("vertex_colours")
-    colours = mesh.attributes[name]
+    name, colours = next(iter(given.items()))
     if colours.shape[1] == 4 and (colours[:, 3] != 1).any():
         report.limit("opacity", "the alpha of colours is left out")
-    if name == "vertex_color" and "face_color" in mesh.attributes:
+    if len(given) > 1:
         report.limit("vertex_colours", "face colours are left out: there are vertex colours too")
     colours = np.nan_to_num(colours[:, :3], posinf=0.0, neginf=0.0)
     if colours.max() > 1:  # floats from 0 to 255
