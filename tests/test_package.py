@@ -74,7 +74,7 @@ def test_everything_that_is_read_is_in_the_wheel(tracked, wheel):
     expected = set()
     for name in tracked:
         for folder, target in SHIPPED.items():
-            if name.startswith(folder) and not name.endswith("README.md") and not name.startswith("scenes/gallery/"):
+            if name.startswith(folder) and not name.endswith(".md") and not name.startswith("scenes/gallery/"):
                 expected.add(target + name.removeprefix(folder))
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
