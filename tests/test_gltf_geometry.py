@@ -229,6 +229,8 @@ def test_points_and_lines_are_reported(mode, tmp_path):
     assert len(shapes_of(scene)) == 1
     (text,) = report.warnings()
     assert text.startswith("a.glb: lines and points of meshes[1].primitives[0]")
+    with pytest.raises(SceneError, match="no triangles, only lines and points"):
+        read_file(one_mesh(mode=mode), tmp_path)
 
 
 def test_index_out_of_range(tmp_path):

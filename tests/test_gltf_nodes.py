@@ -89,6 +89,16 @@ def test_deep_hierarchies(tmp_path):
     np.testing.assert_array_equal(only_mesh(file, tmp_path)["vertices"], TRIANGLE + np.array([3000, 0, 0]))
 
 
+def test_names_are_unique(tmp_path):
+    file = Gltf()
+    for name in ("a b", "a_b", "a_b__2", "ä", "a b"):
+        file.content["meshes"] = [*file.content.get("meshes", []), {"name": name, "primitives": []}]
+        file.content["meshes"][-1]["primitives"] = [{"attributes": {"POSITION": file.accessor(TRIANGLE)}}]
+        file.node(mesh=len(file.content["meshes"]) - 1)
+    scene, _ = read_file(file, tmp_path)
+    assert list(scene) == ["type", "mesh_a_b", "mesh_a_b__2", "mesh_a_b__2__2", "mesh__", "mesh_a_b__3"]
+
+
 # Copies of a mesh
 
 

@@ -21,7 +21,7 @@ def morph_weights(mesh: JsonObject, node: JsonObject) -> tuple[float, ...]:
 def morph(geometry: Geometry, primitive: JsonObject, weights: tuple[float, ...], accessors: Accessors) -> Geometry:
     """The geometry with the weighted displacements of its targets (glTF 2.0 section 3.7.2.2)."""
     targets = primitive.objects("targets")
-    if len(weights) not in (0, len(targets)):
+    if targets and len(weights) not in (0, len(targets)):
         primitive.fail("targets", f"there are {len(targets)} targets, but {len(weights)} weights")
     vertices, normals = geometry.vertices.astype(float), geometry.normals
     uv_sets, colours = [uvs.astype(float) for uvs in geometry.uv_sets], geometry.colours

@@ -55,11 +55,6 @@ class JsonObject:
         extensions = self.object("extensions")
         return extensions.object(name) if extensions else None
 
-    def extra(self, name: str) -> object:
-        """A value that an application has stored under `extras`; None if there is none."""
-        extras = self.values.get("extras")
-        return extras.get(name) if isinstance(extras, dict) else None
-
     def integer(self, name: str, default=_NO_DEFAULT, low: int = 0, high: int = _MAX_INTEGER) -> int:
         """A whole number in [low, high]; JSON may write it with a fraction of zero."""
         value = self._value(name, default)

@@ -28,7 +28,8 @@ def _read(document: Document, report: ImportReport) -> dict:
     shapes = Shapes(document, Accessors(document), Materials(document, report), report)
     shapes.add_nodes(placed, matrices)
     if not shapes.shapes:
-        raise SceneError(f"{document.path}: its scene has no triangles")
+        rest = ", only lines and points, which are not rendered" if "lines_points" in report.used else ""
+        raise SceneError(f"{document.path}: its scene has no triangles{rest}")
     scene, name_counts = {"type": "scene"}, {}
     for one in placed:
         camera = document.referenced(one.node, "camera", "cameras")

@@ -191,7 +191,11 @@ def describe(geometry: Geometry, has_tangents: bool) -> PrimitiveInfo:
 
 
 def unique_name(name: str, counts: dict[str, int]) -> str:
-    """The name in plain characters, with a number from the second use on."""
+    """The name in plain characters, with a number if it is taken. `counts` is how often each name was asked for."""
     plain = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in name[:60])
-    counts[plain] = counts.get(plain, 0) + 1
-    return plain if counts[plain] == 1 else f"{plain}__{counts[plain]}"
+    unique = plain
+    while unique in counts:
+        counts[plain] += 1
+        unique = f"{plain}__{counts[plain]}"
+    counts[unique] = 1
+    return unique
