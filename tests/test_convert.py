@@ -218,6 +218,13 @@ def test_names_of_outputs_are_checked(tmp_path):
         convert("cornell", tmp_path / "out.xml")
 
 
+def test_size_replaces_that_of_the_film(tmp_path):
+    film = {"type": "hdrfilm", "width": 40, "height": 30, "crop_width": 10, "rfilter": {"type": "tent"}}
+    scene = scene_of_shapes(ball={"type": "sphere"}) | {"sensor": SENSOR | {"film": film}}
+    convert(scene, tmp_path / "out.xml", size=(17, 9))
+    assert_same_scene(compile_scene(load(tmp_path / "out.xml")), compile_scene(load(scene), size=(17, 9)))
+
+
 def test_command_replaces_its_output(in_tmp_path, write_file, capsys):
     write_file("ball.ply", small_files.ply())
     for _ in range(2):

@@ -16,6 +16,7 @@ from isonoise.errors import UserError
 from isonoise.film.files import check_no_input, check_writable, write_atomically
 from isonoise.scene.files import record_files
 from isonoise.scene.load import load_scene
+from isonoise.scene.vocabulary import plugins_of
 
 if TYPE_CHECKING:
     from isonoise.scene.formats.report import ImportReport
@@ -48,6 +49,8 @@ def convert(
     ----------
     source, parameters, allow_outside, view
         As of `load`.
+    size : (width, height) or None
+        Image size in pixels in place of the scene's.
     output : path
         The XML file.
 
@@ -67,16 +70,28 @@ def convert(
     with record_files() as inputs, _temporary_folder(path.parent) as temporary:
         scene = load_scene(source, parameters, allow_outside, view, size)
         files = SceneFiles(temporary, folder.name)
+        description = _resized(scene.description, size) if size else scene.description
         comment = _comment(source, scene.report)
 
         def write(temporary_file: Path) -> None:
             with open(temporary_file, "w", encoding="utf-8") as text:
-                write_scene(text, scene.description, files, scene.ids, comment)
+                write_scene(text, description, files, scene.ids, comment)
             check_no_input([path, *(folder / name for name in files.names)], inputs)
             _move_files(temporary, folder)
 
         write_atomically(path, write)
     return ConvertedScene([folder / name for name in files.names], scene.report)
+
+
+def _resized(description: dict, size: tuple[int, int]) -> dict:
+    """The description with films of this size, without crop windows, as `compile_scene` takes it."""
+    film = {"type": "hdrfilm", "width": size[0], "height": size[1]}
+    result = dict(description)
+    for key, sensor in description.items():
+        if isinstance(sensor, dict) and sensor["type"] in plugins_of("sensor"):
+            kept = {name: value for name, value in sensor.get("film", {}).items() if name in ("rfilter", "exposure")}
+            result[key] = sensor | {"film": film | kept}
+    return result
 
 
 def _comment(source: str | os.PathLike | Mapping, report: "ImportReport | None") -> list[str]:
