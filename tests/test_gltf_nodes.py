@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from gltf_files import TRIANGLE, Gltf, corners_of, one_mesh, only_mesh, read_file, shapes_of
+from gltf_files import QUAD, TRIANGLE, Gltf, corners_of, one_mesh, only_mesh, read_file, shapes_of
+from PIL import Image
 
 import isonoise
+from isonoise.convert.convert import convert
 from isonoise.errors import SceneError
 
 
@@ -199,3 +201,36 @@ def test_lights(tmp_path):
     assert "light_lamp_3" not in scene
     assert math.radians(scene["light_lamp_4"]["cutoff_angle"]) == pytest.approx(math.pi / 4)
     assert len(report.warnings()) == 2  # of the last one: its range and its soft edge
+
+
+# Normal maps
+
+
+def test_normal_maps_keep_their_directions_on_mirrored_surfaces(tmp_path, mitsuba):
+    """The tilt of the shading normal follows the picture: mirrored texture coordinates, a mirrored node, both.
+
+    The normal map tilts by 20 degrees to the right and up in the image. A rough surface reflects most towards a light
+    on the side to which its shading normal tilts (Mitsuba evaluates the converted scene).
+    """
+    file = Gltf(images=[{"uri": "tilt.png"}], textures=[{"source": 0}])
+    Image.fromarray(np.full((2, 2, 3), (158, 158, 247), np.uint8)).save(tmp_path / "tilt.png")
+    pbr = {"metallicFactor": 0, "roughnessFactor": 1}
+    file.add("materials", normalTexture={"index": 0}, pbrMetallicRoughness=pbr)
+    normals, uvs = np.tile(np.float32([0, 0, 1]), (4, 1)), np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])
+    faces, mirrored = [0, 1, 2, 0, 2, 3], uvs * np.float32([-1, 1])
+    for coordinates in (uvs, mirrored):
+        file.mesh(QUAD, faces, attributes={"NORMAL": normals, "TEXCOORD_0": coordinates}, material=0)
+    cases = [(0, 1, 1), (1, 1, -1), (0, -1, -1), (1, -1, 1)]  # mesh, scale along x, tilt along x
+    for number, (mesh, scale, _) in enumerate(cases):
+        file.node(mesh=mesh, scale=[scale, 1, 1], translation=[3.0 * number - 0.5 * scale, -0.5, 0])
+    convert(file.write(tmp_path), tmp_path / "a.xml")
+    scene = mitsuba.load_file(str(tmp_path / "a.xml"))
+    for number, (_, _, tilt) in enumerate(cases):
+        ray = mitsuba.Ray3f([3.0 * number, 0.1, 5], [0, 0, -1])
+        hit = scene.ray_intersect(ray)
+        assert hit.is_valid()
+        values = {}
+        for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            light = mitsuba.Vector3f(0.5 * x, 0.5 * y, math.sqrt(0.5))
+            values[x, y] = hit.bsdf().eval(mitsuba.BSDFContext(), hit, hit.to_local(light))[0]
+        assert max(values, key=values.get) == (tilt, 1), f"case {number}: {values}"
