@@ -54,6 +54,11 @@ def spectrum_to_rgb(wavelengths, values, kind: str) -> np.ndarray:
     return np.clip(rgb, 0.0, 1.0 if kind == "reflectance" else np.inf)
 
 
+def xyz_to_rgb(xyz) -> np.ndarray:
+    """Linear RGB (3,) float64 of CIE XYZ; outside the gamut some are negative."""
+    return _XYZ_TO_RGB @ np.asarray(xyz, float)
+
+
 def constant_to_rgb(value: float, kind: str) -> np.ndarray:
     """Linear RGB (3,) of a constant spectrum; as emission it is equal energy, X = Y = Z."""
     return value * (_XYZ_TO_RGB.sum(axis=1) if kind == "radiance" else np.ones(3))
