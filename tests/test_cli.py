@@ -269,7 +269,7 @@ def test_help_and_version_import_nothing_heavy():
         "import sys; from isonoise.cli import main\n"
         "try: main([sys.argv[1]])\n"
         "except SystemExit: pass\n"
-        "print(sorted({'numpy', 'pyopencl', 'rich', 'PIL', 'OpenEXR'} & set(sys.modules)))"
+        "print(sorted({'numpy', 'pyopencl', 'rich', 'PIL', 'OpenEXR', 'trimesh'} & set(sys.modules)))"
     )
     for option in ("--help", "--version"):
         out = subprocess.run([sys.executable, "-c", code, option], capture_output=True, text=True).stdout

@@ -7,11 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+import small_files
 
 import isonoise
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(isonoise.__file__).parents[1])}
-HEAVY = {"PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex"}
+HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex"}
 SHARED = {
     f"isonoise.strategies.{name}"
     for name in (
@@ -93,6 +94,13 @@ def test_an_adaptive_render_imports_only_its_own_strategy(tmp_path):
     modules = render("cornell", "--strategy", "relative-mean", folder=tmp_path)
     own = {f"isonoise.strategies.{name}" for name in ("adaptive", "allocation", "water_filling")}
     assert strategies(modules) == own
+
+
+@pytest.mark.parametrize(("kind", "imports"), [("ply", False), ("glb", False), ("stl", True)])
+def test_trimesh_is_imported_for_its_formats_only(tmp_path, kind, imports):
+    path = tmp_path / f"mesh.{kind}"
+    path.write_bytes(small_files.ply() if kind == "ply" else small_files.from_trimesh(kind))
+    assert ("trimesh" in modules_after("info", path)) == imports
 
 
 @pytest.mark.parametrize("command", [("info", "cornell"), ("devices",), ("plugins",), ("--version",)])

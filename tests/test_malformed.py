@@ -370,7 +370,7 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 from isonoise.cli import main
-import isonoise.scene, PIL.Image, PIL.PngImagePlugin, PIL.JpegImagePlugin, PIL.BmpImagePlugin, OpenEXR
+import isonoise.scene, PIL.Image, PIL.PngImagePlugin, PIL.JpegImagePlugin, PIL.BmpImagePlugin, OpenEXR, trimesh
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + int(sys.argv[1]),) * 2)
 for path in sys.argv[2:]:

@@ -42,7 +42,7 @@ def read(folder: Path, data: bytes) -> tuple[dict, ImportReport]:
 def test_binary_and_ascii_files(tmp_path):
     """A binary file may begin with 'solid', an ASCII file may have several solids and capital letters."""
     text = ascii_text("a b", TRIANGLES[0]) + ascii_text("", TRIANGLES[1]).upper()
-    for data, solids in ((binary(), 1), (binary(header=b"solid x"), 1), (text.encode(), 2)):
+    for data, solids in ((binary(), 1), (binary(header=b"solid x"), 1), (binary() + b"more", 1), (text.encode(), 2)):
         mesh, report = read(tmp_path, data)
         np.testing.assert_array_equal(mesh["vertices"][mesh["faces"]], TRIANGLES)
         assert mesh["face_normals"]
@@ -68,9 +68,9 @@ def test_colours_of_facets(tmp_path):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (binary()[:-1], "truncated, its header states 2 triangles"),
-        (ascii_text("a", TRIANGLES[0]).replace("vertex 0.0", "vertex x").encode(), "three numbers"),
-        (ascii_text("a", TRIANGLES[0]).replace("vertex", "", 1).encode(), "three vertices"),
+        (binary()[:-1], "shorter than its header states"),
+        (ascii_text("a", TRIANGLES[0]).replace("vertex 0.0", "vertex x").encode(), "not a readable STL file"),
+        (ascii_text("a", TRIANGLES[0]).replace("vertex", "", 1).encode(), "not a readable STL file"),
         (ascii_text("a", TRIANGLES[0]).replace("vertex 0.0", "vertex nan").encode(), "not a finite number"),
     ],
 )
