@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import gltf_files
+import gltf_material_files
 import numpy as np
 import small_files
 from fuzz_mutations import (
@@ -159,9 +160,21 @@ TARGETS = {
         lambda: [small_files.from_trimesh("stl"), small_files.from_trimesh("stl_ascii")], "m.stl", compile_file
     ),
     "glb": Target(
-        lambda: [small_files.textured_glb(), gltf_files.rich_file().glb()], "m.glb", compile_file, mutate_glb
+        lambda: [
+            small_files.textured_glb(),
+            gltf_files.rich_file().glb(),
+            gltf_material_files.rich_material_file().glb(),
+        ],
+        "m.glb",
+        compile_file,
+        mutate_glb,
     ),
-    "gltf": Target(lambda: [gltf_files.rich_file().gltf()], "m.gltf", compile_file, mutate_json),
+    "gltf": Target(
+        lambda: [gltf_files.rich_file().gltf(), gltf_material_files.rich_material_file().gltf()],
+        "m.gltf",
+        compile_file,
+        mutate_json,
+    ),
     "png": Target(
         lambda: [small_files.image_file("PNG"), small_files.image_file("PNG", mode="P"), small_files.png_16_bit()],
         "m.png",

@@ -65,3 +65,38 @@ def inside(bsdf: dict, *types: str) -> dict:
         assert bsdf["type"] == type_
         bsdf = bsdf["bsdf"]
     return bsdf
+
+
+def rich_material_file() -> MaterialFile:
+    """A file with everything that materials can have: one with all layers, one of glass with a volume."""
+    layers = {
+        "KHR_materials_clearcoat": {"clearcoatFactor": 1, "clearcoatNormalTexture": {"index": 0}},
+        "KHR_materials_sheen": {"sheenColorFactor": [1, 1, 1], "sheenColorTexture": {"index": 0}},
+        "KHR_materials_specular": {"specularFactor": 0.5, "specularColorTexture": {"index": 0}},
+        "KHR_materials_transmission": {"transmissionFactor": 0.5, "transmissionTexture": {"index": 0}},
+        "KHR_materials_anisotropy": {"anisotropyStrength": 0.4},
+        "KHR_materials_emissive_strength": {"emissiveStrength": 2},
+    }
+    transform = {"offset": [0.5, 0], "scale": [2, 1], "rotation": 0.3}
+    textures = {
+        "baseColorTexture": {"index": 0, "extensions": {"KHR_texture_transform": transform}},
+        "metallicRoughnessTexture": {"index": 0, "texCoord": 0},
+    }
+    material = pbr(**textures) | {
+        "normalTexture": {"index": 0, "scale": 0.3},
+        "emissiveTexture": {"index": 0},
+        "emissiveFactor": [1, 1, 1],
+        "alphaMode": "MASK",
+        "alphaCutoff": 0.4,
+        "doubleSided": True,
+        "extensions": layers,
+    }
+    colours = np.repeat(np.array([[0.1], [0.4], [0.7], [1.0]], "f4"), 3, axis=1)
+    sampler = {"wrapS": 33071, "wrapT": 33648, "magFilter": 9729}
+    file = MaterialFile(material, RGBA, sampler=sampler, COLOR_0=colours)
+    volume = {"thicknessFactor": 1, "attenuationDistance": 1, "attenuationColor": [0.5, 0.5, 0.5]}
+    refracting = {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": volume}
+    glass = file.add("materials", **PLASTIC, extensions=refracting | {"KHR_materials_ior": {"ior": 1.4}})
+    for _ in range(2):
+        file.node(mesh=file.mesh(QUAD, [0, 1, 2, 0, 2, 3], attributes={"TEXCOORD_0": UVS}, material=glass))
+    return file

@@ -4,20 +4,18 @@ import math
 
 import numpy as np
 import pytest
-from gltf_files import QUAD, read_file, shapes_of
+from gltf_files import read_file, shapes_of
 from gltf_material_files import (
     ALPHA,
     COLOURS,
-    PLASTIC,
     RGBA,
-    RNG,
-    UVS,
     WHITE,
     MaterialFile,
     extended,
     inside,
     linear,
     pbr,
+    rich_material_file,
     warnings_of,
 )
 
@@ -157,29 +155,7 @@ def test_extensions_that_lose_something(tmp_path, extension, values, feature):
 
 def test_every_mapping_is_a_valid_scene(tmp_path):
     """Normalisation accepts what the materials become, and equal surfaces stay one object."""
-    extensions = {
-        "KHR_materials_clearcoat": {"clearcoatFactor": 1, "clearcoatNormalTexture": {"index": 0}},
-        "KHR_materials_sheen": {"sheenColorFactor": [1, 1, 1], "sheenColorTexture": {"index": 0}},
-        "KHR_materials_specular": {"specularFactor": 0.5, "specularColorTexture": {"index": 0}},
-        "KHR_materials_transmission": {"transmissionFactor": 0.5, "transmissionTexture": {"index": 0}},
-        "KHR_materials_anisotropy": {"anisotropyStrength": 0.4},
-    }
-    textures = pbr(baseColorTexture={"index": 0}, metallicRoughnessTexture={"index": 0})
-    material = textures | {
-        "normalTexture": {"index": 0, "scale": 0.3},
-        "emissiveTexture": {"index": 0},
-        "emissiveFactor": [1, 1, 1],
-        "alphaMode": "MASK",
-        "extensions": extensions,
-    }
-    colours = np.repeat(RNG.random((4, 1)), 3, axis=1).astype("f4")
-    file = MaterialFile(material, RGBA, COLOR_0=colours)
-    volume = {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": {"thicknessFactor": 1}}
-    volume["KHR_materials_volume"] |= {"attenuationDistance": 1, "attenuationColor": [0.5, 0.5, 0.5]}
-    glass = file.add("materials", **PLASTIC, extensions=volume)
-    for _ in range(2):
-        file.node(mesh=file.mesh(QUAD, [0, 1, 2, 0, 2, 3], attributes={"TEXCOORD_0": UVS}, material=glass))
-    scene, _ = read_file(file, tmp_path)
+    scene, _ = read_file(rich_material_file(), tmp_path)
     first, second, third = shapes_of(scene)
     assert second["bsdf"] is third["bsdf"]
     assert first["bsdf"]["type"] == "mask"
