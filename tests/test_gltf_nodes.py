@@ -199,8 +199,24 @@ def test_lights(tmp_path):
     assert directional["irradiance"]["value"] == [100, 100, 100]
     np.testing.assert_allclose(directional["to_world"][:3, 2], [0, 1, 0], atol=1e-12)
     assert "light_lamp_3" not in scene
-    assert math.radians(scene["light_lamp_4"]["cutoff_angle"]) == pytest.approx(math.pi / 4)
     assert len(report.warnings()) == 2  # of the last one: its range and its soft edge
+
+
+@pytest.mark.parametrize(("inner", "outer"), [(0.0, math.pi / 4), (0.3, 0.4), (0.0, math.pi / 2), (0.6, 0.60001)])
+def test_spots_keep_their_power(inner, outer, tmp_path):
+    """The integral over directions of the intensity, by KHR_lights_punctual and by Mitsuba 3, with 10^5 angles."""
+    file = one_mesh()
+    light = {"type": "spot", "spot": {"innerConeAngle": inner, "outerConeAngle": outer}}
+    file.content["extensions"] = {"KHR_lights_punctual": {"lights": [light]}}
+    file.node(extensions={"KHR_lights_punctual": {"light": 0}})
+    (spot,) = shapes_of(read_file(file, tmp_path)[0], "spot")
+    angles = (np.arange(10**5) + 0.5) * (math.pi / 2e5)
+    ramp = (np.cos(angles) - math.cos(outer)) / (math.cos(inner) - math.cos(outer))
+    beam, cutoff = math.radians(spot["beam_width"]), math.radians(spot["cutoff_angle"])
+    linear = (cutoff - angles) / (cutoff - beam)
+    powers = [np.sum(np.clip(values, 0, 1) * np.sin(angles)) for values in (np.clip(ramp, 0, 1) ** 2, linear)]
+    assert powers[1] == pytest.approx(powers[0], rel=1e-4)
+    assert inner - 1e-9 <= beam <= cutoff <= outer + 1e-9
 
 
 # Normal maps

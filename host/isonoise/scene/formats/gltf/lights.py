@@ -4,6 +4,7 @@ Units are as in the file: candela become W / sr and lux become W / m².
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from isonoise.scene.formats.report import ImportReport
 _EXTENSION = "KHR_lights_punctual"
 _MAX_INTENSITY = 1e30
 _MAX_CUTOFF_DEGREES = 89.99
+_MIN_TRANSITION = 1e-6  # radians between inner and outer cone: less is a hard edge
 
 
 def emitter(placed: PlacedNode, document: Document, report: ImportReport) -> dict | None:
@@ -57,14 +59,29 @@ def _to_world(placed: PlacedNode) -> np.ndarray:
 
 
 def _cone(light: JsonObject, placed: PlacedNode, report: ImportReport) -> dict:
-    """The angles of a spot. Between them glTF's intensity is a squared ramp of the cosine, Mitsuba 3's a linear one."""
+    """The angles of a spot.
+
+    Between inner and outer cone glTF's intensity is the square of a linear function of the cosine. Mitsuba 3's is
+    linear in the angle from beam_width to cutoff_angle; the latter is chosen so that the power is the same.
+    """
     spot = light.object("spot")
     inner = spot.number("innerConeAngle", 0.0, 0.0, math.pi / 2) if spot else 0.0
     outer = spot.number("outerConeAngle", math.pi / 4, 0.0, math.pi / 2 + 1e-6) if spot else math.pi / 4
     if inner > outer or outer == 0:
         spot.fail("innerConeAngle", "it has to be smaller than outerConeAngle")
-    cutoff = min(math.degrees(outer), _MAX_CUTOFF_DEGREES)
-    if inner < outer:
-        problem = "the falloff between its inner and outer cone is linear in the angle"
+    cutoff = outer
+    if outer - inner > _MIN_TRANSITION:
+        problem = "the falloff between its inner and outer cone is linear in the angle, with the same power"
         report.limit("spot_lights", problem, placed.name)
-    return {"cutoff_angle": cutoff, "beam_width": min(math.degrees(inner), cutoff)}
+        power = 1.0 - math.cos(inner) + (math.cos(inner) - math.cos(outer)) / 3.0  # over 2 pi
+        cutoff = _bisect(lambda angle: 1.0 - (math.sin(angle) - math.sin(inner)) / (angle - inner), power, inner, outer)
+    cutoff_degrees = min(math.degrees(cutoff), _MAX_CUTOFF_DEGREES)
+    return {"cutoff_angle": cutoff_degrees, "beam_width": min(math.degrees(inner), cutoff_degrees)}
+
+
+def _bisect(function: Callable[[float], float], value: float, low: float, high: float) -> float:
+    """Where an increasing function has a value, to 2^-30 of the interval; its end nearest to it if it is not inside."""
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) < value else (low, middle)
+    return high

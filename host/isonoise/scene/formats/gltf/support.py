@@ -52,7 +52,9 @@ SUPPORT = {
     "cameras": Support(YES, "`perspective`, `orthographic`"),
     "point_lights": Support(PARTLY, "`point`, candela as W/sr (PNG previews expose themselves); without its range"),
     "spot_lights": Support(
-        PARTLY, "`spot`, candela as W/sr; the falloff between the cones is linear in the angle; without its range"
+        PARTLY,
+        "`spot`, candela as W/sr; the falloff between the cones is linear in the angle, with the same power; without "
+        "its range",
     ),
     "directional_lights": Support(YES, "`directional`, lux as W/m²"),
     "extensions": Support(NO, "unknown optional ones are ignored, unknown required ones are an error"),
