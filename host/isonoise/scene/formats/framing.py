@@ -4,7 +4,7 @@ Called by `staging.py`.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -24,13 +24,14 @@ _MIN_DISTANCE = 0.1  # of the camera from the nearest point, in the model's size
 _MAX_GROUP_POINTS = 1000  # of a group with several instances: beyond it, only the outermost in many directions
 _DIRECTIONS = 400
 _CIRCLE_POINTS = 64
+_MIDDLE_STEPS = 6
 
 
 class Extent(NamedTuple):
     """Where a model is."""
 
     points: np.ndarray  # (n, 3): all vertices; of other shapes, points on their outline
-    facing: np.ndarray  # (3,): sum of the normals of all triangles, times their areas
+    meshes: list[Mapping]  # in the world
     low: np.ndarray
     high: np.ndarray
 
@@ -43,21 +44,29 @@ class Extent(NamedTuple):
         """Half the diagonal of the box around the model."""
         return 0.5 * float(np.linalg.norm(self.high - self.low))
 
+    def facing(self) -> np.ndarray:
+        """(3,): sum of the normals of all triangles, times twice their areas."""
+        total = np.zeros(3)
+        for mesh in self.meshes:
+            vertices = transform_points(_to_world(mesh), np.asarray(mesh["vertices"], float))
+            a, b, c = (vertices[np.asarray(mesh["faces"])[:, corner]] for corner in range(3))
+            total += np.cross(b - a, c - a).sum(axis=0)
+        return total
+
 
 def find_extent(scene: Mapping, file: str) -> Extent:
     """The extent of all shapes of a scene dict. `file` names it in errors. Raises SceneError if it is a point."""
-    parts = list(_parts(scene))
-    points = np.concatenate([part for part, _ in parts] or [np.zeros((1, 3))])
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = Extent(points, sum((facing for _, facing in parts), np.zeros(3)), low, high)
+    points = np.concatenate([*_points(scene)] or [np.zeros((1, 3))])
+    meshes = [part for part in scene.values() if isinstance(part, Mapping) and part.get("type") == "mesh"]
+    extent = Extent(points, meshes, points.min(axis=0), points.max(axis=0))
     with np.errstate(over="ignore"):
         if not (np.isfinite(extent.size) and extent.size > 0):
             raise SceneError(f"{file}: the model has no extent: it has no shape, or all its vertices are one point")
     return extent
 
 
-def _parts(scene: Mapping):
-    """(points (n, 3), sum of area-weighted normals) of every shape in the world."""
+def _points(scene: Mapping) -> Iterator[np.ndarray]:
+    """Points (n, 3) of every shape in the world."""
     instances: dict[int, list] = {}  # by id() of the group: the group, then the matrices
     for part in scene.values():
         if not isinstance(part, Mapping) or part.get("type") == "shapegroup":
@@ -67,28 +76,24 @@ def _parts(scene: Mapping):
             group = scene[group["id"]] if group["type"] == "ref" else group
             instances.setdefault(id(group), [group]).append(_to_world(part))
         else:
-            yield from _shape(part)
+            yield from _points_of_shape(part)
     for group, *matrices in instances.values():
-        parts = [found for part in group.values() if isinstance(part, Mapping) for found in _shape(part)]
-        points = np.concatenate([points for points, _ in parts])
+        parts = [points for part in group.values() if isinstance(part, Mapping) for points in _points_of_shape(part)]
+        points = np.concatenate(parts)
         if len(matrices) > 1 and len(points) > _MAX_GROUP_POINTS:
             points = _outermost(points)
-        for matrix in matrices:
-            yield transform_points(matrix, points), np.zeros(3)
+        yield from (transform_points(matrix, points) for matrix in matrices)
 
 
-def _shape(part: Mapping):
-    """Points of a shape, and the sum of its normals; nothing for other parts of a scene."""
-    type_ = part.get("type")
-    if type_ == "mesh":
-        vertices, faces = np.asarray(part["vertices"], float), np.asarray(part["faces"])
-        a, b, c = (transform_points(_to_world(part), vertices[faces[:, corner]]) for corner in range(3))
-        yield (
-            transform_points(_to_world(part), used_vertices(vertices, faces)),
-            np.cross(b - a, c - a).sum(axis=0),
-        )
-    elif type_ in _OUTLINES:
-        yield transform_points(_to_world(part), _OUTLINES[type_](part)), np.zeros(3)
+def _points_of_shape(part: Mapping) -> Iterator[np.ndarray]:
+    """Points of a shape; none of other parts of a scene."""
+    if part.get("type") == "mesh":
+        points = used_vertices(np.asarray(part["vertices"], float), np.asarray(part["faces"]))
+    elif part.get("type") in _OUTLINES:
+        points = _OUTLINES[part["type"]](part)
+    else:
+        return
+    yield transform_points(_to_world(part), points) if "to_world" in part else points
 
 
 def _to_world(part: Mapping) -> np.ndarray:
@@ -165,7 +170,7 @@ def _normal_of_flat(extent: Extent) -> np.ndarray | None:
     normal = axes[:, 0]
     if np.ptp(centered @ normal) > _MAX_FLATNESS:
         return None
-    side = float(extent.facing @ normal)
+    side = float(extent.facing() @ normal)
     if side == 0:
         side = float(normal @ np.array(THREE_QUARTER_VIEW))
     return normal * math.copysign(1.0, side)
@@ -182,10 +187,10 @@ def turn_to(direction: np.ndarray) -> np.ndarray:
 def frame(extent: Extent, to_camera: np.ndarray, up: np.ndarray, tan_half_fov: tuple[float, float]) -> np.ndarray:
     """Camera-to-world matrix of the nearest camera in this direction that sees all points, with a margin.
 
-    The model spans `FILL` of the image's width or height, and is in its middle in both. With l, u, f the coordinates of
-    a point along left, up and forward, a camera at (x, y, z) sees it if |l - x| <= k (f - z): so x - k z is at least
-    the largest l - k f, and -x - k z at least the largest -l - k f. The largest z for which an x exists is minus half
-    the sum of both, over k; the x in the middle is half their difference.
+    The model spans `FILL` of the image's width or height, and is in its middle in both. With l and f the coordinates of
+    a point to the side and forward, a camera at (x, z) sees it if |l - x| <= k (f - z): so x - k z is at least the
+    largest l - k f, and -x - k z at least the largest -l - k f. The largest z for which an x exists is minus half the
+    sum of both, over k. The camera takes the smaller z of width and height.
 
     Parameters
     ----------
@@ -196,14 +201,23 @@ def frame(extent: Extent, to_camera: np.ndarray, up: np.ndarray, tan_half_fov: t
     axis = up if not are_parallel(up, to_camera) else _any_perpendicular(to_camera)
     matrix = look_at(np.zeros(3), -to_camera, axis)
     *sides, forward = ((extent.points - extent.center) @ matrix[:3, :3]).T
-    positions, depths = [], [float(forward.min()) - _MIN_DISTANCE * extent.size]
+    nearest = float(forward.min()) - _MIN_DISTANCE * extent.size
     for side, tangent in zip(sides, tan_half_fov, strict=True):
         k = FILL * tangent
-        right, left = float((side - k * forward).max()), float((-side - k * forward).max())
-        positions.append(0.5 * (right - left))
-        depths.append(-0.5 * (right + left) / k)
-    matrix[:3, 3] = extent.center + matrix[:3, :3] @ np.array([*positions, min(depths)])
+        nearest = min(nearest, -0.5 * float((side - k * forward).max() + (-side - k * forward).max()) / k)
+    middle = [_middle(side, forward - nearest) for side in sides]
+    matrix[:3, 3] = extent.center + matrix[:3, :3] @ np.array([*middle, nearest])
     return matrix
+
+
+def _middle(side: np.ndarray, depth: np.ndarray) -> float:
+    """The x for which the largest and the smallest (side - x) / depth are opposite."""
+    x = 0.5 * float(side.max() + side.min())
+    for _ in range(_MIDDLE_STEPS):  # exact once the outermost points stay the same
+        ratio = (side - x) / depth
+        left, right = int(np.argmax(ratio)), int(np.argmin(ratio))
+        x = float((side[left] * depth[right] + side[right] * depth[left]) / (depth[left] + depth[right]))
+    return x
 
 
 def _any_perpendicular(direction: np.ndarray) -> np.ndarray:
