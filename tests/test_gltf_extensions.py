@@ -161,4 +161,5 @@ def test_every_mapping_is_a_valid_scene(tmp_path):
     assert first["bsdf"]["type"] == "mask"
     with pytest.warns(UserWarning, match=r"a\.glb"):
         description = isonoise.load(tmp_path / "a.glb")
+    assert description["integrator"]["type"] == "volpath"  # for masks and media
     assert sum(isinstance(value, dict) and value["type"] == "mesh" for value in description.values()) == 3

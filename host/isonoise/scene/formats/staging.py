@@ -14,6 +14,7 @@ from isonoise.scene.formats.framing import Extent, find_extent, frame, three_qua
 from isonoise.scene.formats.model_lights import brightness_by_own_lights
 from isonoise.scene.formats.studio import GROUND_REFLECTANCE, WHITE, meter, studio_image
 from isonoise.scene.image.image import Image, read_image
+from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
 from isonoise.scene.view import (
     View,
     environment_map,
@@ -69,7 +70,8 @@ def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, u
     if size is not None:
         sensor["film"] = resized(sensor["film"], size)
     others = {key: part for key, part in scene.items() if key not in sensors}
-    staged = {"type": "scene", "integrator": {"type": "path", "max_depth": _MAX_DEPTH}, **others}
+    integrator = "volpath" if has_volumes(others) else "path"
+    staged = {"type": "scene", "integrator": {"type": integrator, "max_depth": _MAX_DEPTH}, **others}
     if view.env is None and any(map(is_environment, scene.values())):
         return {**staged, name: sensor}
     staged = {key: part for key, part in staged.items() if not is_environment(part)}
@@ -85,6 +87,20 @@ def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, u
             staged[_unused("ground", staged)] = _ground(extent, to_world)
         sensor["film"] = {"exposure": 1.0, **sensor["film"]}
     return {**staged, _unused(name, staged): sensor}
+
+
+def has_volumes(scene: Mapping) -> bool:
+    """Whether there are media or surfaces that light passes straight: the shadow rays of `path` end there."""
+    queue, visited = [scene], set()
+    while queue:
+        part = queue.pop()
+        if id(part) not in visited:
+            visited.add(id(part))
+            kind = KIND_OF_PLUGIN.get(part.get("type"))
+            if "interior" in part or (kind and kind.passes_through):
+                return True
+            queue += [value for value in part.values() if isinstance(value, Mapping)]
+    return False
 
 
 def _framing_sensor(extent: Extent, view: View, size: tuple[int, int], to_world: np.ndarray) -> dict:
