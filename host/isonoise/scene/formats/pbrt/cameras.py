@@ -89,7 +89,7 @@ def _perspective(settings: CameraSettings, camera: Setting, film: dict) -> dict:
     parameters = camera.parameters
     if camera.type != "perspective":
         problem = f"a {camera.type} camera becomes a perspective one with an angle of view of 45 degrees"
-        settings.report.limit("cameras", problem, str(parameters.position))
+        settings.report.limit("cameras", problem, parameters.position.place)
         parameters.ignore(*(value.name for value in parameters.unused()))
     fov = parameters.number("fov", 90.0 if camera.type == "perspective" else 45.0)
     half_fov = parameters.number("halffov", None)
@@ -111,7 +111,7 @@ def _perspective(settings: CameraSettings, camera: Setting, film: dict) -> dict:
         sensor["focus_distance"] = max(focal_distance * scale[2], 1e-6)
         if is_shifted:
             problem = "the off-center screenwindow of a camera with a lens is centered"
-            settings.report.limit("cameras", problem, str(parameters.position))
+            settings.report.limit("cameras", problem, parameters.position.place)
     elif is_shifted:
         sensor["principal_point_offset_x"] = screen.center[0] / (2 * screen.half_width)
         sensor["principal_point_offset_y"] = -screen.center[1] / (2 * screen.half_height)
@@ -123,7 +123,7 @@ def _orthographic(settings: CameraSettings, parameters: Parameters, film: dict) 
     screen = _screen(parameters, film, settings.report)
     if parameters.number("lensradius", 0.0) > 0:
         problem = "the lens of an orthographic camera is ignored: everything is in focus"
-        settings.report.limit("cameras", problem, str(parameters.position))
+        settings.report.limit("cameras", problem, parameters.position.place)
     parameters.ignore("focaldistance")
     _, scale = _split_scale(settings.to_world, parameters)
     width, height = screen.half_width * scale[0], screen.half_height * scale[1]
@@ -167,7 +167,7 @@ def _check_pixels_are_square(width: float, height: float, film: dict, parameters
     ratio = width / height * film["height"] / film["width"]
     if abs(ratio - 1) > _SQUARE_PIXEL_TOLERANCE:
         problem = "pixels that are not square become square: the width of the window is kept"
-        report.limit("cameras", problem, str(parameters.position))
+        report.limit("cameras", problem, parameters.position.place)
 
 
 def make_film(settings: CameraSettings, empty: Parameters) -> dict:

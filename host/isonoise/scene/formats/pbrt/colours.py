@@ -68,7 +68,9 @@ class Colours:
         """Linear RGB (3,) within [0, 1]."""
         rgb = self._rgb(value, "reflectance")
         if rgb.min() < 0 or rgb.max() > 1:
-            self._report.limit("spectra", "a reflectance outside 0 to 1 is clamped", f"{value.name} ({value.position})")
+            self._report.limit(
+                "spectra", "a reflectance outside 0 to 1 is clamped", f"{value.name} ({value.position.place})"
+            )
         return np.clip(rgb, 0.0, 1.0)
 
     def unbounded(self, value: Value) -> np.ndarray:
@@ -85,7 +87,7 @@ class Colours:
         else:
             rgb = _scaled_to_luminance_1(self._rgb(value, "radiance"))
         if not rgb.any() and np.any(value.values if not value.is_texts else 1):
-            self._report.limit("spectra", "a light without visible emission is black", str(value.position))
+            self._report.limit("spectra", "a light without visible emission is black", value.position.place)
         return rgb
 
     def refractive_index(self, value: Value) -> float:
@@ -98,7 +100,7 @@ class Colours:
         if value.type == "spectrum":
             pairs = self._pairs(value)
             if np.ptp(pairs[:, 1]) > 0:
-                self._report.use("dispersion", str(value.position))
+                self._report.use("dispersion", value.position.place)
             return float(np.interp(587.6, pairs[:, 0], pairs[:, 1]))
         return float(self._rgb(value, "unbounded").mean())
 

@@ -31,7 +31,7 @@ def matte(parameters: Parameters, context: MaterialContext) -> dict:
     context.report.use("diffuse")
     if context.number(parameters, "sigma", 0.0, "diffuse"):
         problem = "'sigma' (Oren and Nayar's rough diffuse surface) is ignored"
-        context.report.limit("diffuse", problem, str(parameters.position))
+        context.report.limit("diffuse", problem, parameters.position.place)
     reflectance = context.textures.colour(parameters, "Kd", 0.5)
     return two_sided({"type": "diffuse", "reflectance": context.textures.to_colour(reflectance)})
 
@@ -45,7 +45,7 @@ def legacy_plastic(parameters: Parameters, context: MaterialContext) -> dict:
     alphas = context.alphas(parameters, legacy_alpha, 0.1)
     if not specular.any():
         return two_sided({"type": "diffuse", "reflectance": context.textures.to_colour(base)})
-    place = str(parameters.position)
+    place = parameters.position.place
     context.report.limit("specular", "pbrt-v3's diffuse and glossy layers become a coat over a base", place)
     return plastic(base, 1.5, alphas, place, context)
 
@@ -88,7 +88,7 @@ def _legacy_alpha_or_smooth(roughness: np.ndarray) -> np.ndarray:
 
 def uber(parameters: Parameters, context: MaterialContext) -> dict:
     """`uber`: a coat over a diffuse base, with an opacity."""
-    place = str(parameters.position)
+    place = parameters.position.place
     for name in ("Kr", "Kt"):
         if name in parameters and context.textures.mean(context.textures.colour(parameters, name, 0.0)).any():
             context.report.limit("specular", f"'{name}' of the material uber is ignored", place)
@@ -103,7 +103,7 @@ def uber(parameters: Parameters, context: MaterialContext) -> dict:
 
 def translucent(parameters: Parameters, context: MaterialContext) -> dict:
     """`translucent`: its diffuse part."""
-    place = str(parameters.position)
+    place = parameters.position.place
     if not ("Ks" in parameters and not context.textures.mean(context.textures.colour(parameters, "Ks", 0.25)).any()):
         context.report.limit("transmission", "the glossy part of the material translucent is ignored", place)
     parameters.ignore("roughness", "remaproughness")
@@ -130,7 +130,7 @@ def disney(parameters: Parameters, context: MaterialContext) -> dict:
         number = context.textures.to_number(context.textures.number(parameters, name, default))
         bsdf[renamed.get(name, name)] = min(max(number, 0.0), 1.0) if isinstance(number, float) else number
     if parameters.boolean("thin", False):
-        context.report.limit("transmission", "'thin' of the material disney is ignored", str(parameters.position))
+        context.report.limit("transmission", "'thin' of the material disney is ignored", parameters.position.place)
     parameters.ignore("scatterdistance", "flatness", "difftrans")
     context.report.use("diffuse")
     is_opaque = bsdf["spec_trans"] == 0

@@ -96,7 +96,7 @@ class Lights:
         self._report.use("spot_lights")
         cone = parameters.number("coneangle", 30.0)
         delta = parameters.number("conedeltaangle", 5.0)
-        place = str(parameters.position)
+        place = parameters.position.place
         if not (0 < cone <= 180 and delta >= 0):
             parameters.position.raise_error("coneangle has to be in (0, 180], conedeltaangle at least 0")
         start = max(cone - delta, 0.0)
@@ -143,7 +143,7 @@ class Lights:
         if "portal" in parameters:
             parameters.ignore("portal")
             problem = "the portal of an infinite light is ignored: light comes from all directions"
-            self._report.limit("environment", problem, str(parameters.position))
+            self._report.limit("environment", problem, parameters.position.place)
         illuminance = parameters.number("illuminance", None)
         name = "filename" if "filename" in parameters else "mapname"
         if name not in parameters or not parameters.text(name):
@@ -157,7 +157,7 @@ class Lights:
         is_square = image.pixels.shape[0] == image.pixels.shape[1]
         if name == "filename" and not is_square:
             problem = "the image is not square, so it is read as latitude and longitude, as in pbrt-v3"
-            self._report.limit("environment", problem, str(parameters.place(name)))
+            self._report.limit("environment", problem, parameters.place(name).place)
         if name == "mapname" or not is_square:
             return self._envmap(image, factor, to_world @ _TO_ENVMAP, parameters)
         if illuminance is not None and illuminance > 0:
@@ -184,7 +184,7 @@ class Lights:
         if kind == "projection":
             parameters.ignore("fov")
         problem = f"a {kind} light becomes a point light: its image is ignored"
-        self._report.limit("point_lights", problem, str(parameters.position))
+        self._report.limit("point_lights", problem, parameters.position.place)
         point = self._point(parameters, to_world)
         point["intensity"] = rgb(np.array(point["intensity"]["value"]) * factor)
         return point

@@ -69,7 +69,7 @@ class MaterialTable:
     def _with_relief(self, bsdf: dict, parameters: Parameters) -> dict:
         """The BSDF with the material's bump or normal map; it is put inside a two-sided one."""
         textures, report = self._context.textures, self._context.report
-        place = str(parameters.position)
+        place = parameters.position.place
         relief = None
         if "normalmap" in parameters:
             report.use("normal_map")

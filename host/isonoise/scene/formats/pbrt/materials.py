@@ -37,7 +37,7 @@ class MaterialContext:
         texture = self.textures.number(parameters, name, default)
         if not isinstance(texture, np.ndarray):
             problem = f"a texture of '{name}' is replaced by its mean"
-            self.report.limit(feature, problem, str(parameters.place(name)))
+            self.report.limit(feature, problem, parameters.place(name).place)
         return float(self.textures.mean(texture).mean())
 
     def alphas(
@@ -97,7 +97,7 @@ def diffuse(parameters: Parameters, context: MaterialContext) -> dict:
     context.report.use("diffuse")
     if context.number(parameters, "sigma", 0.0, "diffuse"):
         problem = "'sigma' (Oren and Nayar's rough diffuse surface) is ignored"
-        context.report.limit("diffuse", problem, str(parameters.position))
+        context.report.limit("diffuse", problem, parameters.position.place)
     reflectance = context.textures.colour(parameters, "reflectance", 0.5)
     return two_sided({"type": "diffuse", "reflectance": context.textures.to_colour(reflectance)})
 
@@ -106,7 +106,7 @@ def coated_diffuse(parameters: Parameters, context: MaterialContext) -> dict:
     """`coateddiffuse`: the coat absorbs exp(-thickness / cos) on each way, also where its albedo is 0."""
     context.report.use("diffuse")
     context.report.use("specular")
-    place = str(parameters.position)
+    place = parameters.position.place
     reflectance = context.textures.colour(parameters, "reflectance", 0.5)
     _ignore_scattering_in_coat(parameters, context)
     thickness = context.number(parameters, "thickness", 0.01, "specular")
@@ -195,7 +195,7 @@ def thin_dielectric(parameters: Parameters, context: MaterialContext) -> dict:
 
 def coated_conductor(parameters: Parameters, context: MaterialContext) -> dict:
     """`coatedconductor`: the metal below the coat, with Disney's clearcoat on it."""
-    place = str(parameters.position)
+    place = parameters.position.place
     context.report.limit("clearcoat", "the coat of a coatedconductor is approximated by that of `principled`", place)
     _ignore_scattering_in_coat(parameters, context)
     context.number(parameters, "thickness", 0.01, "clearcoat")
@@ -226,7 +226,7 @@ def diffuse_transmission(parameters: Parameters, context: MaterialContext) -> di
     parameters.ignore("remaproughness")
     reflected = context.textures.colour(parameters, "reflectance", 0.25)
     transmitted = context.textures.colour(parameters, "transmittance", 0.25)
-    return leaf(reflected, transmitted, scale, str(parameters.position), context)
+    return leaf(reflected, transmitted, scale, parameters.position.place, context)
 
 
 def leaf(reflected: Texture, transmitted: Texture, scale: float, place: str, context: MaterialContext) -> dict:
@@ -252,7 +252,7 @@ def leaf(reflected: Texture, transmitted: Texture, scale: float, place: str, con
 def measured(parameters: Parameters, context: MaterialContext) -> dict:
     """`measured`, `hair`, and `fourier`: a grey diffuse surface in their place."""
     context.report.limit(
-        "measured_materials", "measured materials and hair become diffuse grey", str(parameters.position)
+        "measured_materials", "measured materials and hair become diffuse grey", parameters.position.place
     )
     parameters.ignore(*(value.name for value in parameters.unused()))
     return two_sided({"type": "diffuse", "reflectance": 0.5})
@@ -260,7 +260,7 @@ def measured(parameters: Parameters, context: MaterialContext) -> dict:
 
 def subsurface(parameters: Parameters, context: MaterialContext) -> dict:
     """`subsurface`: plastic with the diffuse reflectance of the medium (Jensen et al. 2001, equation 15)."""
-    place = str(parameters.position)
+    place = parameters.position.place
     context.report.limit("measured_materials", "subsurface scattering becomes plastic of the same colour", place)
     index = eta(parameters, "eta", 1.33, context)
     alphas = context.alphas(parameters, square_root)
@@ -302,7 +302,7 @@ def eta(parameters: Parameters, name: str, default: float, context: MaterialCont
 def _ignore_scattering_in_coat(parameters: Parameters, context: MaterialContext) -> None:
     parameters.ignore("maxdepth", "nsamples", "twosided", "g")
     if "albedo" in parameters and context.textures.mean(context.textures.colour(parameters, "albedo", 0.0)).any():
-        context.report.limit("specular", "scattering inside a coat is ignored", str(parameters.position))
+        context.report.limit("specular", "scattering inside a coat is ignored", parameters.position.place)
 
 
 MATERIALS: dict[str, Callable[[Parameters, MaterialContext], dict]] = {

@@ -37,7 +37,7 @@ def make_medium(parameters: Parameters, to_world: np.ndarray, colours: Colours, 
         parameters.place("type").raise_error(f"unknown medium '{kind[:40]}'; did you mean '{hint}'?")
     report.use("media")
     report.count("media")
-    place = str(parameters.position)
+    place = parameters.position.place
     if kind in ("rgbgrid", "cloud", "nanovdb"):
         report.limit("media", f"the medium '{kind}' is left out", place)
         parameters.ignore(*(value.name for value in parameters.unused()))

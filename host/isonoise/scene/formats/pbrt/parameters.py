@@ -65,8 +65,11 @@ class Parameters:
         return name in self._values
 
     def with_defaults(self, defaults: Iterable[Value]) -> "Parameters":
-        """These parameters, and the given ones where they are absent (pbrt's `Attribute`)."""
-        return Parameters({value.name: value for value in (*defaults, *self._values.values())}.values(), self.position)
+        """These parameters, and the given ones where they are absent (pbrt's `Attribute`), which need no use."""
+        values = {value.name: value for value in defaults} | self._values
+        combined = Parameters(values.values(), self.position)
+        combined.ignore(*(values.keys() - self._values.keys()))
+        return combined
 
     def unused(self) -> list[Value]:
         """The parameters that have not been read."""

@@ -140,7 +140,7 @@ class SceneBuilder:
             directive.position.raise_error(f"ActiveTransform is StartTime, EndTime or All, got '{which[:40]}'")
         if which != "All":
             problem = "nothing moves: everything is where it is at the start of the exposure"
-            self._report.limit("animation", problem, str(directive.position))
+            self._report.limit("animation", problem, directive.position.place)
         self._state.change(active_transforms=which)
 
     def _run_reverse_orientation(self, directive: Directive) -> None:
@@ -160,7 +160,7 @@ class SceneBuilder:
     def _run_option(self, directive: Directive) -> None:
         for value in directive.parameters.unused():
             if value.name in _OPTIONS_THAT_CHANGE_THE_IMAGE and value.values[0] == "true":
-                self._report.limit("film", f"the option '{value.name}' is ignored", str(value.position))
+                self._report.limit("film", f"the option '{value.name}' is ignored", value.position.place)
 
     def _run_texture(self, directive: Directive) -> None:
         parameters = self._state.with_defaults("texture", directive.parameters)
@@ -203,7 +203,7 @@ class SceneBuilder:
         if emitter["type"] in ("constant", "envmap"):
             if self._environment_name:
                 problem = "only the last infinite light is used: a scene has one environment"
-                self._report.limit("environment", problem, str(directive.position))
+                self._report.limit("environment", problem, directive.position.place)
                 del self._shapes[self._environment_name]
             self._environment_name = self._key(emitter["type"], directive)
         self._shapes[self._key(emitter["type"], directive)] = emitter
@@ -272,7 +272,7 @@ class SceneBuilder:
     def _report_unused(self, parameters: Parameters, what: str) -> None:
         for value in parameters.unused():
             problem = f"the parameter '{value.name[:60]}' of {what} is unknown and ignored"
-            self._report.limit("extensions", problem, str(value.position))
+            self._report.limit("extensions", problem, value.position.place)
 
 
 def _to_snake_case(name: str) -> str:

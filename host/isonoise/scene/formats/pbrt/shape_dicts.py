@@ -31,7 +31,7 @@ def make_shapes(
     opacity = _opacity(parameters, state, textures, lights, report)
     emits = state.area_light is not None
     if emits and is_in_object:
-        report.limit("emission", "lights inside objects do not emit, as in pbrt", str(parameters.position))
+        report.limit("emission", "lights inside objects do not emit, as in pbrt", parameters.position.place)
         emits = False
     has_image = has_texture(bsdf) or has_texture(opacity) or (emits and "filename" in state.area_light)
     geometry = reader.read(kind, parameters, state.to_world, state.reverse_orientation, has_image)
@@ -61,7 +61,7 @@ def _opacity(parameters: Parameters, state: GraphicsState, textures: Textures, l
     """The value of a mask; 1: there is none."""
     alpha = textures.number(parameters, "alpha", None)
     if "shadowalpha" in parameters and alpha is None:
-        report.limit("opacity", "'shadowalpha' is ignored: shadows are opaque", str(parameters.place("shadowalpha")))
+        report.limit("opacity", "'shadowalpha' is ignored: shadows are opaque", parameters.place("shadowalpha").place)
     parameters.ignore("shadowalpha")
     if alpha is None:
         return 1
@@ -69,7 +69,7 @@ def _opacity(parameters: Parameters, state: GraphicsState, textures: Textures, l
     if not isinstance(opacity, float):
         return opacity
     if opacity <= 0 and state.area_light is not None:
-        report.limit("emission", "an invisible light (alpha 0) becomes visible", str(parameters.position))
+        report.limit("emission", "an invisible light (alpha 0) becomes visible", parameters.position.place)
         return 1
     return min(max(opacity, 0.0), 1.0)
 

@@ -57,7 +57,7 @@ class ShapeReader:
         if kind in QUADRICS:
             return self._read_quadric(kind, parameters, to_world, reverse_orientation, is_textured)
         if kind in _UNSUPPORTED:
-            self.report.limit("curves", f"the shape '{kind}' is left out", str(parameters.position))
+            self.report.limit("curves", f"the shape '{kind}' is left out", parameters.position.place)
             parameters.ignore(*(value.name for value in parameters.unused()))
             return None
         readers = {"trianglemesh": self._triangles, "plymesh": self._ply, "bilinearmesh": self._patches}
@@ -149,7 +149,7 @@ class ShapeReader:
         faces = _faces(parameters.array("indices", ("integer",)), 3, len(points), parameters)
         parameters.ignore("levels", "nlevels", "scheme")
         problem = "a subdivision surface becomes its control mesh with smooth normals"
-        self.report.limit("curves", problem, str(parameters.position))
+        self.report.limit("curves", problem, parameters.position.place)
         return Mesh(points, faces, np.zeros((0, 3))), 0
 
     def _patches(self, parameters: Parameters) -> tuple[Mesh, int]:
@@ -162,7 +162,7 @@ class ShapeReader:
         corners = _faces(indices, 4, len(points), parameters)
         parameters.ignore("faceIndices")
         if "emissionfilename" in parameters:
-            self.report.limit("emission", "'emissionfilename' is ignored", str(parameters.place("emissionfilename")))
+            self.report.limit("emission", "'emissionfilename' is ignored", parameters.place("emissionfilename").place)
             parameters.ignore("emissionfilename")
         self.report.count("bilinear patches", len(corners))
         corner_uvs = uvs[corners] if len(uvs) else np.tile(_flipped(_UNIT_CORNERS), (len(corners), 1, 1))

@@ -131,4 +131,4 @@ def scales_uniformly(to_world: np.ndarray) -> bool:
 def report_mesh(quadric: Quadric, is_distorted: bool, parameters: Parameters, report: ImportReport) -> None:
     """Say that a quadric becomes a mesh, and why."""
     why = "non-uniformly scaled" if is_distorted else "partial or textured"
-    report.limit("quadrics", f"{why} {quadric.kind}s become fine meshes", str(parameters.position))
+    report.limit("quadrics", f"{why} {quadric.kind}s become fine meshes", parameters.position.place)

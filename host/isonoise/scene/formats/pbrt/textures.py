@@ -178,7 +178,7 @@ class Textures:
         if class_ not in _PROCEDURAL:
             hint = closest_name(class_, ("constant", "scale", "mix", "imagemap", "checkerboard", *_PROCEDURAL))
             parameters.position.raise_error(f"unknown texture '{class_[:40]}'; did you mean '{hint}'?")
-        self._report.limit("procedural_textures", f"'{class_}' is replaced by a constant", str(parameters.position))
+        self._report.limit("procedural_textures", f"'{class_}' is replaced by a constant", parameters.position.place)
         parameters.ignore(*(value.name for value in parameters.unused()))
         return self._substitute(class_, parameters, type_)
 
@@ -206,13 +206,13 @@ class Textures:
         for factor, other in ((first, second), (second, first)):
             if isinstance(factor, np.ndarray) and (factor == 1).all():
                 return other
-        return self.map("product", lambda a, b: a * b, first, second, place=str(parameters.position))
+        return self.map("product", lambda a, b: a * b, first, second, place=parameters.position.place)
 
     def _mix(self, parameters: Parameters, type_: str) -> Texture:
         first = self._read(parameters, "tex1", type_, np.zeros(3))
         second = self._read(parameters, "tex2", type_, np.ones(3))
         amount = self.number(parameters, "amount", 0.5)
-        place = str(parameters.position)
+        place = parameters.position.place
         return self.map("mix", lambda a, b, t: (1 - t) * a + t * b, first, second, amount, place=place)
 
     def _checkerboard(self, parameters: Parameters, type_: str) -> Texture:
@@ -222,7 +222,7 @@ class Textures:
         parameters.ignore("aamode")
         if parameters.integer("dimension", 2) != 2:
             self._report.limit(
-                "procedural_textures", "a checkerboard in space is replaced by its mean", str(parameters.position)
+                "procedural_textures", "a checkerboard in space is replaced by its mean", parameters.position.place
             )
             self._uv_map(parameters)
             return 0.5 * (self.mean(sides[0]) + self.mean(sides[1]))
@@ -240,7 +240,7 @@ class Textures:
             self._report.limit(
                 "texture_transform",
                 f"the mapping '{parameters.text('mapping')}' is replaced by the texture coordinates of the shape",
-                str(parameters.position),
+                parameters.position.place,
             )
         numbers = [parameters.number(name, default) for name, default in _UV_PARAMETERS]
         if numbers != [default for _, default in _UV_PARAMETERS]:
@@ -291,7 +291,7 @@ class Textures:
         if wrap not in ("repeat", "clamp", "black", "octahedralsphere"):
             parameters.place("wrap").raise_error(f"unknown wrap mode '{wrap[:40]}': use repeat, clamp or black")
         if wrap in ("black", "octahedralsphere"):
-            self._report.limit("texture_sampler", f"wrap '{wrap}' is replaced by 'clamp'", str(parameters.position))
+            self._report.limit("texture_sampler", f"wrap '{wrap}' is replaced by 'clamp'", parameters.position.place)
         (u_scale, u_delta), (v_scale, v_delta) = self._uv_map(parameters)
         filter_type = NEAREST if parameters.text("filter", "bilinear") == "point" else BILINEAR
         wrap_mode = REPEAT if wrap == "repeat" else CLAMP

@@ -48,6 +48,12 @@ class Position(Location):
         """The line, from 1."""
         return self.source.line_and_column(self.offset)[0]
 
+    @property
+    def place(self) -> str:
+        """File name, line and column, for reports."""
+        line, column = self.source.line_and_column(self.offset)
+        return f"{self.source.path.name}:{line}:{column}"
+
     def __str__(self) -> str:
         line, column = self.source.line_and_column(self.offset)
         return f"{self.source.path}:{line}:{column}"
