@@ -137,6 +137,20 @@ def read_baseline(path: Path) -> None:
     baseline.compare(now)
 
 
+def compile_volume(path: Path) -> None:
+    """Compile media whose extinction, and whose albedo, are the grid in the file."""
+    volume = {"type": "gridvolume", "filename": str(path)}
+    for medium in (
+        {"sigma_t": volume | {"use_grid_bbox": True, "wrap_mode": "repeat"}, "scale": 1e-3},
+        {"albedo": volume | {"filter_type": "nearest"}},
+    ):
+        ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "heterogeneous", **medium}}
+        scene = {"type": "scene", "integrator": {"type": "volpath"}, "sensor": {"type": "perspective"}, "ball": ball}
+        compiled = compile_scene(load(scene)).heterogeneous
+        for array in (compiled.values, compiled.extinction_bounds, compiled.grids["to_local"]):
+            assert np.isfinite(array).all()
+
+
 def compile_mtl(path: Path) -> None:
     compile_file(path.with_suffix(".obj"))
 
@@ -191,6 +205,7 @@ TARGETS = {
     "hdr": Target(lambda: [small_files.hdr(), small_files.hdr(packed=False)], "m.hdr", compile_with_image),
     "exr": Target(lambda: [small_files.exr(), small_files.exr(packed=False)], "m.exr", compile_with_image),
     "ply-attributes": Target(lambda: [small_files.ply(), small_files.ply(binary=False)], "m.ply", compile_attributes),
+    "vol": Target(lambda: [small_files.vol(), small_files.vol(channels=3)], "m.vol", compile_volume),
     "baseline": Target(lambda: [BENCHMARK], "b.json", read_baseline, mutate_json),
     "exr-picture": Target(lambda: [small_files.exr(), small_files.exr(packed=False)], "m.exr", read_picture),
 }

@@ -81,6 +81,7 @@ def test_an_additional_feature_takes_the_stated_bytes(monkeypatch, name):
         "srgb": stated("srgb"),
         "light_bounds": stated("light_bounds") * len(scene.lights),
         "environment": ENVIRONMENT.itemsize,  # a black map
+        "heterogeneous_media": structs.HETEROGENEOUS_MEDIUM.itemsize,  # a homogeneous one
     }
     of_statistics = {"CHUNK_MEDIANS", "BATCH_MEANS", "POWER_MEAN", "HALF_BUFFER"}
     for feature in (each for each, on in used.items() if not on and each not in of_statistics | {"FILTER_TABLE"}):
@@ -159,6 +160,10 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
         "instances": len(scene.instances),
         "rough_transmittances": len(scene.rough_transmittances),
         "media": len(scene.media),
+        "heterogeneous_media": len(scene.media),
+        "grids": len(scene.heterogeneous.grids),
+        "grid_values": len(scene.heterogeneous.values),
+        "extinction_bounds": len(scene.heterogeneous.extinction_bounds),
         "lights": lights,
         "light_cdf": lights,
         "environment": 1,

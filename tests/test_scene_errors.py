@@ -40,7 +40,6 @@ ELEMENTS = [
         "integrator 'prbvolpath' is not supported .*: isonoise does not compute derivatives: use volpath",
     ),
     ('<sensor type="perspective"><film type="specfilm"/></sensor>', "film 'specfilm' is not supported"),
-    ('<medium type="heterogeneous"/>', "medium 'heterogeneous' is not supported"),
     ("<sphere/>", 'unknown element; did you mean <shape type="sphere">'),
     ('<shap type="sphere"/>', "unknown element; did you mean <shape>"),
     (SPHERE.format('<flaot name="radius" value="1"/>'), "unknown element; did you mean <float>"),

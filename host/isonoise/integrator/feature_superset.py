@@ -14,6 +14,7 @@ from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light.envmap import ENVIRONMENT
 from isonoise.scene.light.light_kinds import light_bits
+from isonoise.scene.material.media import uniform_records
 
 DUMMY_BYTES = 4096
 """Size of a dummy buffer: room for any record."""
@@ -59,6 +60,8 @@ def dummy_buffers(
         record = np.zeros(1, ENVIRONMENT)
         record["size"] = 1, 2
         added["environment"] = device.buffer(record, "the environment map")
+    if "heterogeneous_media" in missing:
+        added["heterogeneous_media"] = device.buffer(uniform_records(max(len(scene.media), 1)), "the media")
     if (features["CONSTANT_LIGHT"] or features["ENVIRONMENT_MAP"]) and scene.environment_light < 0:
         light = np.zeros(1, structs.LIGHT)
         light["kind"] = light_bits("constant" if features["CONSTANT_LIGHT"] else "environment_map")

@@ -44,12 +44,11 @@ class Media:
         if medium is None:
             return structs.MEDIUM_NONE
         record = np.zeros(1, structs.MEDIUM)
-        more = np.zeros(1, structs.HETEROGENEOUS_MEDIUM)
+        more = uniform_records(1)
         if medium["type"] == "heterogeneous":
             more = self._heterogeneous_record(medium)
             record["sigma_t"] = medium["scale"]
         else:
-            more["sigma_t"] = more["albedo"] = structs.NONE
             record["sigma_t"] = colour_to_rgb(medium["sigma_t"], "unbounded") * medium["scale"]
         record["albedo"] = _constant_albedo(medium["albedo"])
         record["phase"] = self._bsdfs.phase(medium.get("phase", _DEFAULT_PHASE), medium["sample_emitters"])
@@ -74,6 +73,13 @@ class Media:
         if "interior" not in shape and "exterior" not in shape:
             return structs.NONE
         return self.index(shape.get("interior")) | self.index(shape.get("exterior")) << 16
+
+
+def uniform_records(count: int) -> np.ndarray:
+    """(count,) structs.HETEROGENEOUS_MEDIUM of homogeneous media."""
+    records = np.zeros(count, structs.HETEROGENEOUS_MEDIUM)
+    records["sigma_t"] = records["albedo"] = structs.NONE
+    return records
 
 
 def _constant_albedo(albedo) -> np.ndarray:

@@ -8,6 +8,7 @@ volume of its sigma_t. Where that box is larger than the volume, `wrap_mode` say
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from isonoise.scene.volume.grid_file import VolumeGrid, check_grid, read_vol
 
 _MAX_OPTICAL_THICKNESS = 2.0**24
 """Of a medium's box: with more, a mean free path is shorter than the steps of 32-bit positions."""
+_MAX_SIGMA_T = 1e30  # as in `parse.constraints`
+_MIN_SIZE = 1e-30
 _CELL_SIZE = 4  # values of the grid along a side of a cell
 _MAX_CELLS = 64  # along an axis
 _MARGIN = 0.25  # values beyond a cell's border that count as in it: positions are rounded
@@ -67,6 +70,7 @@ class HeterogeneousMediaBuilder:
         self._records: list[np.ndarray] = []
         self._index_by_record: dict[bytes, int] = {}
         self._bounds: list[np.ndarray] = []
+        self._record_by_extinction: dict[tuple[int, float], np.ndarray] = {}  # by grid and scale
         self._medium_by_id: dict[int, tuple[dict, np.ndarray]] = {}  # holds the dict, too
         self._value_count = 0
 
@@ -87,35 +91,46 @@ class HeterogeneousMediaBuilder:
         )
 
     def _make_record(self, medium: dict) -> np.ndarray:
-        record = np.zeros(1, structs.HETEROGENEOUS_MEDIUM)
-        record["albedo"] = structs.NONE
         volume = medium["sigma_t"]
         if not is_volume(volume):
             volume = {"type": "constvolume", "value": volume}
         index, grid = self._add_grid(volume, "unbounded")
-        record["sigma_t"] = index
+        key = index, medium["scale"]
+        if key not in self._record_by_extinction:
+            self._record_by_extinction[key] = self._make_extinction_record(volume, index, grid, medium["scale"])
+        record = self._record_by_extinction[key].copy()
         if is_volume(medium["albedo"]) and medium["albedo"]["type"] == "gridvolume":
             record["albedo"], albedo = self._add_grid(medium["albedo"], "reflectance")
             if albedo.values.max() > 1:
                 raise SceneError(f"{_name(medium['albedo'])}: an albedo is at most 1, got {albedo.values.max():g}")
-        corners = _corners(_UNIT_CUBE) @ self._to_world(volume, grid)[:3, :3].T + self._to_world(volume, grid)[:3, 3]
+        return record
+
+    def _make_extinction_record(self, volume: dict, index: int, grid: _Grid, factor: float) -> np.ndarray:
+        """The record of a medium without its albedo. `factor`: the medium's scale."""
+        record = np.zeros(1, structs.HETEROGENEOUS_MEDIUM)
+        record["sigma_t"], record["albedo"] = index, structs.NONE
+        corners = _transformed(self._to_world(volume, grid), _corners(_UNIT_CUBE))
         world = np.stack([corners.min(axis=0), corners.max(axis=0)])
-        highest = float(grid.values.max()) * medium["scale"]
-        if not highest * np.linalg.norm(world[1] - world[0]) <= _MAX_OPTICAL_THICKNESS:
+        highest = float(grid.values.max()) * factor
+        limit = min(_MAX_OPTICAL_THICKNESS / max(np.linalg.norm(world[1] - world[0]), _MIN_SIZE), _MAX_SIGMA_T)
+        if not highest <= limit:
             raise SceneError(
-                f"{_name(volume)}: sigma_t times scale reaches {highest:g}, which is too dense for the size of the "
-                f"volume: across it, the optical thickness is limited to {_MAX_OPTICAL_THICKNESS:,.0f}; reduce scale"
+                f"{_name(volume)}: sigma_t times scale reaches {highest:g}; in a volume of this size it may be "
+                f"{limit:.3g}: across it, the optical thickness is limited to {_MAX_OPTICAL_THICKNESS:,.0f}; reduce scale"
             )
-        record["lower"], record["upper"] = world
-        self._add_extinction_bounds(record, volume, grid, _corners(world), medium["scale"])
+        with np.errstate(over="ignore"):  # checked below
+            record["lower"], record["upper"] = world
+            self._add_extinction_bounds(record, volume, grid, _corners(world), factor)
+        if not all(np.isfinite(record[name]).all() for name in ("lower", "upper", "to_cells")):
+            _raise_out_of_range(volume)
         return record
 
     def _add_extinction_bounds(
         self, record: np.ndarray, volume: dict, grid: _Grid, corners: np.ndarray, factor: float
     ) -> None:
         """Store the bounds of cells that cover a box, given by its corners (8, 3) in the world."""
-        to_local = np.linalg.inv(self._to_world(volume, grid))
-        local = corners @ to_local[:3, :3].T + to_local[:3, 3]
+        to_local = self._to_local(volume, grid)
+        local = _transformed(to_local, corners)
         lower, upper = local.min(axis=0), local.max(axis=0)
         size = np.array(grid.values.shape[2::-1])
         counts = np.clip(np.ceil(size * (upper - lower) / _CELL_SIZE - 1e-6), 1, _MAX_CELLS).astype(int)
@@ -134,7 +149,10 @@ class HeterogeneousMediaBuilder:
         """The index of the record of a volume, and its grid."""
         grid = self._load(volume, kind)
         record = np.zeros(1, structs.GRID)
-        record["to_local"] = np.linalg.inv(self._to_world(volume, grid))[:3].ravel()
+        with np.errstate(over="ignore"):  # checked below
+            record["to_local"] = self._to_local(volume, grid)[:3].ravel()
+        if not np.isfinite(record["to_local"]).all():
+            _raise_out_of_range(volume)
         record["size"], record["channels"] = grid.values.shape[2::-1], grid.values.shape[3]
         record["first"] = grid.first
         record["flags"] = _WRAP_FLAGS[volume.get("wrap_mode", "clamp")]
@@ -176,6 +194,21 @@ class HeterogeneousMediaBuilder:
         if not (np.isfinite(grid.bounds).all() and (size > 0).all()):
             raise SceneError(f"{_name(volume)}: its box, which use_grid_bbox asks for, is empty or not finite")
         return to_world @ translate(grid.bounds[0]) @ scale(size)
+
+    def _to_local(self, volume: dict, grid: _Grid) -> np.ndarray:
+        """From the world to the unit cube of a volume."""
+        try:
+            return np.linalg.inv(self._to_world(volume, grid))
+        except np.linalg.LinAlgError:
+            _raise_out_of_range(volume)
+
+
+def _raise_out_of_range(volume: dict) -> NoReturn:
+    raise SceneError(f"{_name(volume)}: the place of the volume exceeds the range of 32-bit floats; move or scale it")
+
+
+def _transformed(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def _name(volume: dict) -> str:
