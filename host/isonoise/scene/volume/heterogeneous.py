@@ -115,8 +115,8 @@ class HeterogeneousMediaBuilder:
         limit = min(_MAX_OPTICAL_THICKNESS / max(np.linalg.norm(world[1] - world[0]), _MIN_SIZE), _MAX_SIGMA_T)
         if not highest <= limit:
             raise SceneError(
-                f"{_name(volume)}: sigma_t times scale reaches {highest:g}; in a volume of this size it may be "
-                f"{limit:.3g}: across it, the optical thickness is limited to {_MAX_OPTICAL_THICKNESS:,.0f}; reduce scale"
+                f"{_name(volume)}: sigma_t times scale reaches {highest:g}; in a volume of this size it is "
+                f"limited to {limit:.3g}, an optical thickness of {_MAX_OPTICAL_THICKNESS:,.0f}; reduce scale"
             )
         with np.errstate(over="ignore"):  # checked below
             record["lower"], record["upper"] = world
