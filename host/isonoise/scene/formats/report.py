@@ -16,7 +16,7 @@ class ImportReport:
     support: Mapping[str, Support]  # of the file's format, by feature
     counts: dict[str, int] = field(default_factory=dict)  # by plural noun, such as 'meshes', in the order of reading
     used: dict[str, int] = field(default_factory=dict)  # feature -> how often the file uses it
-    losses: dict[tuple[str, str], list[str]] = field(default_factory=dict)  # (feature, problem) -> places
+    losses: dict[tuple[str, str], dict[str, None]] = field(default_factory=dict)  # (feature, problem) -> places
 
     def count(self, noun: str, number: int = 1) -> None:
         """Add to the number of objects of a kind that the file contains."""
@@ -31,9 +31,7 @@ class ImportReport:
     def limit(self, feature: str, problem: str, place: str = "") -> None:
         """Note that something of the file is left out or approximated, so that the image differs."""
         self.used.setdefault(feature, 1)
-        places = self.losses.setdefault((feature, problem), [])
-        if place not in places:
-            places.append(place)
+        self.losses.setdefault((feature, problem), {})[place] = None
 
     def rows(self) -> list[tuple[str, str]]:
         """(label, text): what was found, the features that are mapped exactly, and a row for each loss."""
@@ -64,7 +62,7 @@ def _noun(plural: str, number: int) -> str:
     return word + of + rest
 
 
-def _where(places: list[str]) -> str:
+def _where(places: dict[str, None]) -> str:
     named = [" ".join(place.split())[:_MAX_PLACE_CHARS] for place in places if place]
     if not named:
         return ""

@@ -7,7 +7,8 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.formats.gltf.accessors import Accessors
-from isonoise.scene.formats.gltf.deform import apply_skin, joint_matrices, morph, morph_weights, normal_matrices
+from isonoise.scene.formats.gltf.bake import bake_copies
+from isonoise.scene.formats.gltf.deform import apply_skin, joint_matrices, morph, morph_weights
 from isonoise.scene.formats.gltf.document import Document
 from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.gltf.materials import Materials
@@ -136,34 +137,24 @@ class Shapes:
                 yield replace(geometry, faces=geometry.faces[has_mirrored]), mirrored
 
     def _shape(self, geometry: Geometry, surface: Surface, matrices: np.ndarray) -> dict | None:
-        """A mesh of all copies of a geometry, in world space; None if it has no area."""
-        is_used = np.zeros(len(geometry.vertices), bool)
-        is_used[geometry.faces] = True
-        count, copies = int(is_used.sum()), len(matrices)
-        self._triangles += len(geometry.faces) * copies
+        """A mesh of all copies of a geometry, in world space; None if it has no extent."""
+        self._triangles += len(geometry.faces) * len(matrices)
         if self._triangles > _MAX_TRIANGLES:
             raise SceneError(f"{self.document.path}: it has more than {_MAX_TRIANGLES:,} triangles")
-        vertices = geometry.vertices[is_used].astype(float) @ matrices[:, :3, :3].transpose(0, 2, 1)
-        vertices += matrices[:, None, :3, 3]
-        if not np.ptp(vertices, axis=1).any():
+        uv_sets = geometry.uv_sets[surface.uv_set : surface.uv_set + 1]
+        baked = bake_copies(replace(geometry, uv_sets=uv_sets), matrices)
+        if baked is None:
             return None
-        faces = np.broadcast_to((np.cumsum(is_used) - 1)[geometry.faces], (copies, *geometry.faces.shape))
-        is_mirror = np.linalg.det(matrices[:, :3, :3]) < 0
-        if is_mirror.any():
-            faces = np.where(is_mirror[:, None, None], faces[..., ::-1], faces)
-        faces = faces + count * np.arange(copies)[:, None, None]
-        normals = np.zeros((0, 3))
-        if geometry.normals is not None:
-            to_normals = normal_matrices(matrices[:, :3, :3]).transpose(0, 2, 1)
-            normals = (geometry.normals[is_used].astype(float) @ to_normals).reshape(-1, 3)
-        mesh = Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), normals)
-        if surface.uv_set < len(geometry.uv_sets):
-            mesh.uvs = np.tile(geometry.uv_sets[surface.uv_set][is_used].astype(np.float32), (copies, 1))
+        no_normals = np.zeros((0, 3))
+        mesh = Mesh(baked.vertices, baked.faces, no_normals if baked.normals is None else baked.normals)
+        if baked.uv_sets:
+            mesh.uvs = baked.uv_sets[0].astype(np.float32)
         if surface.needs_vertex_colours:
-            for name, values in (("vertex_color", geometry.colours), ("vertex_alpha", geometry.alphas)):
-                if values is not None:
-                    factor = np.float32(surface.vertex_colour_factor if name == "vertex_color" else 1.0)
-                    mesh.attributes[name] = np.tile(factor * values[is_used].astype(np.float32), (copies, 1))
+            if baked.colours is not None:
+                colours = np.float32(surface.vertex_colour_factor) * baked.colours.astype(np.float32)
+                mesh.attributes["vertex_color"] = colours
+            if baked.alphas is not None:
+                mesh.attributes["vertex_alpha"] = baked.alphas.astype(np.float32)
         shape = mesh_shape(mesh, surface.bsdf, face_normals=geometry.normals is None)
         if surface.emission is not None:
             shape["emitter"] = surface.emission
