@@ -225,7 +225,7 @@ class Materials:
             if bump is not None:
                 self.report.limit("bump_map", "left out: there is a normal map too", material.name)
             strength = float(normals.numbers("bm", (1.0,))[0])
-            image = self.textures.bitmaps.normal_map(image, strength)
+            image = self.textures.bitmaps.normal_map(image, ((strength, 0), (0, strength)))
             texture = self.textures.bitmaps.texture(image, raw=True, sampling=self.textures.sampling(normals))
             return {"type": "normalmap", "normalmap": texture, "bsdf": bsdf}
         if bump is not None and (heights := self.textures.number(bump)) is not None:
