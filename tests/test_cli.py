@@ -108,7 +108,7 @@ def test_true_errors_with_a_reference(capsys):
     assert float(log[-1]["true_p99"]) == 0  # the same samples as the reference
 
 
-@pytest.mark.parametrize(("limit", "code", "reason"), [("1e-9", 1, "spp"), ("1e9", 0, "error")])
+@pytest.mark.parametrize(("limit", "code", "reason"), [("1e-9", 1, "spp"), ("1e11%", 0, "error")])
 def test_the_exit_code_says_whether_the_error_was_reached(limit, code, reason, capsys):
     assert isonoise(*SMALL, "--error", limit, "--spp", "32", "-o", "a.exr", "--json") == code
     assert json.loads(capsys.readouterr().out)["stopped_by"] == reason
@@ -148,7 +148,19 @@ LIMITS = ("--spp", "--time", "--error")
         ("--time", "nan", "not a finite number"),
         ("--time", "inf", "not a finite number"),
         ("--error", "0", "more than 0"),
-        ("--error", "2%", "not a number"),
+        ("--error", "%", "not a number"),
+        ("--error", "-2%", "more than 0"),
+        ("--error", "5", "would be 500 %; write 5% or 0.05"),
+        ("--fov", "180", "less than 180"),
+        ("--fov", "wide", "not a number"),
+        ("--look-at", "1,2", "not a point"),
+        ("--look-at", "0,0,0:1,2,3:4,5,6", "more than two points"),
+        ("--look-at", "0,0,1e999", "not a finite number"),
+        ("--look-at", "1,1,1:1,1,1", "two different points"),
+        ("--up", "w", "not a point"),
+        ("--up", "0,0,0", "no direction"),
+        ("--camera", "side", "there is no camera 'side'; the scene has: 0 'sensor'"),
+        ("--env", "no.hdr", "cannot be read"),
         ("--quantile", "1", "between 0 and 1"),
         ("--quantile", "0", "between 0 and 1"),
         ("--seed", "-1", "from 0"),

@@ -5,7 +5,14 @@ import math
 
 import pytest
 
-from isonoise.progress import RenderProgressBar, format_count, format_duration, format_percent
+from isonoise.progress import (
+    RenderProgressBar,
+    format_count,
+    format_duration,
+    format_number,
+    format_percent,
+    shorten_numbers,
+)
 
 
 class Terminal(io.StringIO):
@@ -38,12 +45,23 @@ def test_counts(number, text):
 
 
 def test_percentages():
-    assert [format_percent(error) for error in (0.0198, 0.000123, 2.5, math.inf)] == [
-        "1.98 %",
-        "0.0123 %",
-        "250 %",
-        "unknown",
-    ]
+    errors = (0.0198, 0.02, 0.000123, 1.234e-7, 2.5, 22.68, -0.4, 0.0, math.inf)
+    assert [format_percent(error) for error in errors] == [
+        "1.98 %", "2 %", "0.0123 %", "0.0000123 %", "250 %", "2,270 %", "-40 %", "0 %", "unknown",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("number", "digits", "text"),
+    [(0.35, 3, "0.35"), (99.96, 3, "100"), (12345.6, 4, "12,350"), (1e15, 3, "1e+15"), (1e-12, 3, "1e-12")],
+)
+def test_numbers(number, digits, text):
+    assert format_number(number, digits) == text
+
+
+def test_long_fractions_in_a_text_are_rounded():
+    text = "pooled:ratio=0.34999999999999998,cap=4,growth=0.2, floor 1.2345678912e-05"
+    assert shorten_numbers(text) == "pooled:ratio=0.35,cap=4,growth=0.2, floor 0.0000123457"
 
 
 def test_nothing_is_shown_without_a_terminal(capsys):

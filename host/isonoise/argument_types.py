@@ -32,6 +32,15 @@ def positive(text: str) -> float:
     return value
 
 
+def relative_error(text: str) -> float:
+    if text.endswith("%"):
+        return positive(text[:-1]) / 100
+    value = positive(text)
+    if value > 1:
+        raise argparse.ArgumentTypeError(f"{text} would be {100 * value:g} %; write {text}% or {value / 100:g}")
+    return value
+
+
 def interval(text: str) -> float:
     value = finite_number(text)
     if value < 0.1:

@@ -63,9 +63,9 @@ def _add_render(commands) -> None:
     limits.add_argument(
         "--error",
         metavar="E",
-        type=argument_types.positive,
-        help="until the true relative error of a share --quantile of the pixels is below E with --confidence, as far "
-        "as the samples show: light that no sample has found is in no estimate",
+        type=argument_types.relative_error,
+        help="until the true relative error of a share --quantile of the pixels is below E, such as 2%% or 0.02, with "
+        "--confidence, as far as the samples show: light that no sample has found is in no estimate",
     )
     limits.add_argument(
         "--quantile",

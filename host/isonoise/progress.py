@@ -1,6 +1,7 @@
 """Progress bars (on a terminal only), and numbers formatted for people."""
 
 import math
+import re
 import sys
 
 
@@ -67,6 +68,21 @@ def format_count(number: float) -> str:
     return f"{number:.0f}"
 
 
+def format_number(value: float, digits: int = 3) -> str:
+    """A number with `digits` significant digits: '0.35', '2,270', '0.0000123'."""
+    rounded = float(f"{value:.{digits}g}")
+    if rounded == 0 or not 1e-9 <= abs(rounded) < 1e12:
+        return f"{rounded:g}"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(rounded))), 0)
+    text = f"{rounded:,.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if decimals else text
+
+
+def shorten_numbers(text: str) -> str:
+    """The text with its long decimal fractions rounded to 6 digits."""
+    return re.sub(r"-?\d+\.\d{7,}(?:e[+-]?\d+)?", lambda match: format_number(float(match[0]), 6), text)
+
+
 def format_percent(error: float) -> str:
-    """A relative error as text: '1.98 %', '0.0123 %'; 'unknown' if it is not finite."""
-    return f"{100 * error:.3g} %" if math.isfinite(error) else "unknown"
+    """A relative error as text: '1.98 %', '0.0123 %', '2,270 %'; 'unknown' if it is not finite."""
+    return f"{format_number(100 * error)} %" if math.isfinite(error) else "unknown"

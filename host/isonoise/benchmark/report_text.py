@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from isonoise.benchmark.baseline import Comparison, SpeedRatio
 from isonoise.benchmark.specialisation import SPECIALISED
 from isonoise.benchmark.spread import spread
-from isonoise.progress import format_count, format_duration
+from isonoise.progress import format_count, format_duration, format_number
 from isonoise.tables import Table, columns, label_lines, text_table
 
 WIDTH = 110
@@ -237,7 +237,7 @@ def _scene_lines(scene: Mapping) -> str:
         for name in ("load", "build", "compile")
     ]
     speed = f"{_spread(scene['samples_per_s'], format_count)}; "
-    speed += f"{format_duration(scene['run_s']['median'])} for {spp:.4g} samples per pixel"
+    speed += f"{format_duration(scene['run_s']['median'])} for {format_number(spp, 4)} samples per pixel"
     return _labels(
         [
             ("scene", scene["scene"]),

@@ -11,7 +11,7 @@ from isonoise.error.stated_error import stated_error
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable
 from isonoise.film.output import ImageFiles
-from isonoise.progress import format_duration, format_percent
+from isonoise.progress import format_duration, format_number, format_percent
 from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
 from isonoise.state.merge import merge_states, state_statistics
 from isonoise.state.state import State
@@ -44,7 +44,10 @@ def run(options: argparse.Namespace) -> int:
     error = format_percent(float(stated_error(statistics, [_QUANTILE], floor)[0]))
     per_pixel = statistics.samples / statistics.count.size
     lines = [
-        ("merged", f"{len(renders)} renders, {time}, {statistics.samples:,} samples, {per_pixel:.4g} per pixel"),
+        (
+            "merged",
+            f"{len(renders)} renders, {time}, {statistics.samples:,} samples, {format_number(per_pixel, 4)} per pixel",
+        ),
         ("seeds", ", ".join(str(render["seed"]) for render in renders)),
         ("error", f"{error} (stated, quantile {_QUANTILE:g})"),
         *(("image", image.path) for image in written if image.path),

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from isonoise import __version__
 from isonoise.film.log import row_values
 from isonoise.outcome import Outcome
-from isonoise.progress import format_duration, format_percent
+from isonoise.progress import format_duration, format_number, format_percent, shorten_numbers
 from isonoise.renderer import Renderer
 from isonoise.stops import Stops
 from isonoise.strategies import describe
@@ -81,7 +81,9 @@ def _print_line(label: str, text: str) -> None:
 def print_settings(options: argparse.Namespace, renderer: Renderer) -> None:
     scene = renderer.scene
     _print_line("scene", f"{options.scene}, {scene.width}x{scene.height}")
-    _print_line("strategy", f"{describe(renderer.strategy)}, sampler {scene.sampler}, seed {renderer.seed}")
+    _print_line(
+        "strategy", f"{shorten_numbers(describe(renderer.strategy))}, sampler {scene.sampler}, seed {renderer.seed}"
+    )
     _print_line("device", renderer.device_name)
     times = (f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items())
     _print_line("set-up", ", ".join(times))
@@ -92,7 +94,7 @@ def print_result(result: Mapping[str, object], as_json: bool) -> None:
     if as_json:
         print(json.dumps(_without_nan(result)))
         return
-    time, samples, spp = format_duration(result["time_s"]), f"{result['samples']:,}", f"{result['spp']:.4g}"
+    time, samples, spp = format_duration(result["time_s"]), f"{result['samples']:,}", format_number(result["spp"], 4)
     _print_line("rendered", f"{time}, {samples} samples, {spp} per pixel")
     reasons = {
         "interrupted": "by a signal",
@@ -113,7 +115,7 @@ def print_result(result: Mapping[str, object], as_json: bool) -> None:
             ", ".join(f"p{q} {format_percent(last[f'{kind}_p{q}'])}" for q in (50, 95, 99))
             for kind in ("true", "stated")
         )
-        rel_mse, energy_ratio = f"{last['true_rel_mse']:.3g}", f"{last['true_energy_ratio']:.4f}"
+        rel_mse, energy_ratio = format_number(last["true_rel_mse"]), f"{last['true_energy_ratio']:.4f}"
         _print_line("", f"true    {true}; relMSE {rel_mse}, image mean ratio {energy_ratio}")
         _print_line("", f"stated  {stated}")
     if result["rejected"]:

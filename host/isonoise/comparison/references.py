@@ -23,7 +23,7 @@ from isonoise.comparison.plan import (
 )
 from isonoise.loop import Stops
 from isonoise.luminance import luminance
-from isonoise.progress import format_duration, format_percent
+from isonoise.progress import format_duration, format_number, format_percent
 from isonoise.renderer import Renderer
 from isonoise.statistics import Statistics
 from isonoise.strategies import Strategy, Wave
@@ -138,7 +138,8 @@ class ReferenceRenderer:
         scale = np.maximum(r, floor)
         relative = np.divide(luminance(error), scale, out=np.zeros_like(scale), where=scale > 0)
         self._log(
-            f"{scene.name}  reference  {format_duration(sums.seconds)}  {sums.count.mean():.4g} samples per pixel  "
+            f"{scene.name}  reference  {format_duration(sums.seconds)}  "
+            f"{format_number(sums.count.mean(), 4)} samples per pixel  "
             f"p99 of its standard error {format_percent(float(np.quantile(relative, 0.99)))}"
         )
 
@@ -155,7 +156,7 @@ class ReferenceRenderer:
         _finish(path, {"variance": sums.relative_variance()}, scene, identity, sums)
         self._log(
             f"{scene.name}  variance for oracles  {format_duration(sums.seconds)}  "
-            f"{sums.count.mean():.4g} samples per pixel"
+            f"{format_number(sums.count.mean(), 4)} samples per pixel"
         )
 
     def _is_finished(self, path: Path, identity: Mapping) -> bool:

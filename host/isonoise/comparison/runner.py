@@ -23,7 +23,7 @@ from isonoise.comparison.strategy_specs import (
     with_variance,
 )
 from isonoise.loop import Stops
-from isonoise.progress import ProgressBar, format_count, format_duration, format_percent
+from isonoise.progress import ProgressBar, format_count, format_duration, format_number, format_percent
 from isonoise.renderer import Renderer
 from isonoise.samplers import SAMPLERS
 from isonoise.strategies import describe
@@ -156,7 +156,7 @@ class _Runner:
         self.log(
             f"{scene.name}  {strategy.title}  seed {seed}  {format_duration(last['elapsed_s'])}  "
             f"{format_count(last['samples'])} samples  p99 {format_percent(last['true_p99'])}  "
-            f"relMSE {last['true_rel_mse']:.3g}  "
+            f"relMSE {format_number(last['true_rel_mse'])}  "
             f"image mean ratio {last['true_energy_ratio']:.4f}  [{self.finished} of {self.total}{self._remaining()}]"
         )
 

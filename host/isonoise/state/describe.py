@@ -8,7 +8,7 @@ from zipfile import is_zipfile
 import numpy as np
 
 from isonoise.errors import UserError
-from isonoise.progress import format_duration
+from isonoise.progress import format_duration, format_number
 from isonoise.state.checkpoint import read_description
 
 
@@ -31,7 +31,7 @@ def describe_checkpoint(path: str | os.PathLike) -> list[tuple[str, str]]:
             ("scene", settings["scene"]),
             ("scene_hash", settings["scene_hash"]),
             ("size", f"{width}x{height}"),
-            ("samples", f"{samples:,}, {samples / (width * height):.4g} per pixel"),
+            ("samples", f"{samples:,}, {format_number(samples / (width * height), 4)} per pixel"),
             ("time", format_duration(seconds)),
             *(
                 (name, _joined(render[name] for render in renders))
