@@ -33,7 +33,7 @@ class _SoftBox(NamedTuple):
 _LIGHTS = (
     _SoftBox(-55, 45, 20, 18, 20.0),  # key
     _SoftBox(75, 28, 22, 22, 1.6),  # fill
-    _SoftBox(150, 40, 16, 24, 8.0),  # edge
+    _SoftBox(150, 52, 18, 20, 9.0),  # edge
     _SoftBox(0, 90, 180, 20, 1.5),  # overhead
 )
 
