@@ -71,11 +71,11 @@ class _Writer:
         self.count_uses(objects)
         for kind in _KINDS:
             same_kind = [nested for nested in objects if nested[0] == kind and nested[2]["type"] != "shapegroup"]
-            for _, _, value in same_kind:
-                for nested in _nested(kind, value):
-                    self.write_shared(*nested)
             for _, key, value in same_kind:
-                self.write_top(kind, key, value)
+                for nested in _nested(kind, value):
+                    self.write_shared(*nested, self.name(kind, key, value))
+            for _, key, value in same_kind:
+                self.write_top(kind, self.name(kind, key, value), value)
 
     def count_uses(self, objects: Iterable[_Nested]) -> None:
         """Count how often each object is nested in another one."""
@@ -89,28 +89,36 @@ class _Writer:
                     self.use_counts[id(nested[2])] += 1
                     queue.append(nested)
 
-    def write_top(self, kind: str, key: str, value: dict) -> None:
+    def name(self, kind: str, key: str, value: dict, parent: str = "") -> str:
+        """What to call an object: its id, unless that is a path of keys, else the name of its parent and its key."""
+        id_ = self.ids.get(id(value), "")
+        if id_ and ("." not in id_ or not parent):
+            return id_
+        is_only_child = key.startswith((kind, "shape"))
+        return (parent if is_only_child else f"{parent}_{key}") if parent else key
+
+    def write_top(self, kind: str, name: str, value: dict) -> None:
         """Write an object of the scene."""
         if kind != self.last_kind:
             self.file.write("\n")
             self.last_kind = kind
-        name = self.ids.get(id(value), "")
         id_ = ""
         if kind in _SHARED_KINDS or value["type"] == "shapegroup":
-            self.id_of_written[id(value)] = id_ = self.new_id(name or key)
-        elif name and name != kind:
+            self.id_of_written[id(value)] = id_ = self.new_id(name)
+        elif self.ids.get(id(value), kind) != kind:
             id_ = self.new_id(name)
-        self.write_object(kind, name or key, value, 1, id_=id_)
+        self.write_object(kind, name, value, 1, id_=id_)
 
-    def write_shared(self, kind: str, key: str, value: dict) -> None:
-        """Write an object at the top if several use it, and before it those inside it."""
+    def write_shared(self, kind: str, key: str, value: dict, parent: str) -> None:
+        """Write an object at the top if several use it, and before it those inside it. `parent` is a name."""
         if id(value) in self.id_of_written:
             return
+        name = self.name(kind, key, value, parent)
         for nested in _nested(kind, value):
-            self.write_shared(*nested)
+            self.write_shared(*nested, name)
         is_used_again = self.use_counts[id(value)] > 1 and kind in _SHARED_KINDS
         if is_used_again or value["type"] == "shapegroup":
-            self.write_top(kind, key, value)
+            self.write_top(kind, name, value)
 
     def new_id(self, wanted: str) -> str:
         stem = unused = plain_name(wanted)
@@ -121,13 +129,13 @@ class _Writer:
         self.used_ids.add(unused)
         return unused
 
-    def write_object(self, kind: str, label: str, value: dict, depth: int, name: str = "", id_: str = "") -> None:
-        """Write an object with all that it contains. `label` names its files."""
-        nested, value = list(_nested(kind, value)), self.with_files(kind, value, label)
+    def write_object(self, kind: str, name: str, value: dict, depth: int, role: str = "", id_: str = "") -> None:
+        """Write an object with all that it contains. `name` is for its files, `role` its name in its parent."""
+        nested, value = list(_nested(kind, value)), self.with_files(kind, value, name)
         plugin = plugins_of(kind)[value["type"]]
         lines = [line for parameter in plugin.parameters if (line := _parameter_line(parameter, value))]
         indent = _INDENT * depth
-        attributes = _attributes(type=value["type"], name=name, id=id_)
+        attributes = _attributes(type=value["type"], name=role, id=id_)
         if not lines and not nested:
             self.file.write(f"{indent}<{kind}{attributes}/>\n")
             return
@@ -135,25 +143,24 @@ class _Writer:
         self.file.writelines(f"{indent}{_INDENT}{line}\n" for line in lines)
         for nested_kind, key, part in nested:
             parameter, child = plugin.parameter(key), plugin.child(nested_kind)
-            nested_name = key if parameter is not None or (child and key in child.names) else ""
+            nested_role = key if parameter is not None or (child and key in child.names) else ""
             if id(part) in self.id_of_written:
-                reference = _attributes(name=nested_name, id=self.id_of_written[id(part)])
+                reference = _attributes(name=nested_role, id=self.id_of_written[id(part)])
                 self.file.write(f"{indent}{_INDENT}<ref{reference}/>\n")
             else:
-                nested_label = self.ids.get(id(part)) or f"{label}_{key}"
-                self.write_object(nested_kind, nested_label, part, depth + 1, nested_name)
+                self.write_object(nested_kind, self.name(nested_kind, key, part, name), part, depth + 1, nested_role)
         self.file.write(f"{indent}</{kind}>\n")
 
-    def with_files(self, kind: str, value: dict, label: str) -> dict:
+    def with_files(self, kind: str, value: dict, name: str) -> dict:
         """The object with names of files in the scene's folder in place of meshes, images and other files."""
         if value["type"] == "mesh":
-            return self.files.mesh(value, label)
+            return self.files.mesh(value, name)
         changes = {}
         for parameter in plugins_of(kind)[value["type"]].parameters:
             if parameter.type == "file" and parameter.name in value:
                 changes["filename"] = self.files.copy(value[parameter.name])
             elif parameter.type == "image" and parameter.name in value:
-                changes["filename"] = self.files.image(value[parameter.name], label)
+                changes["filename"] = self.files.image(value[parameter.name], name)
         return value | changes
 
 

@@ -76,7 +76,12 @@ class Materials:
             primitive = replace(primitive, uv_bounds=())
         key = index, primitive
         if key not in self._surfaces:
-            self._surfaces[key] = self._make_surface(material, primitive)
+            surface = self._make_surface(material, primitive)
+            if name := material.values.string("name", ""):  # another surface of this material gets another id
+                number = sum(other == index for other, _ in self._surfaces)
+                variant = f"#{number}" if number else ""
+                surface = replace(surface, bsdf={**surface.bsdf, "id": f"material_{index}{variant}: {name}"})
+            self._surfaces[key] = surface
         return self._surfaces[key]
 
     def _read(self, index: int | None) -> Material:

@@ -34,6 +34,7 @@ def read(path: Path, folder: Path | None, report: ImportReport) -> dict:
             _add_colours(mesh, obj.vertex_colours[vertices], material, materials, report)
         bsdf = materials.bsdf(material, _uv_length(mesh, material), "vertex_color" in mesh.attributes)
         shape = scene[f"part_{number}"] = mesh_shape(mesh, bsdf, bool(part % 2))
+        shape["id"] = f"part_{number}: {material.name}"
         if radiance := materials.radiance(material):
             shape["emitter"] = {"type": "area", "radiance": radiance}
     return scene
