@@ -192,3 +192,35 @@ def mutate_xml(text: str, rng: random.Random) -> bytes:
     except RecursionError:  # too deep for ElementTree to write
         return b"<a>" * 5000
     return mutate_bytes(data, rng) if rng.random() < 0.1 else data
+
+
+_PBRT_TOKEN = re.compile(r'"[^"]*"|[^\s"]+')
+_PBRT_WORDS = ["[", "]", '"', "#", "Shape", "AttributeBegin", "AttributeEnd", "WorldBegin", "Identity", "1 2 3", "true"]
+_PBRT_WORDS += ['"float radius"', '"rgb L" [ 1 2 3 ]', '"texture reflectance" "checks"', '"string filename" "../a.png"']
+
+
+def mutate_pbrt(data: bytes, rng: random.Random) -> bytes:
+    """One to four changes of tokens: other numbers, copies, deletions, exchanges; a third of the inputs: of bytes."""
+    if rng.random() < 1 / 3:
+        return mutate_bytes(data, rng)
+    text = data.decode()
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        places = [match.span() for match in _PBRT_TOKEN.finditer(text)]
+        (begin, end), (other_begin, other_end) = rng.choice(places), rng.choice(places)
+        numbers = [place for place in places if text[place[0]] in "-.0123456789"]
+        match rng.randrange(6):
+            case 0:
+                begin, end = rng.choice(numbers or places)
+                replacement = rng.choice([*EXTREME_NUMBERS, *(word.decode() for word in ODD_NUMBERS)])
+            case 1:
+                replacement = text[other_begin:other_end]
+            case 2:
+                replacement = ""
+            case 3:
+                replacement = f"{text[begin:end]} {text[other_begin:other_end]}"
+            case 4:
+                replacement = rng.choice(_PBRT_WORDS)
+            case 5:
+                replacement = '"' + rng.choice(ODD_STRINGS) + '"'
+        text = text[:begin] + replacement + text[end:]
+    return text.encode()

@@ -19,11 +19,13 @@ from pathlib import Path
 import gltf_files
 import gltf_material_files
 import numpy as np
+import pbrt_files
 import small_files
 from fuzz_mutations import (
     mutate_bytes,
     mutate_glb,
     mutate_json,
+    mutate_pbrt,
     mutate_png,
     mutate_serialized,
     mutate_xml,
@@ -189,6 +191,7 @@ TARGETS = {
         compile_file,
         mutate_json,
     ),
+    "pbrt": Target(lambda: [pbrt_files.RICH.encode()], "m.pbrt", compile_file, mutate_pbrt),
     "png": Target(
         lambda: [small_files.image_file("PNG"), small_files.image_file("PNG", mode="P"), small_files.png_16_bit()],
         "m.png",
@@ -223,6 +226,7 @@ def write_sound_files(folder: Path) -> None:
         "a.exr": small_files.exr(),
         "a.hdr": small_files.hdr(),
         "part.xml": PART.encode(),
+        "part.pbrt": pbrt_files.PART.encode(),
     }.items():
         (folder / name).write_bytes(data)
 

@@ -12,7 +12,6 @@ from isonoise.limits import MAX_PIXELS
 from isonoise.scene import transforms
 from isonoise.scene.formats.pbrt.parameters import Parameters
 from isonoise.scene.formats.report import ImportReport
-from isonoise.scene.parse.elements import closest_name
 
 _CAMERAS = ("perspective", "orthographic", "realistic", "spherical", "environment")
 _NEAR_CLIP, _FAR_CLIP = 1e-5, 1e8  # pbrt clips nothing
@@ -69,9 +68,7 @@ def make_sensor(settings: CameraSettings, empty: Parameters) -> dict:
     camera = settings.get("Camera", "perspective", empty)
     film = make_film(settings, empty)
     if camera.type not in _CAMERAS:
-        camera.parameters.position.raise_error(
-            f"unknown camera '{camera.type[:40]}'; did you mean '{closest_name(camera.type, _CAMERAS)}'?"
-        )
+        camera.parameters.position.raise_unknown("unknown camera", camera.type, _CAMERAS)
     settings.report.count("cameras")
     settings.report.use("cameras", f"'{camera.type}'")
     camera.parameters.ignore("shutteropen", "shutterclose")
@@ -221,7 +218,7 @@ def _filter(settings: CameraSettings, empty: Parameters, is_legacy: bool) -> dic
     parameters, kind = setting.parameters, setting.type
     defaults = {"box": 0.5, "gaussian": 2.0 if is_legacy else 1.5, "triangle": 2.0, "mitchell": 2.0, "sinc": 4.0}
     if kind not in defaults:
-        parameters.position.raise_error(f"unknown filter '{kind[:40]}'; did you mean '{closest_name(kind, defaults)}'?")
+        parameters.position.raise_unknown("unknown filter", kind, defaults)
     radii = [parameters.number(f"{axis}radius", parameters.number(f"{axis}width", defaults[kind])) for axis in "xy"]
     alpha, sigma = parameters.number("alpha", None), parameters.number("sigma", 0.5)
     parameters.ignore("B", "C", "tau")
@@ -269,8 +266,7 @@ def make_integrator(settings: CameraSettings, empty: Parameters, has_volumes: bo
     setting = settings.settings.get("Integrator", settings.settings.get("SurfaceIntegrator", default))
     parameters, report = setting.parameters, settings.report
     if setting.type not in _INTEGRATORS:
-        hint = closest_name(setting.type, _INTEGRATORS)
-        parameters.position.raise_error(f"unknown integrator '{setting.type[:40]}'; did you mean '{hint}'?")
+        parameters.position.raise_unknown("unknown integrator", setting.type, _INTEGRATORS)
     if setting.type in ("ambientocclusion", "ao", "function", "randomwalk"):
         report.limit("film", f"the integrator '{setting.type}' is replaced by path tracing")
     depth = parameters.integer("maxdepth", _DEFAULT_MAX_DEPTH)

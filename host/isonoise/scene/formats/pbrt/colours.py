@@ -14,7 +14,6 @@ from isonoise.scene.formats.pbrt.directives import find_file
 from isonoise.scene.formats.pbrt.parameters import Value
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.material.presets import conductors
-from isonoise.scene.parse.elements import closest_name
 from isonoise.scene.spectra import MITSUBA_LUMINANCE, spectrum_to_rgb, xyz_to_rgb
 
 _GLASSES = {  # refractive index at 587.6 nm (Schott); pbrt's names F5, F10, F11 are SF5, SF10, SF11
@@ -157,8 +156,7 @@ class Colours:
     def _file_numbers(self, value: Value) -> np.ndarray:
         name = value.values[0]
         if not (name.endswith(".spd") or "/" in name or (self._base / name).is_file()):
-            hint = closest_name(name, _NAMED)
-            value.position.raise_error(f"unknown spectrum '{name[:60]}'; did you mean '{hint}'?")
+            value.position.raise_unknown("unknown spectrum", name, _NAMED)
         path = find_file(name, self._base, self._folder, value.position)
         lines = read_bytes(path).decode("utf-8", errors="replace").splitlines()
         words = " ".join(line.partition("#")[0] for line in lines).split()

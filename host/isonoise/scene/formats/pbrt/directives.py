@@ -13,7 +13,7 @@ import numpy as np
 from isonoise.scene.files import is_inside, outside_message, read_bytes
 from isonoise.scene.formats.pbrt.parameters import TYPES, Parameters, Value, check_value
 from isonoise.scene.formats.pbrt.tokens import CLOSE, END, OPEN, STRING, WORD, Position, Source, Token, Tokenizer
-from isonoise.scene.parse.elements import closest_name, path_exists
+from isonoise.scene.parse.elements import path_exists
 
 _MAX_INCLUDE_DEPTH = 32
 _MAX_INCLUDES = 10_000  # of one scene: a file that includes others twice each grows exponentially
@@ -106,7 +106,7 @@ def _read_directive(tokens: Tokenizer, token: Token) -> Directive:
     if token.kind != WORD:
         position.raise_error(f"expected a directive such as Shape, got {token}")
     if name not in DIRECTIVES:
-        position.raise_error(f"unknown directive {token}; did you mean '{closest_name(name, DIRECTIVES)}'?")
+        position.raise_unknown("unknown directive", name, DIRECTIVES)
     arguments, numbers, values = [], np.zeros(0), []
     if name in _NUMBERS:
         numbers = _read_numbers(tokens, name)
@@ -187,8 +187,7 @@ def _read_parameter(tokens: Tokenizer) -> Value:
         token.position.raise_error(f'a parameter is a type and a name, such as "float radius"; got {token}')
     type_, name = words
     if type_ not in TYPES:
-        hint = closest_name(type_, TYPES)
-        token.position.raise_error(f"'{name}' has the unknown type '{type_}'; did you mean '{hint}'?")
+        token.position.raise_unknown(f"'{name[:40]}' has the unknown type", type_, TYPES)
     value = Value(type_, name, _read_values(tokens, name), token.position)
     check_value(value)
     return value

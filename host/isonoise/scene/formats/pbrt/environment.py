@@ -11,7 +11,7 @@ import numpy as np
 from isonoise.scene.image.image import Image
 
 _MAX_ROWS = 1024
-_SUBSAMPLES = 2  # along each side of a texel, if the square has at most _MAX_ROWS rows
+_MIN_SUBSAMPLES, _MAX_SUBSAMPLES = 2, 8  # along each side of a texel
 _CHUNK_ROWS = 32
 
 
@@ -19,9 +19,9 @@ def resample_equal_area(image: Image) -> Image:
     """The image of `envmap` with the same radiance in the same directions of the light's own space."""
     square = image.linear()
     size = len(square)
-    rows = min(max(size, 4), _MAX_ROWS)
+    rows = min(max(2 * size, 4), _MAX_ROWS)
     columns = 2 * rows
-    subsamples = _SUBSAMPLES * math.ceil(size / _MAX_ROWS)
+    subsamples = min(_MIN_SUBSAMPLES * math.ceil(max(size, _MAX_ROWS) / rows), _MAX_SUBSAMPLES)
     pixels = np.empty((rows, columns, square.shape[2]), np.float32)
     offsets = (np.arange(subsamples) + 0.5) / subsamples
     azimuth = 2 * np.pi * ((np.arange(columns)[:, None] + offsets) / columns).ravel()

@@ -7,7 +7,6 @@ import numpy as np
 from isonoise.scene import transforms
 from isonoise.scene.formats.pbrt.directives import Directive
 from isonoise.scene.formats.pbrt.parameters import Parameters, Value
-from isonoise.scene.parse.elements import closest_name
 
 TARGETS = ("shape", "light", "material", "medium", "texture")
 _MAX_DEPTH = 10_000  # nested AttributeBegin
@@ -80,9 +79,7 @@ class StateStack:
         """The directive Attribute."""
         target = directive.arguments[0]
         if target not in TARGETS:
-            directive.position.raise_error(
-                f"Attribute has no target '{target[:40]}'; did you mean '{closest_name(target, TARGETS)}'?"
-            )
+            directive.position.raise_unknown("Attribute has no target", target, TARGETS)
         added = (*self.current.defaults.get(target, ()), *directive.parameters.unused())
         self.change(defaults=self.current.defaults | {target: added})
 
@@ -90,9 +87,7 @@ class StateStack:
         """The transform that CoordinateSystem named."""
         name = directive.arguments[0]
         if name not in self.coordinate_systems:
-            names = self.coordinate_systems
-            hint = f"; did you mean '{closest_name(name, names)}'?" if names else ""
-            directive.position.raise_error(f"there is no coordinate system '{name[:60]}'{hint}")
+            directive.position.raise_unknown("there is no coordinate system", name, self.coordinate_systems)
         return self.coordinate_systems[name]
 
 

@@ -17,7 +17,6 @@ from isonoise.scene.formats.pbrt.surfaces_of_revolution import scales_uniformly
 from isonoise.scene.formats.pbrt.textures import Textures
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.image.image import Image
-from isonoise.scene.parse.elements import closest_name
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 _LIGHTS = ("point", "spot", "distant", "infinite", "goniometric", "projection")
@@ -37,9 +36,7 @@ class Lights:
     def make(self, kind: str, parameters: Parameters, to_world: np.ndarray) -> dict:
         """The emitter of a `LightSource`."""
         if kind not in _LIGHTS:
-            parameters.position.raise_error(
-                f"unknown light '{kind[:40]}'; did you mean '{closest_name(kind, _LIGHTS)}'?"
-            )
+            parameters.position.raise_unknown("unknown light", kind, _LIGHTS)
         self._report.count("lights")
         parameters.ignore("samples", "nsamples")
         make = {"distant": self._distant, "infinite": self._infinite, "spot": self._spot}.get(kind, self._point)

@@ -4,7 +4,6 @@ from isonoise.scene.formats.pbrt.legacy_materials import LEGACY_MATERIALS
 from isonoise.scene.formats.pbrt.materials import MATERIALS, NULL, MaterialContext, two_sided
 from isonoise.scene.formats.pbrt.parameters import Parameters
 from isonoise.scene.formats.pbrt.tokens import Position
-from isonoise.scene.parse.elements import closest_name
 
 _INTERFACES = ("", "none", "interface")
 _MAX_MIX_DEPTH = 16
@@ -27,8 +26,7 @@ class MaterialTable:
         """The BSDF of a named material."""
         if name in self._by_name:
             return self._by_name[name]
-        hint = f"; did you mean '{closest_name(name, self._by_name)}'?" if self._by_name else ""
-        position.raise_error(f"there is no material named '{name[:60]}'{hint}")
+        position.raise_unknown("there is no material named", name, self._by_name)
 
     def make(self, type_: str, parameters: Parameters) -> dict:
         """The BSDF of a material."""
@@ -38,8 +36,8 @@ class MaterialTable:
             return self._mix(parameters)
         function = MATERIALS.get(type_) or LEGACY_MATERIALS.get(type_)
         if function is None:
-            hint = closest_name(type_, (*MATERIALS, *LEGACY_MATERIALS, "mix", "interface"))
-            parameters.position.raise_error(f"unknown material '{type_[:40]}'; did you mean '{hint}'?")
+            choices = (*MATERIALS, *LEGACY_MATERIALS, "mix", "interface")
+            parameters.position.raise_unknown("unknown material", type_, choices)
         return self._with_relief(function(parameters, self._context), parameters)
 
     def _mix(self, parameters: Parameters) -> dict:

@@ -44,17 +44,14 @@ class MaterialContext:
         self, parameters: Parameters, remap: Callable[[np.ndarray], np.ndarray], default: float = 0.0, prefix: str = ""
     ) -> tuple[Texture, Texture]:
         """Roughness along u and v as Mitsuba's alpha."""
+        names = [f"{prefix}{axis}roughness" for axis in "uv"]
         both = self.textures.number(parameters, f"{prefix}roughness", default)
-        along = []
-        for axis in "uv":
-            own = self.textures.number(parameters, f"{prefix}{axis}roughness", None)
-            texture = both if own is None else own
-            if parameters.boolean("remaproughness", True):
-                texture = self.textures.map(f"remapped by {remap.__name__}", remap, texture)
-            along.append(texture)
-        if isinstance(along[0], np.ndarray) and isinstance(along[1], np.ndarray) and (along[0] == along[1]).all():
-            return along[0], along[0]
-        return along[0], along[1]
+        along = [self.textures.number(parameters, name, None) for name in names]
+        along = [both if texture is None else texture for texture in along]
+        textures = along[:1] if along[0] is along[1] else along
+        if parameters.boolean("remaproughness", True):
+            textures = [self.textures.map(f"remapped by {remap.__name__}", remap, texture) for texture in textures]
+        return textures[0], textures[-1]
 
     def roughness(self, alphas: tuple[Texture, Texture]) -> dict:
         """The parameters of a rough BSDF; empty if it is smooth."""
@@ -62,7 +59,7 @@ class MaterialContext:
             return {}
         self.report.use("roughness")
         u, v = (self.textures.to_number(self.at_least_smooth(alpha)) for alpha in alphas)
-        if alphas[0] is alphas[1] or u is v:
+        if alphas[0] is alphas[1] or (isinstance(u, float) and u == v):
             return {"distribution": "ggx", "alpha": u}
         self.report.use("anisotropy")
         return {"distribution": "ggx", "alpha_u": u, "alpha_v": v}

@@ -7,7 +7,6 @@ from isonoise.scene.formats.mesh_shape import rgb
 from isonoise.scene.formats.pbrt.colours import Colours
 from isonoise.scene.formats.pbrt.parameters import SPECTRUM_TYPES, Parameters
 from isonoise.scene.formats.report import ImportReport
-from isonoise.scene.parse.elements import closest_name
 
 _MEDIA = ("homogeneous", "uniformgrid", "rgbgrid", "cloud", "nanovdb", "heterogeneous")
 _PRESETS = {  # reduced scattering and absorption, 1 / mm; H. W. Jensen et al., "A Practical Model for Subsurface
@@ -33,8 +32,7 @@ def make_medium(parameters: Parameters, to_world: np.ndarray, colours: Colours, 
     """The medium of a directive `MakeNamedMedium`; None if it is left out."""
     kind = parameters.text("type", "homogeneous")
     if kind not in _MEDIA:
-        hint = closest_name(kind, _MEDIA)
-        parameters.place("type").raise_error(f"unknown medium '{kind[:40]}'; did you mean '{hint}'?")
+        parameters.place("type").raise_unknown("unknown medium", kind, _MEDIA)
     report.use("media")
     report.count("media")
     place = parameters.position.place

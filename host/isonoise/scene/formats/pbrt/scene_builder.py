@@ -17,7 +17,6 @@ from isonoise.scene.formats.pbrt.shape_dicts import make_shapes
 from isonoise.scene.formats.pbrt.shapes import ShapeReader
 from isonoise.scene.formats.pbrt.textures import Textures
 from isonoise.scene.formats.report import ImportReport
-from isonoise.scene.parse.elements import closest_name
 
 _BEFORE_WORLD = ("Camera", "Film", "Integrator", "SurfaceIntegrator", "PixelFilter", "Sampler")
 _IN_WORLD = ("Shape", "LightSource", "AreaLightSource", "ObjectBegin", "ObjectEnd", "ObjectInstance")
@@ -152,8 +151,7 @@ class SceneBuilder:
     def _run_color_space(self, directive: Directive) -> None:
         name = directive.arguments[0]
         if name not in COLOUR_SPACES:
-            hint = closest_name(name, COLOUR_SPACES)
-            directive.position.raise_error(f"unknown colour space '{name[:40]}'; did you mean '{hint}'?")
+            directive.position.raise_unknown("unknown colour space", name, COLOUR_SPACES)
         self._state.change(colour_space=name)
         self._colours.colour_space = name
 
@@ -241,8 +239,7 @@ class SceneBuilder:
         if not name or cameras.ignores_media(self._camera):
             return None
         if name not in self._media:
-            hint = f"; did you mean '{closest_name(name, self._media)}'?" if self._media else ""
-            directive.position.raise_error(f"there is no medium named '{name[:60]}'{hint}")
+            directive.position.raise_unknown("there is no medium named", name, self._media)
         return self._media[name]
 
     def _run_object_instance(self, directive: Directive) -> None:
@@ -250,8 +247,7 @@ class SceneBuilder:
         if self._object is not None:
             directive.position.raise_error("ObjectInstance cannot be inside ObjectBegin and ObjectEnd")
         if name not in self._objects:
-            hint = f"; did you mean '{closest_name(name, self._objects)}'?" if self._objects else ""
-            directive.position.raise_error(f"there is no object named '{name[:60]}'{hint}")
+            directive.position.raise_unknown("there is no object named", name, self._objects)
         self._report.use("instances")
         self._report.count("instances")
         group = self._objects[name]

@@ -18,7 +18,6 @@ from isonoise.scene.formats.pbrt.surfaces_of_revolution import (
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.mesh.mesh import Mesh
 from isonoise.scene.mesh.ply import read_ply
-from isonoise.scene.parse.elements import closest_name
 
 _UNSUPPORTED = ("curve", "heightfield", "hyperboloid", "nurbs")
 SHAPES = ("trianglemesh", "plymesh", "bilinearmesh", "loopsubdiv", *QUADRICS, *_UNSUPPORTED)
@@ -63,9 +62,7 @@ class ShapeReader:
         readers = {"trianglemesh": self._triangles, "plymesh": self._ply, "bilinearmesh": self._patches}
         readers["loopsubdiv"] = self._control_mesh
         if kind not in readers:
-            parameters.position.raise_error(
-                f"unknown shape '{kind[:40]}'; did you mean '{closest_name(kind, SHAPES)}'?"
-            )
+            parameters.position.raise_unknown("unknown shape", kind, SHAPES)
         mesh, patch_count = readers[kind](parameters)
         self.report.count("triangles", len(mesh.faces))
         if is_textured and not len(mesh.uvs):

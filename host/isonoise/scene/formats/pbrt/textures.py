@@ -17,7 +17,6 @@ from isonoise.scene.formats.pbrt.directives import Directive, find_file
 from isonoise.scene.formats.pbrt.parameters import SPECTRUM_TYPES, Parameters
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.image.image import Image
-from isonoise.scene.parse.elements import closest_name
 
 FLOAT, SPECTRUM = "float", "spectrum"
 _PROCEDURAL = ("bilerp", "dots", "fbm", "marble", "windy", "wrinkled", "ptex", "directionmix", "uv")
@@ -158,8 +157,7 @@ class Textures:
         texture = self._by_name.get((type_, name))
         if texture is None:
             names = [other for kind, other in self._by_name if kind == type_]
-            hint = f"; did you mean '{closest_name(name, names)}'?" if names else ""
-            position.raise_error(f"there is no {type_} texture '{name[:60]}'{hint}")
+            position.raise_unknown(f"there is no {type_} texture", name, names)
         return texture
 
     def _evaluate(self, class_: str, parameters: Parameters, type_: str) -> Texture:
@@ -176,8 +174,8 @@ class Textures:
                 parameters.position.raise_error(f"checkerboards are nested more than {_MAX_NESTING} levels deep")
             return texture
         if class_ not in _PROCEDURAL:
-            hint = closest_name(class_, ("constant", "scale", "mix", "imagemap", "checkerboard", *_PROCEDURAL))
-            parameters.position.raise_error(f"unknown texture '{class_[:40]}'; did you mean '{hint}'?")
+            choices = ("constant", "scale", "mix", "imagemap", "checkerboard", *_PROCEDURAL)
+            parameters.position.raise_unknown("unknown texture", class_, choices)
         self._report.limit("procedural_textures", f"'{class_}' is replaced by a constant", parameters.position.place)
         parameters.ignore(*(value.name for value in parameters.unused()))
         return self._substitute(class_, parameters, type_)

@@ -2,13 +2,14 @@
 
 import re
 from bisect import bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from isonoise.scene.parse.elements import Location
+from isonoise.scene.parse.elements import Location, closest_name
 
 WORD, STRING, OPEN, CLOSE, END = "word", "string", "[", "]", "end"
 
@@ -48,6 +49,12 @@ class Position(Location):
         """The line, from 1."""
         return self.source.line_and_column(self.offset)[0]
 
+    def raise_unknown(self, problem: str, name: str, choices: Iterable[str]) -> NoReturn:
+        """Raise a SceneError such as "unknown camera 'nme'; did you mean 'name'?"."""
+        hint = closest_name(name, list(choices))
+        suggestion = f"; did you mean '{hint}'?" if hint else ""
+        self.raise_error(f"{problem} '{_shortened(name)}'{suggestion}")
+
     @property
     def place(self) -> str:
         """File name, line and column, for reports."""
@@ -67,8 +74,12 @@ class Token(NamedTuple):
     position: Position
 
     def __str__(self) -> str:
-        shown = self.text if len(self.text) <= _MAX_SHOWN_CHARS else self.text[:_MAX_SHOWN_CHARS] + "..."
+        shown = _shortened(self.text)
         return {STRING: f'the string "{shown}"', END: "the end of the file"}.get(self.kind, f"'{shown}'")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _MAX_SHOWN_CHARS else text[:_MAX_SHOWN_CHARS] + "..."
 
 
 class Tokenizer:
