@@ -68,7 +68,7 @@ def inside(bsdf: dict, *types: str) -> dict:
 
 
 def rich_material_file() -> MaterialFile:
-    """A file with everything that materials can have: one with all layers, one of glass with a volume."""
+    """A file with everything that materials can have: one with all layers, one of glass with a volume, an old one."""
     layers = {
         "KHR_materials_clearcoat": {"clearcoatFactor": 1, "clearcoatNormalTexture": {"index": 0}},
         "KHR_materials_sheen": {"sheenColorFactor": [1, 1, 1], "sheenColorTexture": {"index": 0}},
@@ -97,6 +97,8 @@ def rich_material_file() -> MaterialFile:
     volume = {"thicknessFactor": 1, "attenuationDistance": 1, "attenuationColor": [0.5, 0.5, 0.5]}
     refracting = {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": volume}
     glass = file.add("materials", **PLASTIC, extensions=refracting | {"KHR_materials_ior": {"ior": 1.4}})
-    for _ in range(2):
-        file.node(mesh=file.mesh(QUAD, [0, 1, 2, 0, 2, 3], attributes={"TEXCOORD_0": UVS}, material=glass))
+    glossy = {"diffuseTexture": {"index": 0}, "specularGlossinessTexture": {"index": 0}, "glossinessFactor": 0.5}
+    old = file.add("materials", extensions={"KHR_materials_pbrSpecularGlossiness": glossy})
+    for index in (glass, glass, old):
+        file.node(mesh=file.mesh(QUAD, [0, 1, 2, 0, 2, 3], attributes={"TEXCOORD_0": UVS}, material=index))
     return file

@@ -3,11 +3,6 @@
 from isonoise.scene.formats.gltf.document import Document
 from isonoise.scene.formats.report import ImportReport
 
-# Extensions that are a feature by themselves.
-_FEATURES = {
-    "KHR_materials_pbrSpecularGlossiness": "measured_materials",
-    "KHR_materials_variants": "material_variants",
-}
 _MAX_LISTED = 8  # extensions in a warning
 
 # The modules that read these report what they cannot map.
@@ -79,9 +74,8 @@ def check_extensions(document: Document, report: ImportReport) -> None:
             place = f"extensionsRequired[{number}]"
             document.root.fail(place, f"the extension '{name[:80]}' is not supported; {advice}")
     used = dict.fromkeys(document.root.strings("extensionsUsed"))
-    for name in used:
-        if name in _FEATURES:
-            report.use(_FEATURES[name])
+    if "KHR_materials_variants" in used:
+        report.use("material_variants")
     known = _READ | _WITHOUT_EFFECT | _WITH_FALLBACK
     unknown = [name[:80] for name in used if name not in known]
     if unknown:

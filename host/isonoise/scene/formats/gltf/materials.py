@@ -12,6 +12,7 @@ from isonoise.scene.formats.gltf.document import Document
 from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.gltf.layers import add_clearcoat, add_normal_map, add_sheen
 from isonoise.scene.formats.gltf.opacity import add_opacity, emission, emitter
+from isonoise.scene.formats.gltf.specular_glossiness import as_metallic_roughness
 from isonoise.scene.formats.gltf.surface import (
     Material,
     PrimitiveInfo,
@@ -93,6 +94,7 @@ class Materials:
         for holder, names in _TEXTURES.items():
             found = {name: self._textures.read(material.part(holder), name) for name in names}
             material.textures.update({name: texture for name, texture in found.items() if texture})
+        material = as_metallic_roughness(material, self._textures, self.report)
         _report_features(material, self.report)
         return material
 

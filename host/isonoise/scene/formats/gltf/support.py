@@ -22,7 +22,7 @@ SUPPORT = {
     "specular": Support(
         PARTLY,
         "`principled` eta from KHR_materials_ior and _specular; specularFactor as `blendbsdf`; "
-        "reflection of dielectrics has no colour",
+        "reflection of dielectrics has no colour; KHR_materials_pbrSpecularGlossiness becomes metallic-roughness",
     ),
     "emission": Support(
         PARTLY, "`area` with factor, texture and KHR_materials_emissive_strength, on the front of a surface only"
@@ -42,7 +42,6 @@ SUPPORT = {
     "iridescence": Support(NO, "Mitsuba 3 has no thin films; the surface reflects without their colours"),
     "dispersion": Support(NO, "the index of refraction is the same for all colours"),
     "unlit": Support(PARTLY, "a black surface that emits the base colour, so it also lights others"),
-    "measured_materials": Support(NO, "KHR_materials_pbrSpecularGlossiness is ignored; convert it with a glTF tool"),
     "material_variants": Support(PARTLY, "the default variant"),
     "textures": Support(YES, "`bitmap`: PNG, JPEG, WebP; factors are multiplied into the image"),
     "texture_transform": Support(YES, "`to_uv`"),
