@@ -156,10 +156,10 @@ def test_extensions_that_lose_something(tmp_path, extension, values, feature):
 def test_every_mapping_is_a_valid_scene(tmp_path):
     """Normalisation accepts what the materials become, and equal surfaces stay one object."""
     scene, _ = read_file(rich_material_file(), tmp_path)
-    first, second, third = shapes_of(scene)
+    first, second, third, _ = shapes_of(scene)
     assert second["bsdf"] is third["bsdf"]
     assert first["bsdf"]["type"] == "mask"
     with pytest.warns(UserWarning, match=r"a\.glb"):
         description = isonoise.load(tmp_path / "a.glb")
     assert description["integrator"]["type"] == "volpath"  # for masks and media
-    assert sum(isinstance(value, dict) and value["type"] == "mesh" for value in description.values()) == 3
+    assert sum(isinstance(value, dict) and value["type"] == "mesh" for value in description.values()) == 4
