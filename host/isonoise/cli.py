@@ -52,7 +52,7 @@ def _add_render(commands) -> None:
     )
     render.epilog_name = "render_epilog"
     render.add_argument(
-        "scene", metavar="SCENE", help="a scene file (.xml, .obj, .ply, .stl, .glb) or a built-in scene"
+        "scene", metavar="SCENE", help="a scene file (.xml, .gltf, .glb, .obj, .ply, .stl, .pbrt) or a built-in scene"
     )
     shared_options.add_images(render)
     limits = render.add_argument_group("when to stop")

@@ -50,7 +50,7 @@ def load(
     Parameters
     ----------
     source : str, path or dict
-        A Mitsuba 3 XML file, a mesh (OBJ, PLY, STL, GLB), the name of a built-in scene, or a dict as for Mitsuba's
+        A Mitsuba 3 XML, glTF, OBJ, PLY, STL or pbrt file, the name of a built-in scene, or a dict as for Mitsuba's
         `load_dict`.
     parameters : dict or None
         Values for the `$name` placeholders of an XML file.

@@ -93,7 +93,7 @@ def iterate_tags(path: Path) -> Iterator[Tag]:
         is_empty = reason == "no element found" and builder.is_empty
         problem = "the file contains no scene" if is_empty else f"not well-formed XML ({reason})"
         location = SourceLocation(str(path), error.lineno)
-        location.raise_error(f"{problem}; scenes are Mitsuba 3 XML, meshes OBJ, PLY, STL or GLB")
+        location.raise_error(f"{problem}; scenes are Mitsuba 3 XML, glTF, OBJ, PLY, STL or pbrt files")
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, LookupError) as error:  # an unknown encoding, or bytes that are invalid in it
