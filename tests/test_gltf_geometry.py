@@ -113,7 +113,9 @@ def test_extensions(tmp_path):
     file.content["extensionsUsed"] = ["KHR_xmp_json_ld", "ACME_a", "KHR_node_visibility", "ACME_b"]
     _, report = read_file(file, tmp_path)
     assert report.warnings() == ["a.glb: other extensions: ACME_a, ACME_b are unknown and ignored"]
-    file.content["extensionsRequired"] = ["ACME_b"]
+    file.content["extensionsRequired"] = ["EXT_texture_webp", "KHR_materials_unlit"]
+    read_file(file, tmp_path)
+    file.content["extensionsRequired"] += ["ACME_b"]
     with pytest.raises(SceneError, match="the extension 'ACME_b' is not supported"):
         read_file(file, tmp_path)
 

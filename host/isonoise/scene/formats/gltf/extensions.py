@@ -8,6 +8,7 @@ _MAX_LISTED = 8  # extensions in a warning
 # The modules that read these report what they cannot map.
 _READ = {
     "EXT_mesh_gpu_instancing",
+    "EXT_texture_webp",
     "KHR_lights_punctual",
     "KHR_mesh_quantization",
     "KHR_node_visibility",
@@ -33,6 +34,8 @@ _WITHOUT_EFFECT = {
     "EXT_instance_features",
     "EXT_mesh_features",
     "EXT_structural_metadata",
+    "FB_geometry_metadata",
+    "GODOT_single_root",
     "KHR_animation_pointer",
     "KHR_audio_emitter",
     "KHR_interactivity",
@@ -47,7 +50,6 @@ _WITHOUT_EFFECT = {
 # What these add is one of two versions of the same data; the other one is read.
 _WITH_FALLBACK = {
     "EXT_meshopt_compression",
-    "EXT_texture_webp",
     "EXT_texture_avif",
     "KHR_draco_mesh_compression",
     "KHR_meshopt_compression",
@@ -59,7 +61,6 @@ _ADVICE = {
     "EXT_meshopt_compression": "export the model without meshopt compression",
     "KHR_meshopt_compression": "export the model without meshopt compression",
     "KHR_texture_basisu": "export the model with PNG or JPEG images",
-    "EXT_texture_webp": "export the model with PNG or JPEG images",
     "EXT_texture_avif": "export the model with PNG or JPEG images",
     "MSFT_texture_dds": "export the model with PNG or JPEG images",
 }
