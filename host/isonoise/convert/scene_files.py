@@ -13,6 +13,8 @@ from isonoise.errors import SceneError
 from isonoise.scene import transforms
 from isonoise.scene.files import open_regular_file
 from isonoise.scene.image.image import Image
+from isonoise.scene.parse.elements import SourceLocation
+from isonoise.scene.volume.grid_file import VolumeGrid, check_grid, write_vol
 
 _MAX_NAME_CHARS = 60
 
@@ -56,6 +58,14 @@ class SceneFiles:
                 file = self._content(encode_png(image.pixels), name, ".png")
             self._image_names[id(image)] = image, file
         return self._image_names[id(image)][1]
+
+    def grid(self, grid: VolumeGrid | np.ndarray, name: str) -> str:
+        """The file of a grid in memory."""
+        if isinstance(grid, np.ndarray):
+            grid = VolumeGrid(check_grid(grid, SourceLocation(element=name)))
+        file = self._new_name(name, ".vol")
+        write_vol(self.folder / file, grid)
+        return f"{self.prefix}/{file}"
 
     def copy(self, path: str) -> str:
         """A copy of a file that the scene names."""

@@ -28,6 +28,8 @@ _COLOUR_TYPES = ("rgb", "spectrum")
 _NO_OBJECTS = (*_COLOUR_TYPES, None)  # None: mesh attributes
 _OWN_PARAMETERS = ("exposure",)
 """Parameters that Mitsuba 3 does not have and would refuse."""
+_IN_MEMORY = ("image", "grid")
+"""Types of parameters that become files."""
 _MIN_ENTRY = 2.0**-40  # of a matrix, relative to the largest: smaller ones are rounding errors of rotations
 _MAX_DISTANCE = 2.0**8
 """Translation, relative to the scale, up to which the numbers of a matrix are written with the precision of 32 bits."""
@@ -152,15 +154,20 @@ class _Writer:
         self.file.write(f"{indent}</{kind}>\n")
 
     def with_files(self, kind: str, value: dict, name: str) -> dict:
-        """The object with names of files in the scene's folder in place of meshes, images and other files."""
+        """The object with names of files in the scene's folder in place of arrays and other files."""
         if value["type"] == "mesh":
             return self.files.mesh(value, name)
         changes = {}
         for parameter in plugins_of(kind)[value["type"]].parameters:
-            if parameter.type == "file" and parameter.name in value:
-                changes["filename"] = self.files.copy(value[parameter.name])
-            elif parameter.type == "image" and parameter.name in value:
-                changes["filename"] = self.files.image(value[parameter.name], name)
+            content = value.get(parameter.name)
+            if content is None:
+                continue
+            if parameter.type == "file":
+                changes["filename"] = self.files.copy(content)
+            elif parameter.type == "image":
+                changes["filename"] = self.files.image(content, name)
+            elif parameter.type == "grid":
+                changes["filename"] = self.files.grid(content, name)
         return value | changes
 
 
@@ -184,7 +191,7 @@ def _parameter_line(parameter: Parameter, value: dict) -> str:
     content = value.get(parameter.name)
     if (
         content is None
-        or parameter.type == "image"
+        or parameter.type in _IN_MEMORY
         or parameter.name in _OWN_PARAMETERS
         or _is_default(parameter, content)
     ):
