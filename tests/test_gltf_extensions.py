@@ -103,6 +103,20 @@ def test_clearcoat(tmp_path):
     assert MaterialFile(extended("clearcoat", {"clearcoatFactor": 0})).bsdf(tmp_path)["type"] == "twosided"
 
 
+def test_clearcoat_of_dielectrics(tmp_path):
+    """Base and coat with half of the weight each reflect twice as much."""
+    coat = {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.1}
+    bsdf = MaterialFile(extended("clearcoat", coat, pbr(metallicFactor=0, roughnessFactor=0.6))).bsdf(tmp_path)
+    assert bsdf["weight"] == 0.5
+    assert inside(bsdf["bsdf"], "twosided")["eta"] == 1.5
+    coated = bsdf["bsdf_1"]
+    assert (coated["type"], coated["weight"]) == ("blendbsdf", 0.5)
+    base, lobe = (inside(coated[key], "twosided") for key in ("bsdf", "bsdf_1"))
+    reflectances = [((one["eta"] - 1) / (one["eta"] + 1)) ** 2 for one in (base, lobe)]
+    np.testing.assert_allclose(reflectances, [2 * 0.96 * 0.04, 2 * 0.04])
+    assert (base["roughness"], lobe["roughness"]) == (0.6, 0.1)
+
+
 def test_sheen(tmp_path):
     sheen = {"sheenColorFactor": [0.5, 0.25, 0], "sheenRoughnessFactor": 0.5}
     scene, report = read_file(MaterialFile(extended("sheen", sheen)), tmp_path)

@@ -1,11 +1,11 @@
 """The opaque layers of glTF materials: base with specular reflection, sheen, clearcoat. Called by `materials.py`.
 
-Mitsuba 3 has no layered BSDF for arbitrary bases. Sheen and clearcoat become a `blendbsdf` whose weight is the mean
-albedo of the layer over all directions; so the same energy is reflected and withheld from the base on average, and none
-is gained, but the layer does not get brighter at grazing angles as it should.
+Mitsuba 3 has no layered BSDF for arbitrary bases. Sheen and clearcoat become a `blendbsdf` with a lobe of their own,
+so no energy is gained.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -13,37 +13,47 @@ from isonoise.scene.formats.gltf.surface import SurfaceContext, blend, two_sided
 from isonoise.scene.formats.mesh_shape import rgb
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
+_COAT = "KHR_materials_clearcoat"
 _DEFAULT_IOR = 1.5
 _MAX_NORMAL_REFLECTANCE = 0.9
 _COAT_NORMAL_REFLECTANCE = 0.04
 COAT_ALBEDO = _COAT_NORMAL_REFLECTANCE + (1.0 - _COAT_NORMAL_REFLECTANCE) / 21.0
-"""Mean over all directions of Schlick's reflectance f + (1 - f)(1 - cos)^5, cosine-weighted."""
+"""Mean over all directions of the coat's reflectance f + (1 - f)(1 - cos)^5, cosine-weighted: the share of light that
+does not reach a base."""
 
 _SHEEN_ALBEDO = (0.0, 0.0370, 0.0753, 0.1116, 0.1436, 0.1703, 0.1919, 0.2091, 0.2226, 0.2333, 0.2419)
-"""The same of the Charlie sheen with white colour, for roughness 0, 0.1, ... 1 (Estevez, Kulla, "Production Friendly
-Microfacet Sheen BRDF", 2017, with Ashikhmin's visibility as in KHR_materials_sheen), by Gauss-Legendre quadrature."""
+"""Mean albedo over all directions of the Charlie sheen with white colour, for roughness 0, 0.1, ... 1 (Estevez, Kulla,
+"Production Friendly Microfacet Sheen BRDF", 2017, with Ashikhmin's visibility as in KHR_materials_sheen)."""
 
 _CLOTH_ALBEDO = 1.0652
 """The same of the diffuse lobe of `principled` with roughness 1 and a white base."""
 
 
-def opaque_base(context: SurfaceContext, base_colour: dict, metallic=None) -> dict:
-    """The metallic-roughness model with its specular extensions, on both sides. `metallic` replaces the material's."""
+def opaque_base(context: SurfaceContext, base_colour: dict, **changes) -> dict:
+    """The metallic-roughness model with its specular extensions, on both sides.
+
+    `changes` are parameters of `principled` that replace the material's. With a changed eta, the factor on the specular
+    reflection is left out.
+    """
     pbr = "pbrMetallicRoughness"
     bsdf = {
         "type": "principled",
         "base_color": base_colour,
-        "metallic": context.number(pbr, "metallicFactor", 1.0, "metallicRoughnessTexture", 2)
-        if metallic is None
-        else metallic,
+        "metallic": context.number(pbr, "metallicFactor", 1.0, "metallicRoughnessTexture", 2),
         "roughness": context.number(pbr, "roughnessFactor", 1.0, "metallicRoughnessTexture", 1),
-    }
+        "eta": 1.0,
+    } | changes
     bsdf |= _anisotropy(context, bsdf["roughness"])
-    reflecting = two_sided(bsdf | {"eta": _eta(context)})
-    if bsdf["metallic"] == 1:  # then there is no dielectric part
+    reflecting = two_sided(bsdf | {"eta": _eta(context)} | changes)
+    weight = _specular_weight(context)
+    if bsdf["metallic"] == 1 or "eta" in changes or weight == 1:  # a metal has no dielectric part
         return reflecting
-    weight = context.number("KHR_materials_specular", "specularFactor", 1.0, "specularTexture", 3)
-    return blend(weight, two_sided(bsdf | {"eta": 1.0}) if weight != 1 else reflecting, reflecting)
+    return blend(weight, two_sided(bsdf), reflecting)
+
+
+def _specular_weight(context: SurfaceContext) -> float | dict:
+    """The factor on the reflection of dielectrics, at all angles."""
+    return context.number("KHR_materials_specular", "specularFactor", 1.0, "specularTexture", 3)
 
 
 def index_of_refraction(context: SurfaceContext) -> float:
@@ -121,29 +131,49 @@ def add_sheen(context: SurfaceContext, base: dict) -> dict:
     return blend(weight, base, two_sided(cloth))
 
 
-def add_clearcoat(context: SurfaceContext, base: dict, is_solid_glass: bool) -> dict:
-    """The base under the clearcoat of KHR_materials_clearcoat: a share of a white metal-like lobe.
+def add_clearcoat(context: SurfaceContext, build: Callable[..., dict], is_transmissive: bool) -> dict:
+    """The layers below, made by `build`, under the clearcoat of KHR_materials_clearcoat.
 
-    At normal incidence the coat reflects 4 %, as it should. Without a normal map of its own it is smooth, whatever the
-    base's normal map.
+    Parameters
+    ----------
+    build : makes the layers below; keywords are a factor on the base colour, and replace parameters of the base
+    is_transmissive : whether light passes the layers below
     """
-    part = "KHR_materials_clearcoat"
-    strength = context.material.factor(part, "clearcoatFactor", 0.0)
+    strength = context.material.factor(_COAT, "clearcoatFactor", 0.0)
     if not strength > 0:
-        return base
-    if is_solid_glass:
-        context.limit("clearcoat", "on glass with a volume it is left out")
-        return base
-    weight = context.parameters.number(context.texture("clearcoatTexture"), 0, min(strength, 1.0) * COAT_ALBEDO)
-    roughness = context.number(part, "clearcoatRoughnessFactor", 0.0, "clearcoatRoughnessTexture", 1)
-    context.limit("clearcoat", "it has the right mean reflectance, but does not get brighter at grazing angles")
+        return build()
+    roughness = context.number(_COAT, "clearcoatRoughnessFactor", 0.0, "clearcoatRoughnessTexture", 1)
+    texture, strength = context.texture("clearcoatTexture"), min(strength, 1.0)
+    metallic = context.number("pbrMetallicRoughness", "metallicFactor", 1.0, "metallicRoughnessTexture", 2)
+    has_one_normal = context.texture("normalTexture") is None and context.texture("clearcoatNormalTexture") is None
+    if metallic == 0 and not is_transmissive and has_one_normal and _specular_weight(context) == 1:
+        coated = _coated_dielectric(context, build, roughness)
+        return blend(context.parameters.number(texture, 0, strength), build(), coated)
+    context.limit("clearcoat", "on metals, glass and other normals than the coat's, it is too dark at grazing angles")
     coat = {
         "type": "principled",
         "base_color": _COAT_NORMAL_REFLECTANCE / COAT_ALBEDO,
         "metallic": 1.0,
         "roughness": roughness,
     }
-    return blend(weight, base, add_normal_map(context, two_sided(coat), "clearcoatNormalTexture"))
+    weight = context.parameters.number(texture, 0, strength * COAT_ALBEDO)
+    return blend(weight, build(), add_normal_map(context, two_sided(coat), "clearcoatNormalTexture"))
+
+
+def _coated_dielectric(context: SurfaceContext, build: Callable[..., dict], roughness: float | dict) -> dict:
+    """Half of the base with the roughness of the base, half with that of the coat.
+
+    Each reflects twice as much as alone: at normal incidence 4 % in the coat, and what the coat lets through in the
+    base; at grazing angles, half of all light each. The base colour gets darker by what the coat keeps from it.
+    """
+    base_reflectance = ((_eta(context) - 1.0) / (_eta(context) + 1.0)) ** 2
+    eta_below = _eta_of_reflectance(2.0 * (1.0 - _COAT_NORMAL_REFLECTANCE) * base_reflectance)
+    eta_coat = _eta_of_reflectance(2.0 * _COAT_NORMAL_REFLECTANCE)
+    below, coat = (
+        build(1.0 - COAT_ALBEDO, eta=eta, **more)
+        for eta, more in ((eta_below, {}), (eta_coat, {"roughness": roughness}))
+    )
+    return blend(0.5, below, coat)
 
 
 def add_normal_map(context: SurfaceContext, bsdf: dict, name: str = "normalTexture") -> dict:

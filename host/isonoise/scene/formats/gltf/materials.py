@@ -21,7 +21,12 @@ from isonoise.scene.formats.gltf.surface import (
     blend,
 )
 from isonoise.scene.formats.gltf.textures import MaterialTextures, SurfaceTextures
-from isonoise.scene.formats.gltf.transmission import base_layer, interior_medium, is_solid_glass
+from isonoise.scene.formats.gltf.transmission import (
+    base_layer,
+    interior_medium,
+    is_solid_glass,
+    is_transmissive,
+)
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
@@ -118,11 +123,18 @@ class Materials:
 
 
 def _lit(context: SurfaceContext, colour: dict, weight: dict | None) -> Surface:
-    base = base_layer(context, colour)
-    if weight is not None:  # every lobe is an affine function of the base colour
-        base = blend(weight, base_layer(context, _BLACK), base)
-    bsdf = add_normal_map(context, add_sheen(context, base))
-    bsdf = add_clearcoat(context, bsdf, is_solid_glass(context))
+    def build(factor: float = 1.0, **changes) -> dict:
+        base = base_layer(context, context.parameters.times(colour, factor), **changes)
+        if weight is not None:  # every lobe is an affine function of the base colour
+            base = blend(weight, base_layer(context, _BLACK, **changes), base)
+        return add_normal_map(context, add_sheen(context, base))
+
+    if is_solid_glass(context):
+        bsdf = build()
+        if context.material.factor("KHR_materials_clearcoat", "clearcoatFactor", 0.0) > 0:
+            context.limit("clearcoat", "on glass with a volume it is left out")
+    else:
+        bsdf = add_clearcoat(context, build, is_transmissive(context))
     return Surface(bsdf, emission(context), interior_medium=interior_medium(context))
 
 

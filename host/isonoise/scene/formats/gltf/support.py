@@ -35,9 +35,13 @@ SUPPORT = {
     ),
     "volume": Support(YES, "absorption as medium `homogeneous` in closed meshes; thickness only switches it on"),
     "clearcoat": Support(
-        PARTLY, "`blendbsdf` with a white `principled`: right at normal incidence and on average, too weak at grazing"
+        PARTLY,
+        "on opaque dielectrics a `blendbsdf` of two `principled`; on others and with normal maps a white lobe that is "
+        "right at normal incidence and too dark at grazing angles",
     ),
-    "sheen": Support(PARTLY, "`blendbsdf` with a cloth-like `principled`: right on average, too weak at grazing"),
+    "sheen": Support(
+        PARTLY, "`blendbsdf` with a cloth-like `principled`: the right mean albedo, too dark at grazing angles"
+    ),
     "anisotropy": Support(PARTLY, "`principled` anisotropic from the strength; no rotation, no texture"),
     "iridescence": Support(NO, "Mitsuba 3 has no thin films; the surface reflects without their colours"),
     "dispersion": Support(NO, "the index of refraction is the same for all colours"),

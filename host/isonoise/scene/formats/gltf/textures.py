@@ -129,6 +129,16 @@ class SurfaceTextures:
             return rgb(np.clip(np.multiply(constant, factor), 0.0, maximum))
         return self.show(texture, self.bitmaps.scaled(texture.image, factor), raw=False)
 
+    def times(self, colour: dict, factor: float) -> dict:
+        """A colour of `colour`, or vertex colours, times a factor in [0, 1]."""
+        if factor == 1:
+            return colour
+        if colour["type"] == "rgb":
+            return rgb(np.multiply(colour["value"], factor))
+        if colour["type"] == "mesh_attribute":
+            return colour | {"scale": factor}
+        return colour | {"bitmap": self.bitmaps.scaled(colour["bitmap"], factor)}
+
     def number(self, texture: MaterialTexture | None, channel: int, factor: float) -> float | dict:
         """A number in [0, 1]: a factor times a channel of a linear texture, 3 for alpha, if there is one."""
         factor = min(max(factor, 0.0), 1.0)

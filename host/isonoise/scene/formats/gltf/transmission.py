@@ -24,13 +24,21 @@ def is_solid_glass(context: SurfaceContext) -> bool:
     )
 
 
-def base_layer(context: SurfaceContext, base_colour: dict) -> dict:
-    """The opaque base or, by the factors of the extensions, a share of a transmitting one."""
+def is_transmissive(context: SurfaceContext) -> bool:
+    """Whether light passes through the surface, except by its opacity."""
+    return (
+        context.material.factor("KHR_materials_transmission", "transmissionFactor", 0.0) > 0
+        or context.material.factor("KHR_materials_diffuse_transmission", "diffuseTransmissionFactor", 0.0) > 0
+    )
+
+
+def base_layer(context: SurfaceContext, base_colour: dict, **changes) -> dict:
+    """The opaque base, with changes as for `opaque_base`, or a share of a transmitting one by the extensions."""
     part = "KHR_materials_transmission"
     transmission = context.number(part, "transmissionFactor", 0.0, "transmissionTexture")
     metallic = context.number(_PBR, "metallicFactor", 1.0, "metallicRoughnessTexture", 2)
     if metallic == 1 or transmission == 0:
-        return _with_diffuse_transmission(context, base_colour)
+        return _with_diffuse_transmission(context, base_colour, changes)
     roughness = context.number(_PBR, "roughnessFactor", 1.0, "metallicRoughnessTexture", 1)
     is_smooth = not isinstance(roughness, dict) and roughness <= _MAX_SMOOTH_ROUGHNESS
     if is_solid_glass(context):
@@ -85,9 +93,9 @@ def interior_medium(context: SurfaceContext) -> dict | None:
     return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(-np.log(colour) / distance)}
 
 
-def _with_diffuse_transmission(context: SurfaceContext, base_colour: dict) -> dict:
+def _with_diffuse_transmission(context: SurfaceContext, base_colour: dict, changes: dict) -> dict:
     part = "KHR_materials_diffuse_transmission"
-    opaque = opaque_base(context, base_colour)
+    opaque = opaque_base(context, base_colour, **changes)
     weight = context.number(part, "diffuseTransmissionFactor", 0.0, "diffuseTransmissionTexture", 3)
     if weight == 0:
         return opaque
