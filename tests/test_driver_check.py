@@ -143,7 +143,7 @@ def test_without_a_program_cache_it_is_checked_once_per_process(calls, monkeypat
 )
 def test_the_check_compiles_nothing_and_changes_nothing(calls, monkeypatch, scene, pool_size):
     jobs, renderers = [], []
-    monkeypatch.setattr(stages, "precompile", lambda device, wanted: jobs.append(wanted))
+    monkeypatch.setattr(stages, "precompile", lambda device, wanted, on_compile: jobs.append(wanted))
     for check in (lambda *_: None, driver_check.check_driver):
         monkeypatch.setattr("isonoise.renderer.check_driver", check)
         renderers.append(Renderer(scene(), strategy="relative-mean", pool_size=pool_size, profile=True))

@@ -8,6 +8,9 @@ import sys
 class ProgressBar:
     """A progress bar on stderr during the `with` block. Nothing is shown if stderr is not a terminal."""
 
+    def __init__(self, description: str = "first samples"):
+        self._description = description
+
     def __enter__(self):
         self._progress = None
         if sys.stderr.isatty():
@@ -21,7 +24,7 @@ class ProgressBar:
                 transient=True,
                 expand=True,
             )
-            self._task = self._progress.add_task("first samples", total=None)
+            self._task = self._progress.add_task(self._description, total=None)
             self._progress.start()
         return self
 

@@ -103,6 +103,9 @@ class Renderer:
         does, with the arrays of the image on the host. The pool is made smaller until they fit.
     view : View or None
         Camera and environment in place of the scene's own.
+    on_compile : callable or None
+        Called before each kernel program is compiled, with the renderer, whose scene and device are known by then, the
+        program's name, how many programs are done, and how many there are; and once before all of them, with '', 0, 0.
 
     Attributes
     ----------
@@ -153,6 +156,7 @@ class Renderer:
         allow_outside: bool = False,
         memory: int | None = None,
         view: View | None = None,
+        on_compile: "Callable[[Renderer, str, int, int], None] | None" = None,
     ):
         if not 0 <= seed < 2**64:
             raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
@@ -177,6 +181,8 @@ class Renderer:
         with self._measured("compile"):
             opencl_device = Device(device, profile)
             self.device_name, self.driver = opencl_device.name, describe_driver(opencl_device.device)
+            report = functools.partial(on_compile or (lambda *progress: None), self)
+            report("", 0, 0)
             needs = self.strategy.needs.with_sampler(self.scene.sampler)
             self._wavefront = Wavefront(
                 opencl_device,
@@ -187,6 +193,7 @@ class Renderer:
                 pool_size,
                 memory=memory,
                 is_adaptive=self.strategy.is_adaptive,
+                on_compile=report,
             )
             self._wavefront.warm_up()
             check_driver(self._wavefront, needs)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE, EXIT_ERROR_NOT_MET
 from isonoise.commands.render_checkpoint import Checkpoints
-from isonoise.commands.render_result import image_header, print_result, print_settings, result_fields
+from isonoise.commands.render_result import image_header, print_result, print_settings, print_setup_times, result_fields
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.fallback import WrittenFile, write_elsewhere
@@ -17,7 +17,7 @@ from isonoise.film.log import LogRow, LogWriter, write_log
 from isonoise.film.output import ImageFiles
 from isonoise.loop import Periodic, RenderLoop
 from isonoise.outcome import Outcome
-from isonoise.progress import RenderProgressBar
+from isonoise.progress import ProgressBar, RenderProgressBar
 from isonoise.renderer import Renderer
 from isonoise.scene.view import view_of
 from isonoise.signals import deferred, raise_if_received
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         _check_reference_size(options, reference, renderer)
         raise_if_received()
         if not options.json:
-            print_settings(options, renderer)
+            print_setup_times(renderer)
         with deferred() as received:
             return _Render(options, renderer, reference, images, log, checkpoints).run(received)
 
@@ -198,21 +198,48 @@ def _check_files(options: argparse.Namespace) -> None:
                 raise UserError(f"{role} is the same file as {other}")
 
 
+class _SetUpDisplay:
+    """Shows what the set-up of a renderer does: the settings once they are known, and bars on a terminal."""
+
+    def __init__(self, options: argparse.Namespace):
+        self._options, self._has_printed = options, False
+        self._bar = ProgressBar(f"loading {options.scene}").__enter__()
+
+    def update(self, renderer: Renderer, program: str, done: int, total: int) -> None:
+        """Called by `Renderer` before each program is compiled."""
+        if not self._has_printed:
+            self._has_printed = True
+            self.close()  # a bar would take what is printed to standard output
+            if not self._options.json:
+                print_settings(self._options, renderer)
+            self._bar = ProgressBar("compiling").__enter__()
+        if program:
+            self._bar.show(done, total, f"compiling kernels, {done} of {total} done: {program}")
+
+    def close(self) -> None:
+        self._bar.__exit__()
+
+
 def _make_renderer(options: argparse.Namespace) -> Renderer:
     strategy = {"strategy": options.strategy} if options.strategy else {}
-    return Renderer(
-        options.scene,
-        device=options.device,
-        seed=options.seed,
-        size=options.size,
-        max_depth=options.max_depth,
-        sampler=options.sampler,
-        parameters=dict(options.parameters),
-        allow_outside=options.allow_outside,
-        memory=options.memory,
-        view=view_of(options),
-        **strategy,
-    )
+    display = _SetUpDisplay(options)
+    try:
+        return Renderer(
+            options.scene,
+            device=options.device,
+            seed=options.seed,
+            size=options.size,
+            max_depth=options.max_depth,
+            sampler=options.sampler,
+            parameters=dict(options.parameters),
+            allow_outside=options.allow_outside,
+            memory=options.memory,
+            view=view_of(options),
+            on_compile=display.update,
+            **strategy,
+        )
+    finally:
+        display.close()
 
 
 def _stops(options: argparse.Namespace, renderer: Renderer) -> Stops:

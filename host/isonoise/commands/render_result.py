@@ -79,12 +79,16 @@ def _print_line(label: str, text: str) -> None:
 
 
 def print_settings(options: argparse.Namespace, renderer: Renderer) -> None:
+    """Print what is known before the kernels are compiled."""
     scene = renderer.scene
     _print_line("scene", f"{options.scene}, {scene.width}x{scene.height}")
     _print_line(
         "strategy", f"{shorten_numbers(describe(renderer.strategy))}, sampler {scene.sampler}, seed {renderer.seed}"
     )
     _print_line("device", renderer.device_name)
+
+
+def print_setup_times(renderer: Renderer) -> None:
     times = (f"{name} {format_duration(seconds)}" for name, seconds in renderer.setup_times.items())
     _print_line("set-up", ", ".join(times))
 

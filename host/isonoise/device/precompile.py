@@ -10,7 +10,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from isonoise.device.opencl import Device
 from isonoise.device.pocl_cache import pocl_folder, store_pocl_kernels
 
 _JOBS_FILE = "jobs.json"
+_POLL_S = 0.05  # between looks at the worker processes
 _BUFFER_BYTES = 2**16
 """Of the buffer that stands in for all buffers of a kernel; kernels without work access a few words at most."""
 
@@ -40,9 +42,14 @@ class Job(NamedTuple):
     source: str
     options: tuple[str, ...]
     launches: tuple[FirstLaunch, ...]
+    name: str = ""  # for people
 
 
-def precompile(device: Device, jobs: Sequence[Job]) -> None:
+OnCompile = Callable[[str, int, int], None]
+"""Called with the name of a program that is compiled now, how many are done, and how many there are."""
+
+
+def precompile(device: Device, jobs: Sequence[Job], on_compile: OnCompile = lambda name, done, total: None) -> None:
     """Compile the programs that this device has not compiled before, on all cores.
 
     Does nothing where it would not help: with other drivers than PoCL, on one core, or if the program cache is off,
@@ -63,7 +70,7 @@ def precompile(device: Device, jobs: Sequence[Job]) -> None:
     own_folder = pocl_folder()
     try:
         with tempfile.TemporaryDirectory(prefix="compile-", dir=own_folder and own_folder.path) as folder:
-            _compile_in_processes(device, list(fresh.values()), Path(folder), workers)
+            _compile_in_processes(device, list(fresh.values()), Path(folder), workers, on_compile)
     except OSError:  # no file or process can be made
         return
     store_pocl_kernels()
@@ -71,7 +78,9 @@ def precompile(device: Device, jobs: Sequence[Job]) -> None:
         program_cache.store(key, b"compiled")
 
 
-def _compile_in_processes(device: Device, jobs: Sequence[Job], folder: Path, workers: int) -> None:
+def _compile_in_processes(
+    device: Device, jobs: Sequence[Job], folder: Path, workers: int, on_compile: OnCompile
+) -> None:
     """Compile in this process and `workers` more, which find the jobs in the folder."""
     content = {"device": list_devices().index(device.device), "jobs": jobs}
     (folder / _JOBS_FILE).write_text(json.dumps(content), encoding="utf-8")
@@ -80,9 +89,11 @@ def _compile_in_processes(device: Device, jobs: Sequence[Job], folder: Path, wor
     processes = []
     try:
         processes += [subprocess.Popen(command, **silent) for _ in range(workers)]
-        _compile_unclaimed(device, jobs, folder)
-        for process in processes:
-            process.wait()
+        _compile_unclaimed(device, jobs, folder, on_compile)
+        while any(process.poll() is None for process in processes):
+            last = next((job.name for number, job in enumerate(jobs) if not _done_file(folder, number).exists()), "")
+            on_compile(last, _count_done(folder), len(jobs))
+            time.sleep(_POLL_S)
     finally:
         for process in processes:
             if process.poll() is None:
@@ -101,13 +112,22 @@ def _key(device: Device, job: Job) -> str:
     return program_cache.program_key(job.source, options, driver_identity(device.device))
 
 
-def _compile_unclaimed(device: Device, jobs: Sequence[Job], folder: Path) -> None:
+def _done_file(folder: Path, number: int) -> Path:
+    return folder / f"{number}.done"
+
+
+def _count_done(folder: Path) -> int:
+    return sum(1 for _ in folder.glob("*.done"))
+
+
+def _compile_unclaimed(device: Device, jobs: Sequence[Job], folder: Path, on_compile: OnCompile) -> None:
     """Compile, in turn, the programs that no other process has begun with."""
     for number, job in enumerate(jobs):
         try:
             (folder / f"{number}.claimed").touch(exist_ok=False)
         except FileExistsError:
             continue
+        on_compile(job.name, _count_done(folder), len(jobs))
         kernels = device.build(job.source, job.options)
         buffer = device.buffer(_BUFFER_BYTES, "the compilation")
         for launch in job.launches:
@@ -116,6 +136,7 @@ def _compile_unclaimed(device: Device, jobs: Sequence[Job], folder: Path) -> Non
         device.finish()
         device.allocated -= buffer.size
         buffer.release()
+        _done_file(folder, number).touch()
 
 
 def _work(folder: Path) -> None:
@@ -123,10 +144,10 @@ def _work(folder: Path) -> None:
     failures.log_folders[:] = [str(folder)]
     content = json.loads((folder / _JOBS_FILE).read_text(encoding="utf-8"))
     jobs = [
-        Job(source, tuple(options), tuple(FirstLaunch(*launch) for launch in launches))
-        for source, options, launches in content["jobs"]
+        Job(source, tuple(options), tuple(FirstLaunch(*launch) for launch in launches), name)
+        for source, options, launches, name in content["jobs"]
     ]
-    _compile_unclaimed(Device(content["device"]), jobs, folder)
+    _compile_unclaimed(Device(content["device"]), jobs, folder, lambda name, done, total: None)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,13 @@
 
 import copy
 from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
 from types import MappingProxyType
 
 import numpy as np
 
 from isonoise.device.opencl import LOCAL_SIZE, Device, global_size
-from isonoise.device.precompile import FirstLaunch, Job, precompile
+from isonoise.device.precompile import FirstLaunch, Job, OnCompile, precompile
 from isonoise.device.program import stage_source
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import NO_WORK, VALUE_TYPES, Kernel, programs
@@ -35,6 +36,7 @@ class Stages:
     items_per_work_item : of kernels whose work-items process more than one
     compiled_items : compile the kernels now, on all cores, for launches over that many items, which `warm_up` makes.
         None: the driver compiles them when it likes.
+    on_compile : called before each program or kernel is compiled
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Stages:
         items_per_work_item: Mapping[str, int] = _NOTHING,
         file_constants: Mapping[str, Mapping[str, int]] = MappingProxyType({}),
         compiled_items: int | None = None,
+        on_compile: OnCompile = lambda name, done, total: None,
     ):
         self.device = device
         self.arguments: dict[str, object] = {}
@@ -58,11 +61,12 @@ class Stages:
         for files in programs(row.file for row in table.values()):
             own = {**constants, **file_constants.get(files[0], {})}
             texts[tuple(files)] = stage_source(files, structs, own, features, generated_headers())
-        self._compiled_items = compiled_items
+        self._compiled_items, self._on_compile = compiled_items, on_compile
         if compiled_items is not None:
-            precompile(device, [self._job(table, *item, compiled_items) for item in texts.items()])
+            precompile(device, [self._job(table, *item, compiled_items) for item in texts.items()], on_compile)
         self.texts: tuple[tuple[str, tuple[str, ...]], ...] = tuple(texts.values())
-        for text in self.texts:
+        for number, (files, text) in enumerate(texts.items()):
+            on_compile(_program_name(files), number, len(texts))
             self._kernels.update(device.build(*text))
 
     def __iter__(self):
@@ -94,7 +98,8 @@ class Stages:
         ones, so the launches over `compiled_items` come first.
         """
         for items in (self._compiled_items, 1):
-            for name in self:
+            for number, name in enumerate(self):
+                self._on_compile(name, number, len(self._kernels))
                 self.launch(name, items, **NO_WORK)
         self.device.finish()
         self.device.reset_profile()
@@ -113,7 +118,12 @@ class Stages:
                     None if argument not in row.values else _any_value(argument) for argument in self._names[name]
                 )
                 launches.append(FirstLaunch(name, size, local_size, tuple(arguments)))
-        return Job(*text, tuple(launches))
+        return Job(*text, tuple(launches), _program_name(files))
+
+
+def _program_name(files: Sequence[str]) -> str:
+    """The name of a program for people: that of its first file, without folder and suffix."""
+    return PurePosixPath(files[0]).stem
 
 
 def _any_value(argument: str) -> str:

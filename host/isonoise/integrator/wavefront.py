@@ -14,6 +14,7 @@ import numpy as np
 from isonoise.device.form import DeviceForm
 from isonoise.device.opencl import LOCAL_SIZE, SMALL_LOCAL_SIZE, Device
 from isonoise.device.pool_size import SAMPLES_PER_PATH, default_pool_size
+from isonoise.device.precompile import OnCompile
 from isonoise.integrator import error_stage
 from isonoise.integrator.accumulator import Accumulator
 from isonoise.integrator.brute_force import use_brute_force
@@ -100,6 +101,7 @@ class Wavefront:
         triangle blocks each ray of `intersect` was tested against.
     memory : most bytes to take, with the host's arrays if the device shares its memory; the pool is made smaller to fit
     is_adaptive : whether the strategy plans adaptive waves, which take more memory of the host
+    on_compile : called before each program is compiled, with its name, how many are done, and how many there are
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class Wavefront:
         feature_override: Mapping[str, bool] | None = None,
         memory: int | None = None,
         is_adaptive: bool = True,
+        on_compile: OnCompile = lambda name, done, total: None,
     ):
         self.device, self.scene = device, scene
         self.features = dict(feature_override or features(scene, needs))
@@ -146,6 +149,7 @@ class Wavefront:
             local_sizes=local_sizes | {"relative_errors": form.tile_work_items},
             items_per_work_item=dict.fromkeys(lane_kernels, form.lanes) | {"shade": form.shade_lanes},
             compiled_items=min(self.pool_size, MAX_COMPILED_ITEMS),
+            on_compile=on_compile,
         )
         self._arguments = self._stages.arguments
         self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
