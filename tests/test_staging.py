@@ -20,7 +20,7 @@ SPHERE = {"type": "sphere"}
 
 
 def staged(view=NO_VIEW, size=(200, 150), up=Y_UP, **shapes) -> dict:
-    return stage(shapes or {"ball": SPHERE}, "a.obj", view, size, up)
+    return stage(shapes or {"ball": SPHERE}, "a.obj", view, size, up).scene
 
 
 def mesh(vertices, **more) -> dict:

@@ -278,16 +278,17 @@ def _add_info(commands) -> None:
     info = commands.add_parser(
         "info",
         help="show what a scene, an image or a checkpoint holds, and the memory that a render takes",
-        description="For a scene: its contents, the memory that a render takes, the features that are compiled in,\n"
-        "and those that are left out.\n"
+        description="For a scene: what its file has, what becomes of it, what is left out, and the memory that a\n"
+        "render takes.\n"
         "For an .exr file: its layers and the settings it was rendered with. For a checkpoint: its render and arrays.",
     )
     info.add_argument("source", metavar="SCENE|OUT.exr|CHECKPOINT", help="a scene, an image, or a file of --checkpoint")
     shared_options.add_size(info)
     shared_options.add_scene_parameters(info)
-    shared_options.add_view(info)
     shared_options.add_allow_outside(info)
     shared_options.add_device(info)
+    shared_options.add_view(info)
+    info.add_argument("--features", action="store_true", help="list what is compiled into kernels, and what it costs")
 
 
 def _add_convert(commands) -> None:

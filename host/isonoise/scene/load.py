@@ -17,9 +17,11 @@ from isonoise.scene.parse.dict_reader import read_dict
 from isonoise.scene.parse.elements import Element
 from isonoise.scene.parse.validate import SceneNormaliser
 from isonoise.scene.parse.xml_reader import read_xml
-from isonoise.scene.view import NO_VIEW, View, apply_view
+from isonoise.scene.view import NO_VIEW, View, apply_view, sensors_of
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from isonoise.scene.formats.registry import Format
     from isonoise.scene.formats.report import ImportReport
 
@@ -31,6 +33,10 @@ class LoadedScene:
     description: dict  # as of `load`
     report: "ImportReport | None"  # of a file in another format than Mitsuba 3's; None for those
     _element_by_id: dict[str, Element]
+    cameras: tuple[str, ...] = ()  # names of all cameras of the file; the description has one of them
+    format: str = "Mitsuba 3"
+    added: tuple[str, ...] = ()  # what a model got that its file lacks, for people
+    model_bounds: "np.ndarray | None" = None  # (2, 3): of a model, without what it got
 
     @cached_property
     def ids(self) -> dict[int, str]:
@@ -107,6 +113,9 @@ def load_scene(
             if parameters:
                 raise SceneError(f"{path}: parameters belong to Mitsuba's XML scenes, this is {format_.title}")
             return _import_scene(path, format_, folder, view, size)
+        from isonoise.scene.other_files import refuse_other_files
+
+        refuse_other_files(path)
     scene = SceneNormaliser()
     with _paused_garbage_collection():
         description = scene.finish(read_xml(path, parameters, folder, scene.add))
@@ -114,7 +123,8 @@ def load_scene(
 
 
 def _with_view(scene: LoadedScene, view: View, size: tuple[int, int] | None) -> LoadedScene:
-    return replace(scene, description=apply_view(scene.description, view, size))
+    cameras = tuple(sensors_of(scene.description))
+    return replace(scene, description=apply_view(scene.description, view, size), cameras=cameras)
 
 
 def _import_scene(
@@ -125,10 +135,12 @@ def _import_scene(
 
     scene, report = read_scene(path, format_, folder)
     if not format_.is_model:
-        return _with_view(_normalise_dict(scene, report), view, size)
+        return replace(_with_view(_normalise_dict(scene, report), view, size), format=format_.title)
     from isonoise.scene.formats.staging import stage
 
-    return _normalise_dict(stage(scene, str(path), view, size, format_.up), report)
+    staged, cameras = stage(scene, str(path), view, size, format_.up), tuple(sensors_of(scene))
+    loaded = _normalise_dict(staged.scene, report)
+    return replace(loaded, cameras=cameras, format=format_.title, added=tuple(staged.added), model_bounds=staged.bounds)
 
 
 def _normalise_dict(source: Mapping, report: "ImportReport | None" = None) -> LoadedScene:

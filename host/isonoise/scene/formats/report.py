@@ -36,11 +36,14 @@ class ImportReport:
     def rows(self) -> list[tuple[str, str]]:
         """(label, text): what was found, the features that are mapped exactly, and a row for each loss."""
         lossy = {feature for feature, _ in self.losses}
-        exact = [title for feature, title in FEATURES.items() if feature in self.used and feature not in lossy]
+        exact = [feature for feature in FEATURES if feature in self.used and feature not in lossy]
+        notes = {feature: self.support[feature].note for feature in exact if feature in self.support}
+        plain = ", ".join(FEATURES[feature] for feature in exact if not notes.get(feature))
+        mapped = [plain] * bool(plain)
+        mapped += [f"{FEATURES[feature]}: {note}" for feature, note in notes.items() if note]
         rows = [("found", ", ".join(f"{number:,} {_noun(noun, number)}" for noun, number in self.counts.items()))]
-        rows += [("mapped", ", ".join(exact) or "nothing exactly")]
-        labels = ["not exact", *[""] * len(self.losses)]
-        return rows + list(zip(labels, self.loss_texts(), strict=False))
+        rows += _labelled("mapped", mapped or ["nothing exactly"])
+        return rows + _labelled("not exact", self.loss_texts())
 
     def warnings(self) -> list[str]:
         """One text for each feature and problem, with the number of places and the first one."""
@@ -49,6 +52,11 @@ class ImportReport:
     def loss_texts(self) -> list[str]:
         """The texts of `warnings` without the file's name."""
         return [f"{FEATURES[feature]}{_where(places)}: {problem}" for (feature, problem), places in self.losses.items()]
+
+
+def _labelled(label: str, texts: list[str]) -> list[tuple[str, str]]:
+    """The texts, with the label before the first one."""
+    return list(zip([label, *[""] * len(texts)], texts, strict=False))
 
 
 def _noun(plural: str, number: int) -> str:

@@ -47,7 +47,17 @@ class _Pose(NamedTuple):
     to_camera: np.ndarray  # unit vector from the model to the camera
 
 
-def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, up: tuple[float, float, float]) -> dict:
+class StagedScene(NamedTuple):
+    """What `stage` returns."""
+
+    scene: dict  # complete
+    added: list[str]  # what the model lacked, for people
+    bounds: np.ndarray  # (2, 3): of the model alone
+
+
+def stage(
+    scene: Mapping, file: str, view: View, size: tuple[int, int] | None, up: tuple[float, float, float]
+) -> StagedScene:
     """The scene of a model with what it lacks: integrator, camera, ground, environment.
 
     Parameters
@@ -62,9 +72,11 @@ def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, u
     """
     extent, to_world = find_extent(scene, file), rotation_from_y(view.up or up)
     sensors = sensors_of(scene)
+    added, bounds = [], np.stack([extent.low, extent.high])
     if sensors or view.camera is not None:
         name, sensor = find_camera(sensors, view.camera)
     else:
+        added.append("a camera that frames the model")
         name, sensor = "sensor", _framing_sensor(extent, view, size or _IMAGE_SIZE, to_world)
     sensor = {"film": _FILM, "sampler": _SAMPLER, **move_camera(sensor, view)}
     if size is not None:
@@ -73,20 +85,23 @@ def stage(scene: Mapping, file: str, view: View, size: tuple[int, int] | None, u
     integrator = "volpath" if has_volumes(others) else "path"
     staged = {"type": "scene", "integrator": {"type": integrator, "max_depth": _MAX_DEPTH}, **others}
     if view.env is None and any(map(is_environment, scene.values())):
-        return {**staged, name: sensor}
+        return StagedScene({**staged, name: sensor}, added, bounds)
+    added.append("a studio" if view.env is None else f"the environment {view.env}")
     staged = {key: part for key, part in staged.items() if not is_environment(part)}
     pose = _pose(extent, to_world, sensor)
     own_brightness = brightness_by_own_lights(scene, extent, pose.to_camera)
     if own_brightness > _MIN_OWN_BRIGHTNESS:
         share = _FILL_SHARE if view.env is None else 1.0
         staged[_unused("environment", staged)] = _environment(view, pose, share * own_brightness, has_ground=False)
+        added[-1] += f", which adds {100 * share:.0f} % to the model's own lights"
     else:
         has_ground = _can_have_ground(pose)
         staged[_unused("environment", staged)] = _environment(view, pose, WHITE, has_ground)
         if has_ground:
+            added.append("a ground")
             staged[_unused("ground", staged)] = _ground(extent, to_world)
         sensor["film"] = {"exposure": 1.0, **sensor["film"]}
-    return {**staged, _unused(name, staged): sensor}
+    return StagedScene({**staged, _unused(name, staged): sensor}, added, bounds)
 
 
 def has_volumes(scene: Mapping) -> bool:
