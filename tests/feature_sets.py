@@ -31,6 +31,8 @@ NEEDS = {  # feature -> features that a scene with it always has
     "BUMP": {"TEXTURES", "UVS"},
     "NORMAL_MAP": {"UVS"},
     "TEXTURED_LIGHTS": {"TEXTURES", "UVS", "AREA_LIGHTS", "PARALLELOGRAM_LIGHTS", "TRIANGLES"},
+    "TEXTURED_SPOT_LIGHTS": {"TEXTURES", "UVS"},
+    "PROJECTOR_LIGHTS": {"TEXTURES", "UVS"},
     "MEDIA": {"VOLPATH"},
     "HETEROGENEOUS": {"MEDIA", "VOLPATH"},
     "LIGHT_TREE": {"NEXT_EVENT", "MANY_LIGHTS"},
@@ -299,9 +301,12 @@ def _lights(on: dict[str, bool], materials: list[dict], image: dict, folder: Pat
         "spot": {"cutoff_angle": 40.0},
         "directional": {"direction": [0.1, -0.4, 1.0]},
     }
+    projected = image if on["BITMAPS"] else {"type": "checkerboard"} if on["CHECKERBOARDS"] else None
     for name, kind in LIGHT_KINDS.items():
-        if on[kind.feature] and not (kind.is_area or kind.is_environment):
-            scene[name] = {"type": kind.plugin, kind.emission: radiance, **placing.get(name, {})}
+        if not on[kind.feature] or kind.is_area or kind.is_environment or (kind.texture and not projected):
+            continue
+        scene[name] = {"type": kind.plugin, **placing.get(name, {})}
+        scene[name] |= {kind.texture: projected} if kind.texture else {kind.emission: radiance}
     if on["ENVIRONMENT_MAP"]:
         scene["sky"] = {"type": "envmap", "filename": str(folder / "sky.hdr")}
     elif on["CONSTANT_LIGHT"]:

@@ -122,8 +122,9 @@ def scene_with(plugin: Plugin, description: dict, files: Path) -> dict:
 
 def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple[dict, dict]:
     """(plugin with the context that the parameter needs, {parameter: a value other than the default})."""
+    wide = {"irradiance": {"type": "bitmap", "filename": str(files / "a.png")}} if plugin.name == "projector" else {}
     context = {
-        "fov_axis": {"fov": 40.0},
+        "fov_axis": {"fov": 40.0, **wide},
         "crop_offset_x": {"width": 9, "crop_width": 3},
         "crop_offset_y": {"height": 9, "crop_height": 3},
         "crop_width": {"width": 9},

@@ -78,6 +78,8 @@ MARKERS = {  # names that belong to one feature
         "CONDUCTOR": "conductor_sample",
         "AREA_LIGHTS": "sample_surface",
         "SPHERE_LIGHTS": "sample_sphere_light",
+        "TEXTURED_SPOT_LIGHTS": "sample_textured_spot_light",
+        "PROJECTOR_LIGHTS": "sample_projector_light",
         "INSTANCES": "instanced_surface_of_hit",
         "ENVIRONMENT_MAP": "envmap_radiance",
         "VOLPATH": "paths->null_bounces",

@@ -24,7 +24,7 @@ SAMPLES, BINS = 2**16, 12
 GEOMETRY = """__global const Triangle* triangles, __global const uint* faces, __global const float* uvs,
                       __global const Analytic* analytics, __global const Shape* shapes,
                       __global const Texture* textures, __global const uchar* bytes, __global const float* srgb,
-                      __global const Light* lights"""
+                      __global const Light* lights, __global const Projection* projections"""
 KERNEL = f"""
 #include "light/light.h"
 
@@ -38,6 +38,7 @@ SceneView scene({GEOMETRY})
     g.analytics = analytics;
     g.shapes = shapes;
     g.lights = lights;
+    g.projections = projections;
     const Textures all = {{textures, bytes, NULL, srgb, NULL, faces}};
     g.textures = all;
     return g;
@@ -49,7 +50,8 @@ __kernel void sample({GEOMETRY},
 {{
     const uint i = get_global_id(0);
     if (i >= n) return;
-    SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights,
+                        projections);
     g.light_cdf = cdf;
     g.light_count = count;
     const Vec4 no_side = vec4(0.0f, 0.0f, 0.0f, 0.0f);
@@ -71,7 +73,8 @@ __kernel void density({GEOMETRY},
 {{
     const uint i = get_global_id(0);
     if (i >= n) return;
-    const SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights);
+    const SceneView g = scene(triangles, faces, uvs, analytics, shapes, textures, bytes, srgb, lights,
+                        projections);
     const Vec3 from = LOAD3(i, reference), arm = sub3(LOAD3(i, position), from);
     const Light light = Light_at(lights, index);
     out[i] = light_pdf(&g, &light, from, normalize3(arm), SQRT(dot3(arm, arm)), LOAD3(i, normal));
@@ -133,7 +136,7 @@ class Lit:
         self.device, self.kernels = device, kernels
         self.scene = scene = compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, **objects}))
         arrays = (triangle_records(scene), scene.faces, scene.uvs, scene.analytics, scene.shapes)
-        arrays += (scene.textures, scene.texel_bytes, textures.SRGB, scene.lights)
+        arrays += (scene.textures, scene.texel_bytes, textures.SRGB, scene.lights, scene.projections)
         self.buffers = tuple(device.buffer(a, "the scene") if a.size else None for a in arrays)
         self.table = device.buffer(scene.light_cdf, "the lights"), np.uint32(len(scene.lights))
 
@@ -252,16 +255,11 @@ POINTS = [
 ]
 
 
-@pytest.mark.parametrize("emitter", POINTS, ids=range(len(POINTS)))
-def test_point_and_spot_are_mitsubas(lit, mitsuba, emitter):
-    """Irradiance at 400 points, half of them in the cone, to 1e-4 of the largest at that distance: near the axis
-    Mitsuba computes the angle from its cosine, with no more digits."""
-    matrix = emitter.get("to_world", np.eye(4))
-    reference = places(400, 5)
-    if emitter["type"] == "spot":
-        tangent = np.tan(np.radians(emitter.get("cutoff_angle", 20.0)))
-        inside = np.random.default_rng(6).uniform(-1, 1, (200, 3)) * [tangent, tangent, 0] + [0, 0, 1]
-        reference[::2] = inside @ matrix[:3, :3].T * np.abs(places(200, 7)[:, :1]) + matrix[:3, 3]
+def assert_mitsubas_irradiance(lit, mitsuba, emitter: dict, reference: np.ndarray) -> None:
+    """Irradiance and direction at the points are Mitsuba's, to 1e-4 of the largest irradiance at that distance.
+
+    Near the axis Mitsuba computes the angle of a spot from its cosine, with no more digits.
+    """
     found = lit(lamp=emitter).sample(reference, len(reference))
     theirs = dict(emitter)
     if "to_world" in theirs:
@@ -272,10 +270,55 @@ def test_point_and_spot_are_mitsubas(lit, mitsuba, emitter):
         si.p = place
         expected, value = loaded.sample_direction(si, (0.5, 0.5))
         brightest = 3 / float(expected.dist) ** 2
-        np.testing.assert_allclose(found["radiance"][i], np.array(value), rtol=0, atol=1e-4 * brightest)
+        np.testing.assert_allclose(found["radiance"][i], np.array(value), rtol=1e-4, atol=1e-4 * brightest)
         np.testing.assert_allclose(found["direction"][i], np.array(expected.d), atol=2e-6)
     assert (found["radiance"].max(axis=1) > 0).sum() > 80
     np.testing.assert_allclose(found["pdf"], 1)
+
+
+def places_in_the_cone(matrix: np.ndarray, tangent: float) -> np.ndarray:
+    """Returns 400 points; half of them are in the square cone around a light's axis."""
+    reference = places(400, 5)
+    inside = np.random.default_rng(6).uniform(-1, 1, (200, 3)) * [tangent, tangent, 0] + [0, 0, 1]
+    reference[::2] = inside @ matrix[:3, :3].T * np.abs(places(200, 7)[:, :1]) + matrix[:3, 3]
+    return reference
+
+
+@pytest.mark.parametrize("emitter", POINTS, ids=range(len(POINTS)))
+def test_point_and_spot_are_mitsubas(lit, mitsuba, emitter):
+    tangent = np.tan(np.radians(emitter.get("cutoff_angle", 20.0)))
+    matrix = emitter.get("to_world", np.eye(4))
+    reference = places_in_the_cone(matrix, tangent) if emitter["type"] == "spot" else places(400, 5)
+    assert_mitsubas_irradiance(lit, mitsuba, emitter, reference)
+
+
+PROJECTING = {
+    "spot": {"type": "spot", "intensity": RGB, "cutoff_angle": 50.0, "to_world": transform(1.0)},
+    "projector": {"type": "projector", "scale": 0.7, "fov": 60.0, "to_world": transform(1.0, 3)},
+    "tall fov": {"type": "projector", "fov": 50.0, "fov_axis": "y", "to_world": transform(1.0, 4)},
+    "scaled projector": {"type": "projector", "focal_length": "35mm", "to_world": transform(2.0, 5)},
+}
+
+
+@pytest.mark.parametrize("name", PROJECTING)
+def test_projected_textures_are_mitsubas(lit, mitsuba, tmp_path, name):
+    """An image of 5 x 8 pixels, which has the right orientation and proportions."""
+    values = np.random.default_rng(8).integers(0, 256, (8, 5, 3), dtype=np.uint8)
+    Image.fromarray(values).save(tmp_path / "image.png")
+    texture = {"type": "bitmap", "filename": str(tmp_path / "image.png"), "wrap_mode": "clamp"}
+    emitter, parameter = PROJECTING[name], "texture" if name == "spot" else "irradiance"
+    reference = places_in_the_cone(emitter["to_world"], 0.5)
+    assert_mitsubas_irradiance(lit, mitsuba, emitter | {parameter: texture}, reference)
+
+
+def test_a_projector_lights_a_plane_evenly(lit):
+    """Its irradiance is pi / d² at the distance d, for an image of 1: a white plane has radiance 1 at distance 1."""
+    x, y = np.random.default_rng(9).uniform(-0.3, 0.3, (2, 100))
+    for distance in (1.0, 3.0):
+        reference = distance * np.stack([x, y, np.ones(100)], axis=1)
+        found = lit(lamp={"type": "projector", "irradiance": 1.0, "fov": 40.0}).sample(reference, 100)
+        irradiance = found["radiance"] * -found["direction"][:, 2:]
+        np.testing.assert_allclose(irradiance, np.pi / distance**2, rtol=1e-5)
 
 
 def test_directional(lit):

@@ -84,6 +84,9 @@ typedef struct {
 #if FEATURE_HETEROGENEOUS
     HeterogeneousMedia heterogeneous;
 #endif
+#if HAS_PROJECTIONS
+    __global const Projection* projections;  // of textures of lights
+#endif
 #if FEATURE_ENVIRONMENT_MAP
     Envmap envmap;
 #endif

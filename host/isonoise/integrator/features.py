@@ -67,6 +67,11 @@ class _Use:
     def has_textured_lights(self) -> bool:
         return bool((self.scene.lights["texture"] != structs.NONE).any())
 
+    @property
+    def has_textured_area_lights(self) -> bool:
+        is_area = self.scene.lights["kind"] & _AREA_LIGHTS != 0
+        return bool((self.scene.lights["texture"][is_area] != structs.NONE).any())
+
     def has_bsdf_flag(self, flag: int) -> bool:
         return bool((self.scene.bsdfs["flags"] & flag).any())
 
@@ -186,7 +191,7 @@ FEATURES = {
         },
     ),
     "AREA_LIGHTS": Feature("area emitters", lambda use: use.light_bits & _AREA_LIGHTS != 0, _LIGHTS),
-    "TEXTURED_LIGHTS": Feature("textured area emitters", lambda use: use.has_textured_lights),
+    "TEXTURED_LIGHTS": Feature("textured area emitters", lambda use: use.has_textured_area_lights),
     **_light_features(),
     "MANY_LIGHTS": Feature("more than one light", lambda use: len(use.scene.lights) > 1),
     "LIGHT_TREE": Feature(

@@ -11,7 +11,7 @@ import numpy as np
 
 from isonoise.scene import structs
 from isonoise.scene.light import envmap, light_tree
-from isonoise.scene.light.light_kinds import light_macros
+from isonoise.scene.light.light_kinds import light_macros, select
 from isonoise.scene.material import bsdf_kinds, textures
 
 STRUCTS = {
@@ -24,6 +24,7 @@ STRUCTS = {
     "Texture": textures.TEXTURE,
     "Environment": envmap.ENVIRONMENT,
     "Light": structs.LIGHT,
+    "Projection": structs.PROJECTION,
     "LightBound": structs.LIGHT_BOUND,
     "Medium": structs.MEDIUM,
     "HeterogeneousMedium": structs.HETEROGENEOUS_MEDIUM,
@@ -117,6 +118,7 @@ ELEMENT_TYPES = {
     "bsdfs": "Bsdf",
     "textures": "Texture",
     "lights": "Light",
+    "projections": "Projection",
     "light_bounds": "LightBound",
     "environment": "Environment",
     "media": "Medium",
@@ -129,7 +131,7 @@ ELEMENT_TYPES = {
 _TEXTURES = "textures texel_bytes texel_floats srgb attributes"
 _ENVMAP = "environment environment_texels environment_rows environment_guide"
 _MEDIA = "media heterogeneous_media grids grid_values extinction_bounds"
-_LIGHT_SELECTION = "light_nodes light_parents light_bounds"
+_LIGHT_TABLES = "light_nodes light_parents light_bounds projections"
 ARGUMENT_FEATURES = {
     "uvs": ("UVS",),
     **dict.fromkeys((*_TEXTURES.split(), "textured_slots"), ("TEXTURES",)),
@@ -137,6 +139,7 @@ ARGUMENT_FEATURES = {
         bsdf_kinds.feature_of(kind) for kind in bsdf_kinds.select(lambda kind: "ROUGH_TRANSMITTANCE" in kind.helpers)
     ),
     **dict.fromkeys(_ENVMAP.split(), ("ENVIRONMENT_MAP",)),
+    "projections": tuple(kind.feature for kind in select(lambda kind: kind.project is not None)),
     **dict.fromkeys(("instances", "first_instance", "world_triangle_count"), ("INSTANCES",)),
     **dict.fromkeys(("media", "sensor_medium", "scene_sphere"), ("MEDIA",)),
     **dict.fromkeys((*_MEDIA.split()[1:], "shadow_stream"), ("HETEROGENEOUS",)),
@@ -220,7 +223,7 @@ KERNELS = {
         "shade.cl",
         "path_count plane_stride max_depth rr_depth light_count environment_light seed textured_slots "
         "world_triangle_count",
-        f"sample_pixel {_SURFACES} rough_transmittances lights light_cdf {_ENVMAP} {_LIGHT_SELECTION} {_MEDIA}",
+        f"sample_pixel {_SURFACES} rough_transmittances lights light_cdf {_ENVMAP} {_LIGHT_TABLES} {_MEDIA}",
         "PATH_STATE hit shadow_origin shadow_direction shadow_radiance shadow_stream samples alive",
     ),
     "shadow": _kernel(
@@ -315,7 +318,7 @@ SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "list_holes", "fill_
 """Kernels of which a work-item of a CPU processes several rays, or a run of paths, one after the other."""
 
 _VIEW_MEMBERS = (
-    "triangles faces corner_normals uvs analytics shapes bsdfs instances lights light_cdf light_count "
+    "triangles faces corner_normals uvs analytics shapes bsdfs instances lights projections light_cdf light_count "
     "environment_light seed media rough_transmittances textured_slots world_triangle_count"
 )
 SCENE_VIEW = {

@@ -162,6 +162,7 @@ def _heterogeneous(device: Device, scene: CompiledScene) -> dict[str, object]:
 def _lights(device: Device, scene: CompiledScene) -> dict[str, object]:
     arguments = {
         "lights": _table(device, scene.lights, "the lights"),
+        "projections": _table(device, scene.projections, "the lights"),
         "light_cdf": _table(device, scene.light_cdf, "the light table"),
         "light_count": np.uint32(len(scene.lights)),
         "environment_light": np.uint32(scene.environment_light & 0xFFFFFFFF),

@@ -36,7 +36,7 @@ def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarr
     camera = np.zeros(1, structs.CAMERA)
     camera["to_world"] = sensor.get("to_world", np.eye(4))[:3].ravel()
     camera["kind"] = _CAMERA_KINDS[sensor["type"]]
-    half_width = 1.0 if sensor["type"] == "orthographic" else _tan_half_fov_x(sensor, width / height)
+    half_width = 1.0 if sensor["type"] == "orthographic" else tan_half_fov_x(sensor, width / height)
     camera["tan_half_fov"] = (half_width, half_width * height / width)
     if sensor["type"] == "perspective":
         camera["principal_point"] = (sensor["principal_point_offset_x"], sensor["principal_point_offset_y"])
@@ -89,7 +89,7 @@ def is_rigid(to_world: np.ndarray) -> bool:
     return bool(np.abs(linear.T @ linear - np.eye(3)).max() <= 1e-3)
 
 
-def _tan_half_fov_x(sensor: dict, aspect: float) -> float:
+def tan_half_fov_x(sensor: dict, aspect: float) -> float:
     """Tangent of half the horizontal field of view of the full film, from `fov` and its axis or the focal length.
 
     A focal length is that of a 35 mm camera: the diagonal of its 36 x 24 mm frame becomes the diagonal of the film.

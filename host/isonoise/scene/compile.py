@@ -28,6 +28,7 @@ from isonoise.scene.light.compile_lights import (
     ANALYTIC_LIGHTS,
     AreaLight,
     compile_lights,
+    projected_texture,
     radiance_texture,
     raise_too_dim,
 )
@@ -84,12 +85,11 @@ def compile_scene(
     warn_where_rounded(world.name, world.corners, camera, placement)
     warn_if_clipped(camera, world.union())
     integrator = _integrator_settings(description, max_depth)
-    materials = _compile_materials(geometry, sensor.get("medium"), integrator["volumetric"])
     emitters = _objects_of_kind(description, "emitter")
+    materials = _compile_materials(geometry, emitters, sensor.get("medium"), integrator["volumetric"])
     environment = _environment_map(emitters)
-    lights = compile_lights(
-        materials.area_lights, list(emitters.values()), environment, materials.textures, world.union()
-    )
+    projecting = list(zip(emitters.values(), materials.projected_textures, strict=True))
+    lights = compile_lights(materials.area_lights, projecting, environment, materials.textures, world.union())
     is_analytic = lights.records["kind"] & ANALYTIC_LIGHTS != 0
     shape_of_light = geometry.arrays["analytics"]["shape"][lights.records["primitive"][is_analytic]]
     materials.arrays["shapes"]["light"][shape_of_light] = np.flatnonzero(is_analytic)
@@ -107,12 +107,13 @@ def compile_scene(
     return CompiledScene(
         **arrays,
         **settings,
+        projections=lights.projections,
         environment=environment,
         heterogeneous=materials.heterogeneous,
         sampler=sampler or _sampler(sensor),
         sample_count=sensor.get("sampler", {}).get("sample_count", _SAMPLE_COUNT),
         exposure=sensor.get("film", {}).get("exposure"),
-        hash=_hash(arrays, settings, environment, materials.heterogeneous),
+        hash=_hash(arrays, settings, lights.projections, environment, materials.heterogeneous),
     )
 
 
@@ -247,9 +248,12 @@ class _Materials:
     sensor_medium: int
     heterogeneous: "HeterogeneousMedia | None"
     area_lights: list[AreaLight]  # in the order of their shapes
+    projected_textures: list[int]  # of the emitters without surface: `projected_texture`
 
 
-def _compile_materials(geometry: _Geometry, sensor_medium: dict | None, volumetric: bool) -> _Materials:
+def _compile_materials(
+    geometry: _Geometry, emitters: dict[str, dict], sensor_medium: dict | None, volumetric: bool
+) -> _Materials:
     """Compile bsdfs, media and textures. Media are left out unless the integrator is volumetric."""
     textures = Textures()
     bsdfs = Bsdfs(textures.index)
@@ -266,6 +270,7 @@ def _compile_materials(geometry: _Geometry, sensor_medium: dict | None, volumetr
         shapes["bsdf"][i] = bsdfs.index(shape.get("bsdf", _EMITTER_BSDF if "emitter" in shape else _DEFAULT_BSDF))
         if "emitter" in shape:
             radiance_textures[i] = radiance_texture(shape["emitter"], textures)
+    projected_textures = [projected_texture(emitter, textures) for emitter in emitters.values()]
     bsdf_records = bsdfs.records
     if volumetric:
         shapes["flags"][mark_pass_through(bsdf_records)[shapes["bsdf"]]] |= structs.SHAPE_PASS_THROUGH
@@ -288,7 +293,7 @@ def _compile_materials(geometry: _Geometry, sensor_medium: dict | None, volumetr
         "attributes": texture_arrays.attributes,
     }
     area_lights = _area_lights(geometry, radiance_textures)
-    return _Materials(arrays, textures, sensor_medium_index, media.heterogeneous, area_lights)
+    return _Materials(arrays, textures, sensor_medium_index, media.heterogeneous, area_lights, projected_textures)
 
 
 def _area_lights(geometry: _Geometry, radiance_textures: dict[int, int]) -> list[AreaLight]:
@@ -325,10 +330,13 @@ def _scaled(environment: EnvironmentMap, radiance_scale: float) -> EnvironmentMa
 def _hash(
     arrays: dict[str, np.ndarray],
     settings: dict,
+    projections: np.ndarray,
     environment: EnvironmentMap | None,
     heterogeneous: "HeterogeneousMedia | None",
 ) -> str:
     """Hex digest of all arrays and settings. File names and ids do not change it."""
+    if len(projections):
+        arrays = arrays | {"projections": projections}
     if heterogeneous is not None:
         arrays = arrays | heterogeneous.arrays()
     if environment is not None:

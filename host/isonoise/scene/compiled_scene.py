@@ -50,6 +50,7 @@ class CompiledScene:
     texel_floats: np.ndarray  # (f, 4) float32: texels of all other images
     attributes: np.ndarray  # (a, 3) float32: mesh attributes that textures read
     lights: np.ndarray  # (L,) structs.LIGHT; power_pmf sums to 1
+    projections: np.ndarray  # (P,) structs.PROJECTION: of the textures that lights project
     light_cdf: np.ndarray  # (L, 2) float32: a + 2^-24 b is the sum of power_pmf of the lights before
     environment_light: int  # index of the LIGHT_CONSTANT or LIGHT_ENVIRONMENT_MAP light, -1 if there is none
     environment: EnvironmentMap | None

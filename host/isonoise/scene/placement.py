@@ -148,6 +148,11 @@ def _place_light(light: dict, world: Placement) -> dict:
     return changes | {"to_world": world.to_placed() @ _to_world(light)}
 
 
+def _place_projector(light: dict, world: Placement) -> dict:
+    """Position and scale of a projector. The depth that its irradiance depends on is in its own space."""
+    return {"scale": light["scale"] * world.scale, "to_world": world.to_placed() @ _to_world(light)}
+
+
 def _place_medium(medium: dict, world: Placement) -> dict:
     """Density of a medium, per unit of length."""
     largest = float(colour_to_rgb(medium["sigma_t"], "unbounded").max()) or 1.0
@@ -166,6 +171,7 @@ _SHAPES = frozenset(name for name in plugins_of("shape") if name not in ("shapeg
 _CHANGES = {
     **dict.fromkeys(("perspective", "thinlens", "orthographic"), _place_camera),
     **dict.fromkeys(("point", "spot"), _place_light),
+    "projector": _place_projector,
     "homogeneous": _place_medium,
     "heterogeneous": _place_heterogeneous,
     **dict.fromkeys(

@@ -139,18 +139,22 @@ GRID = np.dtype(
     ]
 )
 
+PROJECTION = np.dtype([("to_uv", "f4", 9)])
+"""Rows of the 3x3 matrix from a vector that starts at a light to (w u, w v, w), where u, v are texture coordinates."""
+
 LIGHT = np.dtype(
     [
         ("kind", "u4"),
-        ("primitive", "u4"),  # triangle or analytic index, the first of two triangles; NONE without surface
+        # triangle or analytic index, the first of two triangles; of a projected texture its PROJECTION; else NONE
+        ("primitive", "u4"),
         ("power_pmf", "f4"),  # probability of this light where lights are selected by power
         ("area", "f4"),  # world area, 0 for lights without surface
         # radiance; point, spot: radiant intensity; directional: irradiance. All times radiance_scale
         ("radiance", "f4", 3),
         ("texture", "u4"),  # that the radiance is to be multiplied by, NONE
-        ("position", "f4", 3),  # point, spot: position; directional: direction of travel (unit)
-        ("axis", "f4", 3),  # spot: unit direction of the brightest light
-        ("cutoff", "f4"),  # spot: angle from which on it is dark
+        ("position", "f4", 3),  # point, spot, projector: position; directional: direction of travel (unit)
+        ("axis", "f4", 3),  # spot, projector: unit direction of the brightest light
+        ("cutoff", "f4"),  # spot, projector: angle from which on it is dark
         ("inverse_transition", "f4"),  # spot: 1 / (cutoff - angle up to which it is brightest)
         # parallelogram: corner of the first triangle that is not on the diagonal, plus 4 times that of the second
         ("apexes", "u4"),

@@ -37,6 +37,7 @@ class CompiledLights:
     """All lights of a scene, neighbours in space next to each other; those at infinity last."""
 
     records: np.ndarray  # (L,) structs.LIGHT
+    projections: np.ndarray  # (P,) structs.PROJECTION
     cdf: np.ndarray  # (L, 2), CompiledScene.light_cdf
     environment_light: int  # index of the constant or environment-map light, -1 if there is none
     radiance_scale: float
@@ -47,30 +48,48 @@ def radiance_texture(emitter: dict, textures: Textures) -> int:
     return structs.NONE if is_constant(emitter["radiance"]) else textures.index(emitter["radiance"], "radiance")
 
 
+def projected_texture(emitter: dict, textures: Textures) -> int:
+    """Index of the texture that an emitter without surface projects, NONE if it projects none."""
+    name = lighting.kind_of(emitter).texture
+    return textures.index(emitter[name], "radiance") if name else structs.NONE
+
+
 def compile_lights(
     area_lights: list[AreaLight],
-    emitters: list[dict],
+    emitters: list[tuple[dict, int]],
     environment: EnvironmentMap | None,
     textures: Textures,
     bounds: np.ndarray,
 ) -> CompiledLights:
-    """Make the light records. `bounds` (2, 3) is the box around the scene.
+    """Make the light records.
 
-    Raises SceneError where radiance leaves the range of 32-bit floats.
+    `emitters` are those without surface, each with its `projected_texture`; `bounds` (2, 3) is the box around the
+    scene. Raises SceneError where radiance leaves the range of 32-bit floats.
     """
     area_values = [
         lighting.emitted(light.emitter) if light.texture == structs.NONE else textures.mean(light.texture)
         for light in area_lights
     ]
-    values = [environment.mean if e["type"] == "envmap" else lighting.emitted(e) for e in emitters]
+    emitted = [environment.mean if e["type"] == "envmap" else lighting.emitted(e) for e, _ in emitters]
+    means = [1.0 if texture == structs.NONE else textures.mean(texture) for _, texture in emitters]
+    values = [value * mean for value, mean in zip(emitted, means, strict=True)]
     peak = [np.full(3, environment.largest)] if environment else []
     scale = lighting.radiance_scale([*area_values, *values, *peak])
     parts = [_area_lights(light, value * scale) for light, value in zip(area_lights, area_values, strict=True)]
-    parts += [_emitter_light(e, value * scale) for e, value in zip(emitters, values, strict=True)]
+    factors = [np.full((len(records), 3), scale) for records, _ in parts]  # that the kernels multiply by a texture
+    projections = np.zeros(0, structs.PROJECTION)
+    for (emitter, texture), value, own in zip(emitters, values, emitted, strict=True):
+        record, center = _emitter_light(emitter, value * scale)
+        if texture != structs.NONE:
+            record["primitive"], record["texture"] = len(projections), texture
+            projections = np.append(projections, _project(record, emitter, textures.aspect(texture)))
+        parts.append((record, center))
+        factors.append(own[None] * scale)
     if not parts:
-        return CompiledLights(np.zeros(0, structs.LIGHT), np.zeros((0, 2), np.float32), -1, scale)
+        return CompiledLights(np.zeros(0, structs.LIGHT), projections, np.zeros((0, 2), np.float32), -1, scale)
     records, centers = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    records = records[_spatial_order(centers)]
+    order = _spatial_order(centers)
+    records, factors = records[order], np.concatenate(factors)[order]
     is_textured = records["texture"] != structs.NONE
     if not np.isfinite(records["radiance"]).all():
         raise SceneError("the colour of an emitter exceeds the range of 32-bit floats")
@@ -79,9 +98,9 @@ def compile_lights(
     is_environment = records["kind"] & bits_where(lambda kind: kind.is_environment) != 0
     cdf, records["power_pmf"] = lighting.light_power_cdf(lighting.light_power_pmf(records, bounds))
     if is_textured.any():
-        records["radiance"][is_textured] = scale  # the kernel multiplies it by the texture
+        records["radiance"][is_textured] = factors[is_textured]
     environment_light = int(np.flatnonzero(is_environment)[0]) if is_environment.any() else -1
-    return CompiledLights(records, cdf, environment_light, scale)
+    return CompiledLights(records, projections, cdf, environment_light, scale)
 
 
 def raise_too_dim() -> None:
@@ -119,6 +138,16 @@ def _emitter_light(emitter: dict, value: np.ndarray) -> tuple[np.ndarray, np.nda
     record = lighting.emitter_light(emitter, value)
     is_at_infinity = record["kind"][0] & _LIGHTS_AT_INFINITY
     return record, np.full((1, 3), np.inf) if is_at_infinity else record["position"].astype(float)
+
+
+def _project(record: np.ndarray, emitter: dict, aspect: float) -> np.ndarray:
+    """The structs.PROJECTION (1,) of an emitter's texture; sets what its light (1,) needs of it."""
+    projection = lighting.kind_of(emitter).project(emitter, aspect)
+    for member, number in projection.members.items():
+        record[member] = number
+    result = np.zeros(1, structs.PROJECTION)
+    result["to_uv"] = projection.to_uv.ravel()
+    return result
 
 
 def _spatial_order(centers: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from isonoise.scene.kind_macros import any_feature, define_lists
 from isonoise.scene.light import light_bounds
 from isonoise.scene.light.envmap import ENVIRONMENT, ENVIRONMENT_ROW
 from isonoise.scene.light.light_bounds import LightBounds, spot_solid_angle
+from isonoise.scene.light.projections import Projection, project_image, project_spot
 
 AREA = "area"
 """The plugin that makes a shape emit; its kinds are those of primitives."""
@@ -41,6 +42,9 @@ class LightKind(NamedTuple):
     bounds: Callable[[CompiledScene, np.ndarray, np.ndarray], LightBounds]
     """Bounds of lights of this kind: scene, records (n,), their power (n,)."""
     record: Callable[[dict], Mapping[str, object]] = lambda emitter: {}  # further members of `LIGHT`
+    texture: str = ""  # of a light without surface: the plugin's parameter that it projects
+    project: Callable[[dict, float], Projection] | None = None
+    """How it projects the texture, whose width over height is the second argument. Sets more members of `LIGHT`."""
     analytic: int | None = None  # structs.ANALYTIC_...: the primitive of an area light
     triangle_count: int = 0  # of an area light: the triangles that follow each other in a mesh
     is_environment: bool = False  # emits from infinity, from all directions: a scene has at most one
@@ -100,6 +104,8 @@ def _area(name: str, bounds: Callable, analytic: int | None = None, triangle_cou
         header="light/area_light.h",
     )
 
+
+_PROJECTIONS = {"projections": f"{structs.PROJECTION.itemsize} bytes a light with a texture"}
 
 _ROWS = (
     _area("triangle", light_bounds.triangle_bounds, triangle_count=1),
@@ -167,12 +173,46 @@ _ROWS = (
         },
         header="light/environment_light.h",
     ),
+    LightKind(
+        name="textured_spot",
+        feature="TEXTURED_SPOT_LIGHTS",
+        description="spot lights with a texture",
+        plugin="spot",
+        emission="intensity",
+        power_factor=lambda lights, radius: spot_solid_angle(lights),
+        bounds=light_bounds.spot_bounds,
+        record=_spot,
+        texture="texture",
+        project=project_spot,
+        buffers=_PROJECTIONS,
+    ),
+    LightKind(
+        name="projector",
+        feature="PROJECTOR_LIGHTS",
+        description="projectors",
+        plugin="projector",
+        emission="scale",
+        power_factor=lambda lights, radius: np.pi * spot_solid_angle(lights),
+        bounds=light_bounds.spot_bounds,
+        record=lambda emitter: {"position": _to_world(emitter)[:3, 3], "axis": _unit(_to_world(emitter)[:3, 2])},
+        texture="irradiance",
+        project=project_image,
+        buffers=_PROJECTIONS,
+    ),
 )
 
 KINDS = {kind.name: kind for kind in _ROWS}
 """Kinds by name. Their order gives each its bit and has no other meaning."""
 
-KIND_OF_PLUGIN = {kind.plugin: kind for kind in _ROWS if not kind.is_area}
+KIND_OF_PLUGIN = {kind.plugin: kind for kind in reversed(_ROWS) if not kind.is_area}
+"""Kinds without a surface by plugin; of a spot, that without a texture."""
+
+
+def kind_of_emitter(emitter: dict) -> LightKind | None:
+    """The kind of an emitter without a surface; None if it has no row."""
+    kinds = select(lambda kind: kind.plugin == emitter["type"] and not kind.is_area)
+    projecting = next((kind for kind in kinds if kind.texture and kind.texture in emitter), None)
+    return projecting or next((kind for kind in kinds if not kind.texture), None)
 
 
 def light_bits(*names: str) -> int:
@@ -209,6 +249,8 @@ def light_macros() -> dict[str, int | str]:
         "HAS_ENVIRONMENT_LIGHT": _any_feature(lambda kind: kind.is_environment),
         "HAS_MESH_LIGHTS": _any_feature(lambda kind: kind.is_mesh),
         "HAS_NON_MESH_LIGHTS": _any_feature(lambda kind: not kind.is_mesh),
+        "HAS_PROJECTIONS": _any_feature(lambda kind: kind.project is not None),
+        "HAS_SPOT_FALLOFF": _any_feature(lambda kind: kind.plugin == "spot"),
         "LIGHT_MESH": bits_where(lambda kind: kind.is_mesh),
     }
 

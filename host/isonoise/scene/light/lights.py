@@ -11,7 +11,7 @@ from isonoise.errors import SceneError
 from isonoise.scene import structs
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.light.light_bounds import LightBounds, bounding_radius
-from isonoise.scene.light.light_kinds import AREA, KIND_OF_PLUGIN, KINDS, LightKind, light_bits
+from isonoise.scene.light.light_kinds import AREA, KIND_OF_PLUGIN, KINDS, LightKind, kind_of_emitter, light_bits
 from isonoise.scene.spectra import MITSUBA_LUMINANCE, colour_to_rgb
 
 _MAX_EXPONENT = 1000  # within float64
@@ -20,7 +20,7 @@ _CDF_UNITS = 2**48  # as many as there are random numbers
 
 def emitted(emitter: dict) -> np.ndarray:
     """Linear RGB (3,) float64 of what an emitter emits, in its own unit."""
-    kind = KINDS["triangle"] if emitter["type"] == AREA else _kind(emitter)
+    kind = KINDS["triangle"] if emitter["type"] == AREA else kind_of(emitter)
     return colour_to_rgb(emitter[kind.emission], "radiance")
 
 
@@ -43,7 +43,7 @@ def surface_lights(kind: str, primitives: np.ndarray, areas: np.ndarray) -> np.n
 
 def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
     """The light (1,) of an emitter without surface."""
-    kind = _kind(emitter)
+    kind = kind_of(emitter)
     light = np.zeros(1, structs.LIGHT)
     light["kind"] = light_bits(kind.name)
     light["primitive"] = light["texture"] = structs.NONE
@@ -53,11 +53,13 @@ def emitter_light(emitter: dict, value: np.ndarray) -> np.ndarray:
     return light
 
 
-def _kind(emitter: dict) -> LightKind:
-    if emitter["type"] not in KIND_OF_PLUGIN:
+def kind_of(emitter: dict) -> LightKind:
+    """The kind of an emitter without surface."""
+    kind = kind_of_emitter(emitter)
+    if kind is None:
         known = ", ".join(sorted(KIND_OF_PLUGIN))
         raise SceneError(f"emitter '{emitter['type']}' has no row in light_kinds.py (it has: {known})")
-    return KIND_OF_PLUGIN[emitter["type"]]
+    return kind
 
 
 def light_power_pmf(lights: np.ndarray, bounds: np.ndarray) -> np.ndarray:

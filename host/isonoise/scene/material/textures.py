@@ -125,6 +125,11 @@ class Textures:
         """Mean linear RGB (3,) float64 over one period of the texture; for a mesh attribute its scale."""
         return self._means[index]
 
+    def aspect(self, index: int) -> float:
+        """Width over height of the image of a texture; 1 if it is none, as in Mitsuba 3."""
+        width, height = self._records[index]["size"][0].tolist()
+        return width / height if height else 1.0
+
     @property
     def reads_attributes(self) -> bool:
         """Whether a texture reads attributes of meshes: then `arrays` needs them."""

@@ -10,6 +10,7 @@ from isonoise.scene.camera import crop_fits_film, is_rigid, parse_focal_length
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN as LIGHT_OF_PLUGIN
 from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
 from isonoise.scene.material.presets import conductors
+from isonoise.scene.material.textures import mesh_attributes_used
 from isonoise.scene.parse.elements import Location, did_you_mean
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.sensors import SENSORS
@@ -21,6 +22,7 @@ _MIN_SURE_DETERMINANT = 1e-12  # relative: rounding is below 1e-14
 _MIN_FLOAT32 = float(np.finfo(np.float32).tiny)
 _MUTUALLY_EXCLUSIVE = {
     "perspective": (("fov", "focal_length"),),
+    "projector": (("fov", "focal_length"),),
     "thinlens": (("fov", "focal_length"),),
     "conductor": (("material", "eta"), ("material", "k")),
     "roughconductor": (("material", "eta"), ("material", "k"), ("alpha", "alpha_u"), ("alpha", "alpha_v")),
@@ -69,10 +71,14 @@ def _check_orthographic(sensor: dict, location: Location):
 
 def _check_perspective(sensor: dict, location: Location):
     _check_sensor(sensor, location)
-    if "focal_length" in sensor and parse_focal_length(sensor["focal_length"]) is None:
-        location.raise_error(f"focal_length has to be millimetres, such as '50mm', got '{sensor['focal_length'][:40]}'")
+    _check_focal_length(sensor, location)
     if "to_world" in sensor and not is_rigid(sensor["to_world"]):
         location.raise_error("to_world scales or shears; a camera can only be translated, rotated and mirrored")
+
+
+def _check_focal_length(optics: dict, location: Location):
+    if "focal_length" in optics and parse_focal_length(optics["focal_length"]) is None:
+        location.raise_error(f"focal_length has to be millimetres, such as '50mm', got '{optics['focal_length'][:40]}'")
 
 
 def _check_thin_lens(sensor: dict, location: Location):
@@ -178,6 +184,17 @@ def _check_directional(emitter: dict, location: Location):
 def _check_spot(emitter: dict, location: Location):
     if emitter.get("beam_width", 0.0) > emitter["cutoff_angle"]:
         location.raise_error("beam_width has to be at most cutoff_angle")
+    _check_projected_texture(emitter, location)
+
+
+def _check_projector(emitter: dict, location: Location):
+    _check_focal_length(emitter, location)
+    _check_projected_texture(emitter, location)
+
+
+def _check_projected_texture(emitter: dict, location: Location):
+    if mesh_attributes_used(emitter):
+        location.raise_error(f"a {emitter['type']} cannot project a mesh_attribute: it belongs to a mesh")
 
 
 def _check_mesh(shape: dict, location: Location):
@@ -243,6 +260,7 @@ _CHECKS = {
     "cylinder": _check_cylinder,
     "directional": _check_directional,
     "spot": _check_spot,
+    "projector": _check_projector,
     "mesh": _check_mesh,
     "shapegroup": _check_shapegroup,
     "homogeneous": _check_homogeneous,

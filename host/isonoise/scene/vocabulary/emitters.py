@@ -1,7 +1,7 @@
 """Emitters of the vocabulary. Their kinds on the device are in `scene/light/light_kinds.py`."""
 
-from isonoise.scene.vocabulary.common import TO_WORLD, ignored
-from isonoise.scene.vocabulary.plugin import UNSUPPORTED, Child, Parameter, Plugin
+from isonoise.scene.vocabulary.common import FIELD_OF_VIEW, TO_WORLD, ignored
+from isonoise.scene.vocabulary.plugin import Child, Parameter, Plugin
 
 P = Parameter
 _WEIGHT = ignored(
@@ -45,12 +45,31 @@ EMITTERS = (
                 meaning="half the angle of the part with constant intensity, degrees",
                 unset="3/4 of cutoff_angle",
             ),
-            P("texture", "texture", status=UNSUPPORTED, meaning="projected textures are not implemented"),
+            P(
+                "texture",
+                "texture",
+                texture=True,
+                meaning="factor on the intensity, projected into the cone",
+                unset="1",
+            ),
             *TO_WORLD,
             *_WEIGHT,
         ),
         _CHILDREN,
         meaning="a point that emits into a cone around +z",
+    ),
+    Plugin(
+        "emitter",
+        "projector",
+        (
+            P("irradiance", "radiance", 1.0, texture=True, meaning="image: radiance of a white screen at distance 1"),
+            P("scale", "float", 1.0, "[0, inf)", meaning="factor on the irradiance"),
+            *FIELD_OF_VIEW,
+            *TO_WORLD,
+            *_WEIGHT,
+        ),
+        _CHILDREN,
+        meaning="a point that projects an image along +z",
     ),
     Plugin(
         "emitter",

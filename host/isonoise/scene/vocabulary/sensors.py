@@ -1,6 +1,6 @@
 """Sensors, films, reconstruction filters, samplers and integrators of the vocabulary."""
 
-from isonoise.scene.vocabulary.common import TO_WORLD, ignored
+from isonoise.scene.vocabulary.common import FIELD_OF_VIEW, TO_WORLD, ignored
 from isonoise.scene.vocabulary.plugin import IGNORED, UNSUPPORTED, Child, Parameter, Plugin
 
 P = Parameter
@@ -13,9 +13,7 @@ _SHUTTER = ignored("float", "shutter_open", "shutter_close", why="there is no mo
 _FOCUS = ignored("float", "focus_distance", why="everything is in focus")
 _SRF = P("srf", "any", status=UNSUPPORTED, meaning="isonoise renders RGB")
 _PINHOLE = (
-    P("fov", "float", interval="(0, 180)", meaning="angle of view along fov_axis, degrees", unset="by focal_length"),
-    P("focal_length", "string", meaning="of a 35 mm camera, as in 50mm", unset="50mm"),
-    P("fov_axis", "string", "x", choices=("x", "y", "diagonal", "smaller", "larger"), meaning="side that fov spans"),
+    *FIELD_OF_VIEW,
     *_CLIP,
     *TO_WORLD,
     *_SHUTTER,

@@ -52,7 +52,6 @@ UNSUPPORTED_PLUGINS: dict[str, dict[str, str]] = {
     },
     "emitter": {
         "directionalarea": "emits along its normal only: use spot or directional",
-        "projector": "projected images are not supported: spot is similar",
         "sunsky": _SKY_MODEL,
         "timed_sunsky": _SKY_MODEL,
     },

@@ -1,6 +1,5 @@
 """Reads MTL files: the statements of each material, as numbers and texture maps. Called by `read.py`."""
 
-import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -24,6 +23,7 @@ _MAPS = {
 """Statements with an image, in small letters -> name of the map."""
 _WORD = re.compile(r"\S+\s*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+_MAX_NUMBER = 1e18
 _OPTION_SIZES = {"mm": (2, 2), "o": (1, 3), "s": (1, 3), "t": (1, 3)}  # least and most words; others have one
 _XYZ_TO_RGB = np.array(  # ITU-R Rec. BT.709
     [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
@@ -94,11 +94,11 @@ def _read_numbers(material: Material, key: str, text: str, location: SourceLocat
 
 
 def _parse_numbers(words: list[str]) -> list[float] | None:
-    """Finite numbers; None if a word is none."""
+    """Numbers; None if a word is none, or so large that products of numbers would leave the range of 32-bit floats."""
     if not all(_NUMBER.fullmatch(word) for word in words):
         return None
     values = [float(word) for word in words]
-    return values if all(map(math.isfinite, values)) else None
+    return values if all(abs(value) <= _MAX_NUMBER for value in values) else None
 
 
 def _parse_map(text: str, location: SourceLocation) -> TextureMap | None:

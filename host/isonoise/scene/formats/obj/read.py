@@ -122,7 +122,8 @@ def _uv_length(mesh: Mesh, material: Material) -> float:
         return 1.0
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     u, v, w = (mesh.uvs[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    uv_area = np.abs(np.linalg.det(np.stack([v - u, w - u], axis=1))).sum()
-    length = np.sqrt(area / uv_area) if uv_area > 0 else 1.0
+    with np.errstate(all="ignore"):  # huge coordinates
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+        uv_area = np.abs(np.linalg.det(np.stack([v - u, w - u], axis=1))).sum()
+        length = np.sqrt(area / uv_area)
     return float(length) if np.isfinite(length) else 1.0
