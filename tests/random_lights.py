@@ -9,7 +9,9 @@ from random_xml import to_text
 from isonoise.scene.light.light_kinds import KIND_OF_PLUGIN
 
 OTHER_LIGHTS = [
-    plugin for plugin in KIND_OF_PLUGIN if plugin not in ("point", "spot", "directional", "constant", "envmap")
+    plugin
+    for plugin in KIND_OF_PLUGIN
+    if plugin not in ("point", "spot", "directional", "constant", "envmap", "projector")  # test_material_pictures.py
 ]
 
 

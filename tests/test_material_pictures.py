@@ -181,6 +181,30 @@ def test_all_emitters(images, tmp_path):
     assert_same_picture(scene, tmp_path)
 
 
+@pytest.mark.long
+def test_projected_images(images, tmp_path):
+    """A projector and a spot with a texture light a floor and a ball, which hides a part of it."""
+    film = {"type": "hdrfilm", "width": 24, "height": 20, "rfilter": {"type": "box"}}
+    image = {"type": "bitmap", "filename": images["colours"]["filename"]}
+    place = look_at((-2, -2, 4), (0.5, 0.5, 0))
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 3, "rr_depth": 100},
+        "sensor": {"type": "perspective", "fov": 40.0, "to_world": look_at((0, -9, 5), (0, 0, 0.3)), "film": film},
+        "floor": {"type": "rectangle", "to_world": transform(5.0, (0, 0, 0)), "bsdf": {"type": "diffuse"}},
+        "ball": {"type": "sphere", "center": [0.6, 0.4, 0.5], "radius": 0.5},
+        "projector": {"type": "projector", "to_world": place, "irradiance": image, "scale": 8.0, "fov": 35.0},
+        "spot": {
+            "type": "spot",
+            "to_world": look_at((3, -3, 3), (1, -2, 0)),
+            "intensity": rgb((9.0, 3.0, 2.0)),
+            "cutoff_angle": 35.0,
+            "texture": image,
+        },
+    }
+    assert_same_picture(scene, tmp_path)
+
+
 def test_an_environment_map_with_a_sun(tmp_path):
     """10^5 times as bright as the rest in one texel, to_world; a ball of rough metal sees it by both techniques."""
     pixels = np.random.default_rng(22).uniform(0.2, 1.0, (33, 64, 3)).astype(np.float32)
