@@ -141,6 +141,29 @@ def test_every_length_of_a_moved_scene_is_placed_alike(camera, scale, offset):
     np.testing.assert_allclose(placed[3] * unit, densities, rtol=tolerance)
 
 
+@pytest.mark.filterwarnings("ignore")  # about the camera, which stays
+@pytest.mark.parametrize(("scale", "offset"), [(1.0, 0.0), (1e-9, 1.0), (1e9, 1e20)])
+def test_a_moved_and_scaled_projector_gives_the_same_irradiance(scale, offset):
+    """pi / (z² cos) at the centre of a ball, for an image of 1. z is in the projector's space, whose unit is scaled."""
+    place, rigid = np.diag([scale, scale, scale, 1.0]), make_transform((1, 1, 1), (0.0, 0.5, -4.0))
+    place[:3, 3] = offset
+    centre = np.array([0.3, 0.1, 1.0])
+    scene = {
+        "type": "scene",
+        "sensor": {"type": "perspective"},
+        "ball": {"type": "sphere", "to_world": place, "center": centre.tolist()},
+        "lamp": {"type": "projector", "to_world": place @ rigid, "irradiance": 1.0},
+    }
+    compiled = compile_scene(load(scene))
+    light, rows = compiled.lights[0], compiled.projections["to_uv"][0].reshape(3, 3).astype(float)
+    arm = (compiled.analytics["center"][0] - light["position"]).astype(float)
+    cosine = light["axis"] @ arm / np.linalg.norm(arm)
+    irradiance = light["radiance"] / compiled.radiance_scale / ((rows[2] @ arm) ** 2 * cosine)
+    arm = rigid[:3, :3].T @ (centre - rigid[:3, 3])
+    expected = np.pi / (arm[2] ** 2 * scale * arm[2] / np.linalg.norm(arm))
+    np.testing.assert_allclose(irradiance, expected, rtol=1e-4)
+
+
 def test_groups_are_placed_in_their_own_space():
     """A mesh far from the origin of its group, and an instance that brings it back."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
