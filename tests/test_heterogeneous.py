@@ -173,7 +173,7 @@ def test_extremely_dense_media(thickness):
     """Finite numbers, and no light through them. A dense cell beside empty ones leaves the rest of the volume empty."""
     values = np.zeros((16, 16, 16), np.float32)
     values[8, 3, 3] = 1.0
-    beside, error = radiance(seen_through(smoke(grid(values, BOX), 0.5, scale=thickness), rr_depth=5), spp=256)
+    beside, _ = radiance(seen_through(smoke(grid(values, BOX), 0.5, scale=thickness), rr_depth=5), spp=256)
     assert beside == pytest.approx([1.0] * 3, abs=1e-6)
     through = one_ray((-1.1, -1.1, 5.0), (-1.1, -1.1, 0.0))
     seen, _ = radiance(seen_through(smoke(grid(values, BOX), 0.0, scale=thickness), through, rr_depth=5), spp=256)
