@@ -64,7 +64,9 @@ def _noun(plural: str, number: int) -> str:
     word, of, rest = plural.partition(" of ")
     if number == 1:
         ending, singular = next(
-            pair for pair in (("ies", "y"), ("shes", "sh"), ("s", ""), ("", "")) if word.endswith(pair[0])
+            pair
+            for pair in (("ies", "y"), ("shes", "sh"), ("media", "medium"), ("s", ""), ("", ""))
+            if word.endswith(pair[0])
         )
         word = word.removesuffix(ending) + singular
     return word + of + rest

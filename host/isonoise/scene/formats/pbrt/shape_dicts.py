@@ -76,9 +76,9 @@ def _opacity(parameters: Parameters, state: GraphicsState, textures: Textures, l
 
 def has_texture(value: dict | float) -> bool:
     """Whether a BSDF or a value uses texture coordinates."""
-    if not isinstance(value, dict):
+    if not isinstance(value, dict) or value["type"] == "rgb":
         return False
-    return value.get("type") in ("bitmap", "checkerboard") or any(has_texture(part) for part in value.values())
+    return value["type"] in ("bitmap", "checkerboard") or any(has_texture(part) for part in value.values())
 
 
 def _shape(geometry: Geometry, bsdf: dict) -> dict:
@@ -102,9 +102,9 @@ def _other_side(geometry: Geometry) -> Geometry:
         else:
             shape["radius"] = shape["radius"] * factor
         shape["flip_normals"] = not shape["flip_normals"]
-        return Geometry(None, shape, geometry.area, geometry.light_count)
+        return Geometry(None, shape)
     mesh = geometry.mesh
     size = float(np.ptp(mesh.vertices, axis=0).max())
     vertices = mesh.vertices - _SIDE_DISTANCE * size * smooth_normals(mesh.vertices, mesh.faces)
     flipped = Mesh(vertices, np.ascontiguousarray(mesh.faces[:, ::-1]), -mesh.normals, mesh.uvs)
-    return Geometry(flipped, None, geometry.area, geometry.light_count, geometry.smooth)
+    return Geometry(flipped, smooth=geometry.smooth)

@@ -34,11 +34,19 @@ _CORNER_UVS = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0]], np.float32)  # pbrt
 class Geometry:
     """The geometry of one directive `Shape`, in world space."""
 
-    mesh: Mesh | None  # or:
-    analytic: dict | None  # scene dict without material
-    area: float
-    light_count: int  # pbrt-v4 makes a light of every triangle or patch
+    mesh: Mesh | None = None  # or:
+    analytic: dict | None = None  # scene dict without material
+    analytic_area: float = 0.0
+    light_count: int = 1  # pbrt-v4 makes a light of every triangle or patch
     smooth: bool = False  # a mesh without normals gets smooth ones
+
+    @property
+    def area(self) -> float:
+        """Surface area."""
+        if self.mesh is None:
+            return self.analytic_area
+        first, second, third = (self.mesh.vertices[self.mesh.faces[:, corner]] for corner in range(3))
+        return 0.5 * float(np.linalg.norm(np.cross(second - first, third - first), axis=1).sum())
 
 
 @dataclass
@@ -68,8 +76,7 @@ class ShapeReader:
         if is_textured and not len(mesh.uvs):
             mesh = _with_default_uvs(mesh)
         mesh = to_world_space(mesh, to_world, reverse_orientation)
-        areas = _areas(mesh)
-        return Geometry(mesh, None, float(areas.sum()), patch_count or len(mesh.faces), kind == "loopsubdiv")
+        return Geometry(mesh, light_count=patch_count or len(mesh.faces), smooth=kind == "loopsubdiv")
 
     def _read_quadric(
         self, kind: str, parameters: Parameters, to_world: np.ndarray, reverse_orientation: bool, is_textured: bool
@@ -80,10 +87,9 @@ class ShapeReader:
         is_distorted = not scales_uniformly(to_world)
         if quadric.is_whole and not is_distorted and not (is_textured and kind != "sphere"):
             shape = quadric.analytic_shape(to_world, reverse_orientation)
-            return Geometry(None, shape, quadric.area(to_world), 1)
+            return Geometry(None, shape, quadric.area(to_world))
         report_mesh(quadric, is_distorted, parameters, self.report)
-        mesh = to_world_space(quadric.mesh(), to_world, reverse_orientation)
-        return Geometry(mesh, None, float(_areas(mesh).sum()), 1)
+        return Geometry(to_world_space(quadric.mesh(), to_world, reverse_orientation))
 
     def _triangles(self, parameters: Parameters) -> tuple[Mesh, int]:
         self.report.use("triangles")
@@ -224,11 +230,6 @@ def _with_default_uvs(mesh: Mesh) -> Mesh:
     normals = mesh.normals[corners] if len(mesh.normals) else mesh.normals
     uvs = np.tile(_CORNER_UVS, (len(mesh.faces), 1))
     return Mesh(mesh.vertices[corners], np.arange(len(corners)).reshape(-1, 3), normals, uvs)
-
-
-def _areas(mesh: Mesh) -> np.ndarray:
-    first, second, third = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    return 0.5 * np.linalg.norm(np.cross(second - first, third - first), axis=1)
 
 
 def _are_parallelograms(corners: np.ndarray) -> np.ndarray:
