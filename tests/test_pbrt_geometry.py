@@ -133,6 +133,16 @@ def test_triangle_normals_follow_pbrt(mirrored, reverse, has_normals):
         assert placed.normals == pytest.approx(np.array([expected] * 3))
 
 
+@pytest.mark.parametrize("shape", ["sphere", "disk", "cylinder"])
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_mirrored_quadrics_keep_their_front(tmp_path, shape, mirrored, reverse):
+    """The front is outside or at +z. Mitsuba turns the normals of mirrored spheres inwards (its sphere.cpp)."""
+    text = f'{"Scale -1 1 1" if mirrored else ""} {"ReverseOrientation" if reverse else ""} Shape "{shape}"'
+    made = only(read_world(tmp_path, text)[0], shape)
+    assert made["flip_normals"] == (reverse != (mirrored and shape == "sphere"))
+
+
 def test_texture_coordinates_have_v_at_the_top(tmp_path):
     world = f'Shape "trianglemesh" {QUAD} "point2 uv" [0 0 1 0 0 1 1 1] "integer indices" [0 1 2 2 1 3]'
     mesh = only(read_world(tmp_path, world)[0], "mesh")

@@ -190,6 +190,17 @@ def test_constant_environments_and_illuminance(tmp_path):
     assert made["bitmap"].pixels.mean() == pytest.approx(2 / (math.pi / 2), rel=5e-3)
 
 
+def test_several_environments_are_added(tmp_path):
+    write_image(tmp_path / "map.exr", np.full((8, 8, 3), 0.5))
+    constants = 'LightSource "infinite" "rgb L" [1 2 3] LightSource "infinite" "rgb L" [1 1 1]'
+    assert value(light(tmp_path, constants, "constant")["radiance"]).tolist() == [2, 3, 4]
+    image = ' LightSource "infinite" "string filename" "map.exr"'
+    made = light(tmp_path, constants + image, "envmap")
+    assert made["bitmap"].pixels[0, 0] == pytest.approx([2.5, 3.5, 4.5])
+    _, report = read_world(tmp_path, image + image)
+    assert "only the last one is used" in report.warnings()[0]
+
+
 def test_what_has_no_equal_is_reported(tmp_path):
     world = """
     LightSource "infinite" LightSource "infinite" "point3 portal" [0 0 0 1 0 0 1 1 0 0 1 0]
@@ -200,7 +211,6 @@ def test_what_has_no_equal_is_reported(tmp_path):
     assert len(objects(scene, "constant")) == 1
     text = " ".join(report.warnings())
     for problem in (
-        "only the last infinite light",
         "the portal",
         "goniometric light becomes",
         "projection light becomes",

@@ -191,6 +191,21 @@ class Lights:
             parameters.place(name).raise_error("the image of a light has pixels that are not finite numbers")
 
 
+def sum_of_environments(first: dict, second: dict) -> dict | None:
+    """One emitter for the light of two environments; None if both have images."""
+    if first["type"] == second["type"] == "constant":
+        return {"type": "constant", "radiance": rgb(_radiance(first) + _radiance(second))}
+    constant, envmap = (first, second) if first["type"] == "constant" else (second, first)
+    if constant["type"] == "envmap":
+        return None
+    pixels = envmap["bitmap"].linear() + _radiance(constant).astype(np.float32)
+    return envmap | {"bitmap": Image(pixels)}
+
+
+def _radiance(constant: dict) -> np.ndarray:
+    return np.array(constant["radiance"]["value"])
+
+
 def _luminance(image: Image) -> np.ndarray:
     linear = image.linear()
     return linear @ MITSUBA_LUMINANCE if linear.shape[2] == 3 else linear[..., 0]

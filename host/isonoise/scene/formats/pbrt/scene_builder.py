@@ -8,7 +8,7 @@ from isonoise.scene.formats.pbrt import cameras
 from isonoise.scene.formats.pbrt.colours import COLOUR_SPACES, Colours
 from isonoise.scene.formats.pbrt.directives import Directive
 from isonoise.scene.formats.pbrt.graphics_state import StateStack, transform_of
-from isonoise.scene.formats.pbrt.lights import Lights
+from isonoise.scene.formats.pbrt.lights import Lights, sum_of_environments
 from isonoise.scene.formats.pbrt.material_table import MaterialTable
 from isonoise.scene.formats.pbrt.materials import NULL, MaterialContext
 from isonoise.scene.formats.pbrt.media import make_medium
@@ -41,7 +41,7 @@ class SceneBuilder:
         self._objects: dict[str, dict] = {}  # shapegroups by name
         self._object: dict | None = None  # the one between ObjectBegin and ObjectEnd
         self._shapes: dict[str, dict] = {}
-        self._environment_name = ""
+        self._environment_key = ""
         self._in_world = False
         self._has_volumes = False
 
@@ -198,13 +198,20 @@ class SceneBuilder:
         kind = directive.arguments[0]
         emitter = self._lights.make(kind, parameters, self._state.current.to_world)
         self._report_unused(parameters, f"the light '{kind}'")
+        key = self._key(emitter["type"], directive)
         if emitter["type"] in ("constant", "envmap"):
-            if self._environment_name:
-                problem = "only the last infinite light is used: a scene has one environment"
-                self._report.limit("environment", problem, directive.position.place)
-                del self._shapes[self._environment_name]
-            self._environment_name = self._key(emitter["type"], directive)
-        self._shapes[self._key(emitter["type"], directive)] = emitter
+            emitter = self._with_earlier_environment(emitter, directive)
+            self._environment_key = key
+        self._shapes[key] = emitter
+
+    def _with_earlier_environment(self, emitter: dict, directive: Directive) -> dict:
+        """The emitter that stands for this and the earlier environment, which is removed: a scene has one."""
+        earlier = self._shapes.pop(self._environment_key, None)
+        combined = emitter if earlier is None else sum_of_environments(earlier, emitter)
+        if combined is None:
+            problem = "of several environment maps only the last one is used"
+            self._report.limit("environment", problem, directive.position.place)
+        return combined or emitter
 
     def _run_shape(self, directive: Directive) -> None:
         kind, state = directive.arguments[0], self._state.current

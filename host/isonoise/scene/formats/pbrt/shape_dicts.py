@@ -8,6 +8,7 @@ from isonoise.scene.formats.pbrt.graphics_state import GraphicsState
 from isonoise.scene.formats.pbrt.lights import Lights
 from isonoise.scene.formats.pbrt.parameters import Parameters
 from isonoise.scene.formats.pbrt.shapes import Geometry, ShapeReader
+from isonoise.scene.formats.pbrt.surfaces_of_revolution import is_mirroring
 from isonoise.scene.formats.pbrt.textures import Textures
 from isonoise.scene.mesh.mesh import Mesh, smooth_normals
 
@@ -92,15 +93,15 @@ def _other_side(geometry: Geometry) -> Geometry:
     """The geometry with front and back swapped, a little behind it."""
     if geometry.analytic is not None:
         shape = dict(geometry.analytic)
-        inwards = 1.0 if shape["flip_normals"] else -1.0
-        factor = 1.0 + inwards * _SIDE_DISTANCE
+        faces_inwards = shape["flip_normals"] != (shape["type"] == "sphere" and is_mirroring(shape["to_world"]))
+        behind = _SIDE_DISTANCE if faces_inwards else -_SIDE_DISTANCE
         if shape["type"] == "disk":
             size = np.linalg.norm(shape["to_world"][:3, 0])
             normal = np.linalg.inv(shape["to_world"])[2, :3]
             normal = normal / np.linalg.norm(normal)
-            shape["to_world"] = transforms.translate(inwards * _SIDE_DISTANCE * size * normal) @ shape["to_world"]
+            shape["to_world"] = transforms.translate(behind * size * normal) @ shape["to_world"]
         else:
-            shape["radius"] = shape["radius"] * factor
+            shape["radius"] = shape["radius"] * (1.0 + behind)
         shape["flip_normals"] = not shape["flip_normals"]
         return Geometry(None, shape)
     mesh = geometry.mesh

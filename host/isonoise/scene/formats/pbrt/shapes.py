@@ -12,6 +12,7 @@ from isonoise.scene.formats.pbrt.surfaces_of_revolution import (
     QUADRICS,
     Quadric,
     grid_faces,
+    is_mirroring,
     report_mesh,
     scales_uniformly,
 )
@@ -203,7 +204,7 @@ def to_world_space(mesh: Mesh, to_world: np.ndarray, reverse_orientation: bool) 
         shading = normals[faces].sum(axis=1)
         is_reversed = np.einsum("ij,ij->i", np.cross(second - first, third - first), shading) < 0
         faces = np.where(is_reversed[:, None], faces[:, ::-1], faces)
-    elif reverse_orientation != (np.linalg.det(to_world[:3, :3]) < 0):
+    elif reverse_orientation != is_mirroring(to_world):
         faces = faces[:, ::-1]
     return Mesh(vertices, np.ascontiguousarray(faces), normals, mesh.uvs)
 

@@ -45,7 +45,7 @@ SUPPORT = {
     "point_lights": Support(PARTLY, "`point`; goniometric and projection lights become points"),
     "spot_lights": Support(PARTLY, "`spot`, whose soft edge has another shape"),
     "directional_lights": Support(YES, "`directional`"),
-    "environment": Support(PARTLY, "`constant` or `envmap`, one of them; portals are ignored"),
+    "environment": Support(PARTLY, "`constant` or `envmap`; of several images only the last one; portals are ignored"),
     "spectra": Support(YES, "rgb, blackbody, sampled and named spectra: linear RGB"),
     "extensions": Support(NO, "unknown parameters are ignored"),
 }

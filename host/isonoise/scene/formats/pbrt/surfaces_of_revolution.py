@@ -52,8 +52,8 @@ class Quadric:
     def analytic_shape(self, to_world: np.ndarray, flip_normals: bool) -> dict:
         """The scene dict of a whole one, without its material."""
         shape = {"type": self.kind, "to_world": to_world, "flip_normals": flip_normals}
-        if self.kind == "sphere":
-            return shape | {"radius": self.radius}
+        if self.kind == "sphere":  # Mitsuba turns the normals of mirrored spheres inwards
+            return shape | {"radius": self.radius, "flip_normals": flip_normals != is_mirroring(to_world)}
         if self.kind == "cylinder":
             return shape | {"p0": (0.0, 0.0, self.z_min), "p1": (0.0, 0.0, self.z_max), "radius": self.radius}
         local = transforms.translate((0.0, 0.0, self.height)) @ transforms.scale((self.radius, self.radius, 1.0))
@@ -126,6 +126,11 @@ def scales_uniformly(to_world: np.ndarray) -> bool:
     gram = linear.T @ linear
     size = np.trace(gram) / 3
     return bool(np.abs(gram - size * np.eye(3)).max() <= _MAX_STRETCH * size)
+
+
+def is_mirroring(to_world: np.ndarray) -> bool:
+    """Whether a transform swaps left and right."""
+    return bool(np.linalg.det(to_world[:3, :3]) < 0)
 
 
 def report_mesh(quadric: Quadric, is_distorted: bool, parameters: Parameters, report: ImportReport) -> None:
