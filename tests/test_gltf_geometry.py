@@ -54,7 +54,7 @@ def test_buffers_in_files(tmp_path):
 
 
 BAD_CONTAINERS = {
-    "no JSON": (b"{", "not valid JSON"),
+    "no JSON": (b"{", "neither a GLB file nor valid JSON"),
     "a list": (b"[]", "JSON is no object"),
     "no asset": (b"{}", "asset: it is missing"),
     "glTF 1": (b'{"asset": {"version": "1.0"}}', "asset.version: glTF 1.0 is not supported"),

@@ -235,7 +235,7 @@ def test_pipes_are_rejected(kind, tmp_path):
 @pytest.mark.parametrize("content", [b"", b"solid x", b"glTF" + bytes(50), bytes(range(256)) * 4, bytes(84)])
 def test_invalid_stl_and_glb_files_are_rejected(suffix, content, write_file):
     path = write_file(f"a.{suffix}", content)
-    with pytest.raises(SceneError, match=r"not a readable|no triangles|not valid JSON|version 0 of GLB"):
+    with pytest.raises(SceneError, match=r"not a readable|no triangles|nor valid JSON|version 0 of GLB"):
         load(path)
 
 

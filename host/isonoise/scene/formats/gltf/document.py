@@ -33,7 +33,7 @@ class Document:
         try:
             content = parse_json(text.removeprefix(b"\xef\xbb\xbf"))
         except ValueError as error:
-            raise SceneError(f"{path}: it is not valid JSON ({error})") from None
+            raise SceneError(f"{path}: it is neither a GLB file nor valid JSON ({error})") from None
         if not isinstance(content, dict):
             raise SceneError(f"{path}: it is not a glTF file: its JSON is no object")
         self.root = JsonObject(str(path), "", content)
@@ -114,9 +114,11 @@ class Document:
         if path_exists(plain):  # some exporters do not escape '%'
             return plain
         try:
-            return self.path.parent / unquote_to_bytes(uri).decode("utf-8")
+            file = self.path.parent / unquote_to_bytes(uri).decode("utf-8")
         except UnicodeDecodeError:
             return plain
+        with_slashes = Path(str(file).replace("\\", "/"))
+        return with_slashes if path_exists(with_slashes) else file
 
 
 def _check_version(root: JsonObject) -> None:

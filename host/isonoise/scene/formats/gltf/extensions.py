@@ -56,7 +56,8 @@ _WITH_FALLBACK = {
     "KHR_texture_basisu",
     "MSFT_texture_dds",
 }
-_ADVICE = {
+COMPRESSED_MESHES = ("KHR_draco_mesh_compression",)
+ADVICE = {
     "KHR_draco_mesh_compression": "export the model without Draco compression",
     "EXT_meshopt_compression": "export the model without meshopt compression",
     "KHR_meshopt_compression": "export the model without meshopt compression",
@@ -71,7 +72,7 @@ def check_extensions(document: Document, report: ImportReport) -> None:
     required = document.root.strings("extensionsRequired")
     for number, name in enumerate(required):
         if name not in _READ | _WITHOUT_EFFECT:
-            advice = _ADVICE.get(name, "export the model without it")
+            advice = ADVICE.get(name, "export the model without it")
             place = f"extensionsRequired[{number}]"
             document.root.fail(place, f"the extension '{name[:80]}' is not supported; {advice}")
     used = dict.fromkeys(document.root.strings("extensionsUsed"))

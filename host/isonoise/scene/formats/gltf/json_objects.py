@@ -17,14 +17,17 @@ _NO_DEFAULT = object()
 
 @dataclass(frozen=True, slots=True)
 class JsonObject:
-    """An object of the file, such as a node. Methods raise SceneError if a value has another type than they return."""
+    """An object of the file, such as a node. Methods raise SceneError if a value has another type than they return.
+
+    A value of null is taken as missing, as some exporters write it.
+    """
 
     file: str
     place: str  # such as 'meshes[3].primitives[0]'; '' for the whole file
     values: dict
 
     def __contains__(self, name: str) -> bool:
-        return name in self.values
+        return self.values.get(name) is not None
 
     def place_of(self, name: str) -> str:
         """The place of one of its values, for errors and warnings."""
@@ -45,7 +48,7 @@ class JsonObject:
         return [as_object(self.file, place, value) for place, value in self._items(name)]
 
     def _items(self, name: str) -> Iterator[tuple[str, object]]:
-        values, place = self.values.get(name, []), self.place_of(name)
+        values, place = self.values[name] if name in self else [], self.place_of(name)
         if not isinstance(values, list):
             self.fail(name, f"it has to be an array, got {shorten(values)}")
         return ((f"{place}[{number}]", value) for number, value in enumerate(values))
@@ -121,7 +124,7 @@ class JsonObject:
         return value
 
     def _value(self, name: str, default):
-        if name in self.values:
+        if name in self:
             return self.values[name]
         if default is _NO_DEFAULT:
             self.fail(name, "it is missing")

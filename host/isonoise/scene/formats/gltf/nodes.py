@@ -13,6 +13,7 @@ from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.report import ImportReport
 
 _MAX_ELEMENT = 1e30  # of a transform to world space: products stay within 64-bit floats
+_MAX_ROUNDING = 1e-5  # of the last row of a matrix
 _INSTANCING = "EXT_mesh_gpu_instancing"
 
 
@@ -70,8 +71,9 @@ def _local_transforms(nodes: list[JsonObject]) -> np.ndarray:
     for index, node in enumerate(nodes):
         if "matrix" in node:
             matrices[index] = np.array(node.numbers("matrix", 16)).reshape(4, 4).T
-            if matrices[index, 3].tolist() != [0, 0, 0, 1]:
+            if not np.allclose(matrices[index, 3], (0, 0, 0, 1), rtol=0, atol=_MAX_ROUNDING):
                 node.fail("matrix", "its last row has to be 0 0 0 1")
+            matrices[index, 3] = 0, 0, 0, 1
     return matrices
 
 

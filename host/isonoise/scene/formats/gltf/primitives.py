@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isonoise.scene.formats.gltf.accessors import Accessors
+from isonoise.scene.formats.gltf.extensions import ADVICE, COMPRESSED_MESHES
 from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.mesh.mesh import make_uvs
@@ -37,6 +38,9 @@ def read_geometry(primitive: JsonObject, accessors: Accessors, report: ImportRep
     if "POSITION" not in attributes:
         report.limit("triangles", "it has no POSITION and is left out", primitive.place)
         return None
+    compressed = next((name for name in COMPRESSED_MESHES if primitive.extension(name)), None)
+    if compressed and "bufferView" not in accessors.document.referenced(attributes, "POSITION", "accessors"):
+        primitive.fail("", f"it has no data but those of {compressed}; {ADVICE[compressed]}")
     vertices = accessors.read_floats(attributes, "POSITION", "VEC3")
     if not np.isfinite(vertices).all():
         attributes.fail("POSITION", "a position is not a finite number")

@@ -14,7 +14,9 @@ SUPPORT = {
     "compression": Support(PARTLY, "KHR_mesh_quantization and sparse accessors; not Draco, not meshopt"),
     "scene_graph": Support(YES, "the default scene; cameras and lights keep their size under scale"),
     "instances": Support(YES, "copies of a mesh become instances if that saves 100,000 triangles"),
-    "animation": Support(PARTLY, "skins in rest pose, morph targets with their default weights, no animation"),
+    "animation": Support(
+        PARTLY, "shown at rest: animations are not played; skins in rest pose, morph targets with their default weights"
+    ),
     "includes": Support(YES, "buffers and images in files inside the folder of the scene, or in data URIs"),
     "diffuse": Support(YES, "`principled` base_color: factor, texture and vertex colours"),
     "metal": Support(YES, "`principled` metallic: factor and texture"),
