@@ -24,6 +24,7 @@ _CORNER_FORMS = (
     (2, False, (0, 1, 2)),  # 1/2/3
     (2, True, (0, 2)),  # 1//3
 )
+_CORNER_HINT = "the corners of a face are whole numbers: 'f 1 2 3' or 'f 1/1/1 2/2/2 3/3/3'"
 _COUNTED = (
     *(("objects", b"o ", b"o"), ("groups", b"g ", b"g"), ("lines", b"l ", b"l"), ("points", b"p ", b"p")),
     *(("curves", b"cu", b"curv"), ("curves", b"cu", b"curv2"), ("surfaces", b"su", b"surf")),
@@ -171,7 +172,9 @@ class _Lines:
         if sizes.min() < 3:
             self.location_of(line_numbers[np.argmin(sizes)]).raise_error("a face has fewer than three corners")
         data = _without_trailing_slashes(data)
-        begins, _ = _find_words(data)
+        begins, sizes_without = _find_words(data)
+        if (sizes_without != sizes).any():
+            self.location_of(line_numbers[np.argmax(sizes_without != sizes)]).raise_error(_CORNER_HINT)
         slashes = np.flatnonzero(data == _SLASH)
         slash_count = np.bincount(np.searchsorted(begins, slashes, side="right") - 1, minlength=len(begins))
         has_adjacent = np.zeros(len(begins), bool)
@@ -191,7 +194,7 @@ class _Lines:
             data = np.where(selected[np.maximum(owner, 0)], data, _SPACE).astype(np.uint8)
         values = parse_numbers(data.tobytes().replace(b"/", b" "))
         if len(values) != columns * selected.sum() or np.any(values != np.rint(values)):
-            self.location.raise_error("the corners of a face are whole numbers: 'f 1 2 3' or 'f 1/1/1 2/2/2 3/3/3'")
+            self.location.raise_error(_CORNER_HINT)
         return np.clip(values, -(2**40), 2**40).astype(np.int64).reshape(-1, columns)
 
     def materials(self, face_lines: np.ndarray) -> tuple[np.ndarray, list[str], list[str]]:
