@@ -232,3 +232,10 @@ def test_triangles_belong_to_one_parallelogram_at_most():
 
 def test_the_box_of_cornell_has_one_light():
     assert compile_scene(load("cornell")).lights["kind"].tolist() == [light_bits("parallelogram")]
+
+
+@pytest.mark.parametrize("radiance", [None, 0.0, 1.0])
+def test_a_scene_without_light_gives_a_warning(radiance, recwarn):
+    lamp = {} if radiance is None else {"emitter": {"type": "area", "radiance": radiance}}
+    compile_scene(scene_with(it={"type": "sphere", "center": (0, 0, 5), **lamp}))
+    assert [str(each.message).split(",")[0] for each in recwarn] == ["the scene has no light"] * (radiance != 1.0)

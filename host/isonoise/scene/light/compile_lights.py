@@ -3,6 +3,7 @@
 Called by `scene/compile.py`. Radiance is scaled so that the brightest emitter lies in [1, 2).
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +74,10 @@ def compile_lights(
     emitted = [environment.mean if e["type"] == "envmap" else lighting.emitted(e) for e, _ in emitters]
     means = [1.0 if texture == structs.NONE else textures.mean(texture) for _, texture in emitters]
     values = [value * mean for value, mean in zip(emitted, means, strict=True)]
+    if not any(np.any(value) for value in (*area_values, *values)):
+        warnings.warn(
+            "the scene has no light, so its image is black; add an emitter, or an environment with --env", stacklevel=3
+        )
     peak = [np.full(3, environment.largest)] if environment else []
     scale = lighting.radiance_scale([*area_values, *values, *peak])
     parts = [_area_lights(light, value * scale) for light, value in zip(area_lights, area_values, strict=True)]
