@@ -77,3 +77,13 @@ def test_the_file_contains_the_tone_mapped_image(tmp_path):
         assert picture.mode == "RGB"
         np.testing.assert_array_equal(np.asarray(picture), tone_map(rgb))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.PNG").read_bytes()
+
+
+@pytest.mark.parametrize(("share", "is_limited"), [(0.2, True), (0.05, False)])
+def test_a_bright_object_before_a_dark_background_is_not_white(share, is_limited):
+    """Within a tenth of the pixels highlights may exceed the limit."""
+    brightness = np.ones(1000)
+    brightness[: int(1000 * share)] = 1000.0
+    mapped = tone_map(grey(brightness[None]))[0, 0, 0]
+    limit = SHOULDER + (1 - SHOULDER) * -np.expm1(-(1 - SHOULDER) / (1 - SHOULDER))
+    assert (mapped == srgb(limit)) == is_limited

@@ -11,6 +11,10 @@ from isonoise.strategies.measures import image_floor
 MIDDLE_GREY = 0.18
 """Display value of the image's log-average luminance: the key value of Reinhard et al. 2002, section 2.1."""
 
+MAX_BRIGHT = 1.0
+"""Value before the curve that at most a share `_BRIGHT_SHARE` of the lit pixels may exceed."""
+_BRIGHT_SHARE = 0.1
+
 SHOULDER = 0.6
 """Display value up to which the curve is linear, so that only highlights are compressed."""
 
@@ -20,9 +24,10 @@ def tone_map(rgb: np.ndarray, exposure: float | None = None) -> np.ndarray:
 
     Exposure, unless given: the log-average luminance becomes `MIDDLE_GREY` (Reinhard, Stark, Shirley, Ferwerda 2002,
     equations 1 and 2). The average is over pixels with light, none counted darker than 1e-4 of the mean, so that a
-    black background or a few nearly black pixels do not brighten the rest. Curve, per channel: linear to `SHOULDER` s,
-    then s + (1 - s)(1 - exp(-(v - s)/(1 - s))), which continues value and slope and reaches 1 only at infinity.
-    Encoding: IEC 61966-2-1. The result depends only on the pixels, so equal images give equal bytes.
+    black background or a few nearly black pixels do not brighten the rest. It is less if a tenth of these pixels would
+    exceed `MAX_BRIGHT`. Curve, per channel: linear to `SHOULDER` s, then s + (1 - s)(1 - exp(-(v - s)/(1 - s))), which
+    continues value and slope and reaches 1 only at infinity. Encoding: IEC 61966-2-1. The result depends only on the
+    pixels, so equal images give equal bytes.
 
     Parameters
     ----------
@@ -57,4 +62,9 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None =
 
 def _automatic_exposure(brightness: np.ndarray) -> float:
     average = 100 * image_floor(brightness)  # the floor is 1 % of the log-average
-    return MIDDLE_GREY / average if average > 0 else 1.0
+    if not average > 0:
+        return 1.0
+    lit = brightness[brightness > 0]
+    rank = int((1 - _BRIGHT_SHARE) * (len(lit) - 1))
+    bright = float(np.partition(lit, rank)[rank])
+    return min(MIDDLE_GREY / average, MAX_BRIGHT / bright)
