@@ -213,9 +213,6 @@ def test_the_picture_does_not_depend_on_the_unit_of_length(unit):
     assert scene["environment"]["scale"] == pytest.approx(staged(it=cloud())["environment"]["scale"], rel=1e-9)
 
 
-LAMP = {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [17, 12, 4]}}}
-
-
 @pytest.mark.parametrize(
     ("light", "brightness"),
     [
@@ -239,17 +236,22 @@ def test_models_with_lights_of_their_own_keep_them(light, brightness):
 
 
 @pytest.mark.parametrize(
-    ("radiance", "is_lit"),
+    ("radiance", "is_lamp", "is_lit"),
     [
-        (0.05, False),
-        ({"type": "rgb", "value": [17, 12, 4]}, True),
-        ({"type": "bitmap", "bitmap": Image(np.zeros((2, 2, 3), np.uint8))}, False),
-        ({"type": "bitmap", "bitmap": Image(np.full((2, 2, 3), 9, np.float32))}, True),
+        (0.05, False, False),
+        ({"type": "rgb", "value": [17, 12, 4]}, True, True),
+        ({"type": "bitmap", "bitmap": Image(np.zeros((2, 2, 3), np.uint8))}, False, False),
+        ({"type": "bitmap", "bitmap": Image(np.full((2, 2, 3), 9, np.float32))}, True, True),
+        ({"type": "mesh_attribute", "name": "vertex_color", "scale": 2.0}, False, False),
     ],
 )
-def test_emissive_models_are_in_the_studio_unless_they_light_themselves(radiance, is_lit):
-    scene = staged(it=mesh(SQUARE, emitter={"type": "area", "radiance": radiance}), ball=SPHERE)
-    assert ("ground" in scene) != is_lit
+@pytest.mark.parametrize("size", [1.0, 0.05])
+def test_emissive_models_are_in_the_studio_unless_they_light_themselves(radiance, is_lamp, is_lit, size):
+    """A small lamp does not light the model. But a ground would make it a light that is hardly ever selected."""
+    attributes = {"vertex_color": np.full((4, 3), 0.01, np.float32)}
+    lamp = mesh(size * np.array(SQUARE), emitter={"type": "area", "radiance": radiance}, attributes=attributes)
+    scene, is_lit = staged(it=lamp, ball=SPHERE), is_lit and size == 1
+    assert ("ground" in scene) != is_lamp
     assert ("exposure" in scene["sensor"]["film"]) != is_lit
 
 

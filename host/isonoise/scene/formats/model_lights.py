@@ -6,11 +6,12 @@ import numpy as np
 
 from isonoise.luminance import REC709_LUMINANCE
 from isonoise.scene.formats.framing import Extent
-from isonoise.scene.formats.studio import sphere_brightness
+from isonoise.scene.formats.studio import WHITE, sphere_brightness
 from isonoise.scene.image.image import Image
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.transforms import transform_points
 
+_MIN_LAMP = 4.0  # luminance of a lamp, in that of a white surface
 _MAX_POINTS = 1000  # of the model, at which point lights are metered
 
 
@@ -33,6 +34,12 @@ def brightness_by_own_lights(scene: Mapping, extent: Extent, to_camera: np.ndarr
             radiance = _luminance(part["emitter"].get("radiance", 1.0), part)
             level += radiance * _area(part) / (4 * np.pi * extent.size**2)
     return level
+
+
+def has_lamp(scene: Mapping) -> bool:
+    """Whether a surface is so bright that it is meant to light others."""
+    emitters = [part["emitter"] for part in scene.values() if isinstance(part, Mapping) and "emitter" in part]
+    return any(_luminance(emitter.get("radiance", 1.0)) > _MIN_LAMP * WHITE for emitter in emitters)
 
 
 def _axis(part: Mapping) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from isonoise.scene import transforms
 from isonoise.scene.formats.framing import Extent, find_extent, frame, three_quarter_direction, turn_to
-from isonoise.scene.formats.model_lights import brightness_by_own_lights
+from isonoise.scene.formats.model_lights import brightness_by_own_lights, has_lamp
 from isonoise.scene.formats.studio import GROUND_REFLECTANCE, WHITE, meter, studio_image
 from isonoise.scene.image.image import Image, read_image
 from isonoise.scene.material.bsdf_kinds import KIND_OF_PLUGIN
@@ -31,7 +31,7 @@ _LENS_DEGREES = 46.8  # angle of view along the diagonal: that of a 50 mm lens o
 _FILM = {"type": "hdrfilm", "width": _IMAGE_SIZE[0], "height": _IMAGE_SIZE[1], "rfilter": {"type": "gaussian"}}
 _SAMPLER = {"type": "multijitter", "sample_count": 64}
 _MAX_DEPTH = 16
-_GROUND_SIZE = 40.0  # half its side, in the model's sizes
+_GROUND_SIZE = 20.0  # half its side, in the model's sizes
 _GROUND_GAP = 1e-3  # between model and ground, in the model's sizes: a floor of the model stays in sight
 _MIN_OWN_BRIGHTNESS = 0.1 * WHITE
 """Brightness by a model's own lights from which on they light it, and not the studio."""
@@ -95,7 +95,7 @@ def stage(
         staged[_unused("environment", staged)] = _environment(view, pose, share * own_brightness, has_ground=False)
         added[-1] += f", which adds {100 * share:.0f} % to the model's own lights"
     else:
-        has_ground = _can_have_ground(pose)
+        has_ground = _can_have_ground(pose) and not has_lamp(scene)  # the ground would make it a rarely sampled light
         staged[_unused("environment", staged)] = _environment(view, pose, WHITE, has_ground)
         if has_ground:
             added.append("a ground")
