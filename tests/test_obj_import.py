@@ -259,6 +259,9 @@ def test_missing_files_are_reported(tmp_path):
     assert "material 'm': no MTL file defines it" in losses[1]
     (tmp_path / "in").mkdir()
     save_image(tmp_path / "a.png")
+    (tmp_path / "a #1.png").write_bytes((tmp_path / "a.png").read_bytes())
+    for name in ("a.png # a comment", "a #1.png"):
+        assert read_material(tmp_path, f"map_Kd {name}")[1] == []
     with pytest.raises(SceneError, match=r"a\.png' is outside the scene's folder"):
         read_material(tmp_path / "in", "map_Kd ../a.png")
 

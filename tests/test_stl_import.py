@@ -69,6 +69,7 @@ def test_colours_of_facets(tmp_path):
     ("data", "message"),
     [
         (binary()[:-1], "shorter than its header states"),
+        (ascii_text("a", TRIANGLES[0])[:-11].encode(), "it ends before 'endsolid'"),
         (ascii_text("a", TRIANGLES[0]).replace("vertex 0.0", "vertex x").encode(), "not a readable STL file"),
         (ascii_text("a", TRIANGLES[0]).replace("vertex", "", 1).encode(), "not a readable STL file"),
         (ascii_text("a", TRIANGLES[0]).replace("vertex 0.0", "vertex nan").encode(), "not a finite number"),

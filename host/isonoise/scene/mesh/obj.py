@@ -57,7 +57,7 @@ def read_obj(path: Path, flip_tex_coords: bool = True, cut_concave: bool = False
     normals = lines.vectors(b"vn", 3)
     corners, sizes, face_lines = lines.faces()
     if not len(sizes):
-        lines.location.raise_error("it has no faces" + (" (it is a point cloud)" if len(vertices) else ""))
+        lines.location.raise_error("it has no faces, only vertices" if len(vertices) else "it has no faces")
     owner = np.repeat(np.arange(len(sizes)), sizes)
     for column, (key, name) in enumerate(((b"v ", "vertex"), (b"vt", "texture coordinate"), (b"vn", "normal"))):
         line_numbers = lines.lines_with_key(key)

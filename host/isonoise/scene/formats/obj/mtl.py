@@ -21,6 +21,7 @@ _MAPS = {
     **{"disp": "disp", "map_disp": "disp", "decal": "decal", "refl": "refl", "map_refl": "refl", "map_pcr": "pcr"},
 }
 """Statements with an image, in small letters -> name of the map."""
+_COMMENT = re.compile(r"\s#\s.*")
 _WORD = re.compile(r"\S+\s*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _MAX_NUMBER = 1e18
@@ -108,7 +109,7 @@ def _parse_map(text: str, location: SourceLocation) -> TextureMap | None:
         option, *words = _take_option(text)
         options[option[1:].strip().lower()] = [word.strip() for word in words]
         text = text[len(option) + sum(map(len, words)) :]
-    file = text.strip().strip('"')
+    file = _COMMENT.sub("", text).strip().strip('"')
     return TextureMap(file, options, location) if file else None
 
 

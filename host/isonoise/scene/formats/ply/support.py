@@ -6,7 +6,7 @@ SUPPORT = {
     "triangles": Support(YES, "`mesh`; ASCII and binary"),
     "polygons": Support(YES, "triangles; concave polygons are cut by ear clipping"),
     "strips_fans": Support(NO, "convert triangle strips to faces, for example with MeshLab"),
-    "lines_points": Support(NO, "edges are not shown; a point cloud is an error: make a mesh of it"),
+    "lines_points": Support(NO, "edges are left out; a file without faces is an error: make a mesh of it"),
     "normals": Support(YES),
     "uvs": Support(YES, "per vertex, or per corner (texcoord)"),
     "vertex_colours": Support(YES, "`mesh_attribute`: vertex colours, or else face colours"),

@@ -47,7 +47,8 @@ def read_stl(path: Path) -> StlFile:
         reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         location.raise_error(f"not a readable STL file ({reason})")
     if not solids:
-        location.raise_error("it has no triangles")
+        is_cut = data.lstrip()[:5].lower() == b"solid" and b"endsolid" not in data.lower()
+        location.raise_error("it ends before 'endsolid'" if is_cut else "it has no triangles")
     corners = np.concatenate([np.asarray(solid.vertices, np.float64)[solid.faces] for solid in solids])
     if not np.isfinite(corners).all():
         location.raise_error("a vertex is not a finite number")
