@@ -53,6 +53,7 @@ FEATURES = {
     "film": "film, sampler, integrator settings",
     "point_lights": "point lights",
     "spot_lights": "spot lights",
+    "projected_lights": "lights with images",
     "directional_lights": "directional lights",
     "environment": "environment lights",
     "spectra": "spectra",

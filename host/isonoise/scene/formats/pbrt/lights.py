@@ -13,6 +13,12 @@ from isonoise.scene.formats.mesh_shape import rgb
 from isonoise.scene.formats.pbrt.colours import Colours
 from isonoise.scene.formats.pbrt.environment import equal_area_directions, resample_equal_area
 from isonoise.scene.formats.pbrt.parameters import SPECTRUM_TYPES, Parameters
+from isonoise.scene.formats.pbrt.projected_lights import (
+    MAX_SOFT_CUTOFF_DEGREES,
+    goniometric_projectors,
+    projector,
+    soft_edge,
+)
 from isonoise.scene.formats.pbrt.surfaces_of_revolution import scales_uniformly
 from isonoise.scene.formats.pbrt.textures import Textures
 from isonoise.scene.formats.report import ImportReport
@@ -33,16 +39,16 @@ class Lights:
         self._colours, self._textures, self._report = colours, textures, report
         self.exposure = 1.0
 
-    def make(self, kind: str, parameters: Parameters, to_world: np.ndarray) -> dict:
-        """The emitter of a `LightSource`."""
+    def make(self, kind: str, parameters: Parameters, to_world: np.ndarray) -> list[dict]:
+        """The emitters of a `LightSource`: one, or six for a goniometric light."""
         if kind not in _LIGHTS:
             parameters.position.raise_unknown("unknown light", kind, _LIGHTS)
         self._report.count("lights")
         parameters.ignore("samples", "nsamples")
-        make = {"distant": self._distant, "infinite": self._infinite, "spot": self._spot}.get(kind, self._point)
-        if kind in ("goniometric", "projection"):
-            return self._image_light(kind, parameters, to_world)
-        return make(parameters, to_world)
+        if kind == "goniometric":
+            return self._goniometric(parameters, to_world)
+        make = {"point": self._point, "spot": self._spot, "distant": self._distant, "infinite": self._infinite}
+        return [make.get(kind, self._projection)(parameters, to_world)]
 
     def area_emitter(self, parameters: Parameters, area: float, light_count: int) -> dict:
         """The emitter of a shape under `AreaLightSource`, which is cut into `light_count` lights."""
@@ -102,16 +108,20 @@ class Lights:
         if cone > _MAX_CUTOFF_DEGREES:
             self._report.limit("spot_lights", "a cone wider than a hemisphere is cut to one", place)
             cone = _MAX_CUTOFF_DEGREES
-        if start < cone:
-            problem = "the soft edge is linear in the angle; in pbrt it is a smooth step of its cosine"
-            self._report.limit("spot_lights", problem, place)
-        return {
+        spot = {
             "type": "spot",
             "to_world": self._aim(parameters, to_world),
             "cutoff_angle": cone,
             "beam_width": min(start, cone),
             "intensity": rgb(self._intensity(parameters, extent)),
         }
+        if start < cone <= MAX_SOFT_CUTOFF_DEGREES:
+            edge = {"type": "bitmap", "bitmap": soft_edge(cone, start), "raw": True, "wrap_mode": "clamp"}
+            spot |= {"beam_width": cone, "texture": edge}
+        elif start < cone:
+            problem = "the soft edge of a wide cone is linear in the angle; in pbrt it is a smooth step of its cosine"
+            self._report.limit("spot_lights", problem, place)
+        return spot
 
     def _aim(self, parameters: Parameters, to_world: np.ndarray) -> np.ndarray:
         """The transform that moves +z to the axis of a light with `from` and `to`."""
@@ -169,26 +179,62 @@ class Lights:
         rotation[:3, :3] = linear / abs(np.linalg.det(linear)) ** (1 / 3)
         return {"type": "envmap", "bitmap": self._textures.scaled_image(image, factor), "to_world": rotation}
 
-    def _image_light(self, kind: str, parameters: Parameters, to_world: np.ndarray) -> dict:
-        """A goniometric or projection light: a point light of the same mean intensity, or a spot."""
-        factor = 1.0
-        parameters.ignore("mapname", "filename")
-        name = "filename" if "filename" in parameters else "mapname"
-        if kind == "goniometric" and name in parameters:
-            image = self._textures.read_image(parameters, name)
-            self._check_pixels(image, parameters, name)
-            factor = 1.0 if parameters.number("power", -1.0) > 0 else float(image.linear().mean())
-        if kind == "projection":
-            parameters.ignore("fov")
-        problem = f"a {kind} light becomes a point light: its image is ignored"
-        self._report.limit("point_lights", problem, parameters.position.place)
-        point = self._point(parameters, to_world)
-        point["intensity"] = rgb(np.array(point["intensity"]["value"]) * factor)
-        return point
+    def _projection(self, parameters: Parameters, to_world: np.ndarray) -> dict:
+        """A projection light."""
+        self._report.use("projected_lights")
+        image, name = self._light_image(parameters)
+        fov = parameters.number("fov", 90.0)
+        if not 0.01 <= fov <= 179:
+            parameters.place("fov").raise_error(f"fov has to be 0.01 to 179 degrees, got {fov:g}")
+        pixels = np.broadcast_to(image.linear(), (*image.pixels.shape[:2], 3))
+        pixels = pixels[::-1] if name == "mapname" else pixels  # pbrt-v3 shows the first row at the bottom
+        made = projector(pixels * self._intensity_of_image(parameters), fov, _rigid(to_world))
+        power = parameters.number("power", None)
+        if power is not None and power > 0:
+            # the projector's image is cos^3 / pi times the intensity; cos^3 is the solid angle of an area at distance 1
+            irradiance = _luminance(made["irradiance"]["bitmap"])
+            height, width = irradiance.shape
+            plane_area = 4 * math.tan(math.radians(fov) / 2) ** 2 * max(width, height) / min(width, height)
+            emitted = math.pi * float(irradiance.mean()) * plane_area
+            made["scale"] = power * float(self._factor(parameters).mean()) / emitted if emitted > 0 else 0.0
+        return made
+
+    def _goniometric(self, parameters: Parameters, to_world: np.ndarray) -> list[dict]:
+        """A point light with a diagram of its directions, as six projectors."""
+        self._report.use("projected_lights")
+        if not {"filename", "mapname"} & set(parameters.names):
+            return [self._point(parameters, to_world)]
+        image, _ = self._light_image(parameters)
+        intensity = self._intensity_of_image(parameters)
+        power = parameters.number("power", None)
+        if power is not None and power > 0:
+            emitted = 4 * math.pi * float(image.linear().mean())
+            intensity = intensity * (power / emitted if emitted > 0 else 0.0)
+        return goniometric_projectors(image, intensity, _rigid(to_world))
+
+    def _intensity_of_image(self, parameters: Parameters) -> np.ndarray:
+        return self._emission(parameters, "I") * self._factor(parameters)
+
+    def _light_image(self, parameters: Parameters) -> tuple[Image, str]:
+        """The image of a light, and the name of its parameter: `mapname` in pbrt-v3."""
+        name = "mapname" if "mapname" in parameters else "filename"
+        if name not in parameters:
+            parameters.position.raise_error('the light needs "string filename"')
+        image = self._textures.read_image(parameters, name)
+        self._check_pixels(image, parameters, name)
+        return image, name
 
     def _check_pixels(self, image: Image, parameters: Parameters, name: str) -> None:
         if not np.isfinite(image.pixels).all():
             parameters.place(name).raise_error("the image of a light has pixels that are not finite numbers")
+
+
+def _rigid(to_world: np.ndarray) -> np.ndarray:
+    """The transform without its scale; of a mirroring one, the mirror stays."""
+    rigid = to_world.copy()
+    u, _, vt = np.linalg.svd(to_world[:3, :3])
+    rigid[:3, :3] = u @ vt
+    return rigid
 
 
 def sum_of_environments(first: dict, second: dict) -> dict | None:

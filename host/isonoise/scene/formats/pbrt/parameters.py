@@ -64,6 +64,11 @@ class Parameters:
     def __contains__(self, name: str) -> bool:
         return name in self._values
 
+    @property
+    def names(self) -> Iterable[str]:
+        """The names of all parameters."""
+        return self._values.keys()
+
     def with_defaults(self, defaults: Iterable[Value]) -> "Parameters":
         """These parameters, and the given ones where they are absent (pbrt's `Attribute`), which need no use."""
         values = {value.name: value for value in defaults} | self._values

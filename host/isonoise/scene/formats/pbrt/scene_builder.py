@@ -196,13 +196,14 @@ class SceneBuilder:
     def _run_light_source(self, directive: Directive) -> None:
         parameters = self._state.with_defaults("light", directive.parameters)
         kind = directive.arguments[0]
-        emitter = self._lights.make(kind, parameters, self._state.current.to_world)
+        emitters = self._lights.make(kind, parameters, self._state.current.to_world)
         self._report_unused(parameters, f"the light '{kind}'")
-        key = self._key(emitter["type"], directive)
-        if emitter["type"] in ("constant", "envmap"):
-            emitter = self._with_earlier_environment(emitter, directive)
-            self._environment_key = key
-        self._shapes[key] = emitter
+        for emitter in emitters:
+            key = self._key(emitter["type"], directive)
+            if emitter["type"] in ("constant", "envmap"):
+                emitter = self._with_earlier_environment(emitter, directive)
+                self._environment_key = key
+            self._shapes[key] = emitter
 
     def _with_earlier_environment(self, emitter: dict, directive: Directive) -> dict:
         """The emitter that stands for this and the earlier environment, which is removed: a scene has one."""
