@@ -31,6 +31,9 @@ BsdfContext shading(__global const Bsdf* bsdf, __global const float* rough_trans
     ctx.normal = LOAD3(2, frame);
     ctx.wi = wi;
     ctx.cos_i = dot3(ctx.normal, wi);
+#if HAS_BLEND_LIGHTING
+    ctx.other_weight = 0.0f;
+#endif
 #if HAS_SHADING_FRAME
     ctx.s = LOAD3(0, frame);
     ctx.t = LOAD3(1, frame);

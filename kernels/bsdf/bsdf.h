@@ -13,6 +13,9 @@ INLINE bool has_non_delta_lobes(const BsdfContext* ctx)
     if (material(ctx).kind & PHASE_FUNCTIONS) return !(material(ctx).flags & BSDF_NO_LIGHT_SAMPLING);
 #endif
     if (!(ctx->cos_i > 0.0f || HAS_ROUGH_TRANSMISSION)) return false;
+#if HAS_BLEND_LIGHTING && HAS_DELTA_BSDFS
+    if (ctx->other_weight > 0.0f && !(ctx->bsdfs[ctx->other_bsdf].kind & DELTA_BSDFS)) return true;
+#endif
 #if HAS_DELTA_BSDFS
     return !(material(ctx).kind & DELTA_BSDFS);
 #else

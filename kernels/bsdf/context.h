@@ -7,6 +7,8 @@
 
 #define HAS_BUMPS (FEATURE_BUMP || FEATURE_NORMAL_MAP)
 #define NO_BUMP (-1.0f)
+// Next-event estimation at a blend evaluates both parts where that is cheap, with the weights of the blend.
+#define HAS_BLEND_LIGHTING (FEATURE_BLEND && FEATURE_NEXT_EVENT)
 
 typedef struct {
     __global const Bsdf* bsdfs;
@@ -23,6 +25,10 @@ typedef struct {
 #if HAS_BUMPS
     bool flipped;       // to the viewer: the normal is opposite to the surface's
     float bump_alpha2;  // alpha^2 of the bump shadowing function, NO_BUMP without a bump or normal map
+#endif
+#if HAS_BLEND_LIGHTING
+    uint other_bsdf;     // the part of a blend that was not chosen
+    float other_weight;  // its weight in the blend, 0 if only `bsdf` is evaluated
 #endif
 #if FEATURE_TEXTURES
     const Textures* textures;

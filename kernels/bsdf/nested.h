@@ -107,10 +107,14 @@ INLINE float nested_weight(const BsdfContext* ctx, uint slot)
 #endif
 
 // Replaces a wrapper by the BSDF that it holds, until that is no wrapper. Blends and masks choose one of two with the
-// probability of its weight, by the random number `u`; so every estimate is right on average. Returns whether the path
-// passes through.
+// probability of its weight, by the random number `u`; so every estimate is right on average. Of a blend with
+// BSDF_EVALUATE_BOTH the other one is noted, too. Returns whether the path passes through.
 INLINE bool resolve_nested_bsdf(BsdfContext* ctx, const Surface* s, float u)
 {
+#if HAS_BLEND_LIGHTING
+    ctx->other_bsdf = 0u;
+    ctx->other_weight = 0.0f;
+#endif
     for (;;) {
         const Bsdf wrapper = material(ctx);
         uint next = wrapper.nested[0];
@@ -129,9 +133,18 @@ INLINE bool resolve_nested_bsdf(BsdfContext* ctx, const Surface* s, float u)
                 break;
 #endif
 #if FEATURE_BLEND
-            case BSDF_BLEND:
-                if (sample_branch(nested_weight(ctx, SLOT_BLEND_WEIGHT), &u)) next = wrapper.nested[1];
+            case BSDF_BLEND: {
+                const float weight = nested_weight(ctx, SLOT_BLEND_WEIGHT);
+                const bool second = sample_branch(weight, &u);
+                if (second) next = wrapper.nested[1];
+#if HAS_BLEND_LIGHTING
+                if (wrapper.flags & BSDF_EVALUATE_BOTH) {
+                    ctx->other_bsdf = wrapper.nested[second ? 0 : 1];
+                    ctx->other_weight = second ? 1.0f - weight : weight;
+                }
+#endif
                 break;
+            }
 #endif
 #if FEATURE_BUMP
             case BSDF_BUMP: perturb_frame(ctx, s); break;

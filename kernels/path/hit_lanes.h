@@ -132,6 +132,9 @@ INLINE void prepare_bsdf_lane(const SceneView* scene, const PathBuffers* paths, 
     uint flags = LANE_FLAG_SCATTERS;
 #if FEATURE_NEXT_EVENT
     flags |= has_non_delta_lobes(&ctx) ? LANE_FLAG_SAMPLES_LIGHT : 0u;
+#if HAS_BLEND_LIGHTING
+    flags |= ctx.other_weight > 0.0f ? LANE_FLAG_BLENDS : 0u;
+#endif
 #endif
     set_lane_flags(flags, lane_state, lane);
 }
@@ -165,6 +168,11 @@ INLINE void advance_to_vertices(const SceneView* scene, const PathBuffers* paths
         store_lane_uint(0u, lane_state, LANE_BSDF, k);
 #if FEATURE_NEXT_EVENT
         store_lane3(splat3(0.0f), lane_state, LANE_LIGHT_DIRECTION, k);
+#endif
+#if HAS_BLEND_LIGHTING
+        store_lane_uint(0u, lane_state, LANE_OTHER_BSDF, k);
+        store_lane4(vec4(0.0f, 0.0f, 0.0f, 0.0f), lane_state, LANE_BSDF_VALUE, k);
+        store_lane4(vec4(0.0f, 0.0f, 0.0f, 0.0f), lane_state, LANE_OTHER_VALUE, k);
 #endif
 #if FEATURE_LIGHT_LIST  // lights are selected for all lanes
         store_lane3(splat3(0.0f), lane_state, LANE_POSITION, k);

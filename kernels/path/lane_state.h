@@ -13,6 +13,7 @@
 #define LANE_FLAG_SCATTERS 1u       // the path is scattered at the surface
 #define LANE_FLAG_HIT_EMITTER 2u    // the surface emits towards the path
 #define LANE_FLAG_SAMPLES_LIGHT 4u  // next-event estimation is done for the path
+#define LANE_FLAG_BLENDS 8u         // it evaluates both parts of a blend
 
 // Members of the lane state: LANE_<name> is the plane of the first of `floats` members.
 // clang-format off
@@ -61,6 +62,11 @@ enum {
     LANE_FIELD(LIGHT_IS_DELTA, 1)
     LANE_FIELD(BSDF_VALUE, 3)
     LANE_FIELD(BSDF_VALUE_PDF, 1)  // directly behind BSDF_VALUE: both are accessed as one Vec4
+#if HAS_BLEND_LIGHTING
+    LANE_FIELD(OTHER_BSDF, 1)
+    LANE_FIELD(OTHER_WEIGHT, 1)
+    LANE_FIELD(OTHER_VALUE, 4)  // and pdf
+#endif
 #endif
     // BSDF sample
     LANE_FIELD(BSDF_RANDOM, 4)  // lobe, direction x and y, roulette
@@ -134,6 +140,10 @@ INLINE void store_bsdf_context_lane(const BsdfContext* ctx, float* lane_state, s
     store_lane_uint(material(ctx).kind, lane_state, LANE_BSDF_KIND, lane);
     store_lane3(ctx->normal, lane_state, LANE_SHADING_NORMAL, lane);
     store_lane(ctx->cos_i, lane_state, LANE_COS_I, lane);
+#if HAS_BLEND_LIGHTING
+    store_lane_uint(ctx->other_bsdf, lane_state, LANE_OTHER_BSDF, lane);
+    store_lane(ctx->other_weight, lane_state, LANE_OTHER_WEIGHT, lane);
+#endif
 #if HAS_LIGHT_IMPORTANCE
     store_lane4(light_sampling_normal(ctx), lane_state, LANE_MIS_NORMAL, lane);
 #endif

@@ -8,6 +8,19 @@ INLINE bool can_contribute(const LightSample* light)
     return light->pdf > 0.0f && max_component3(light->radiance) > 0.0f;
 }
 
+#if HAS_BLEND_LIGHTING
+// Value of a blend for a light sample, MIS-weighted, and 0 in place of a pdf. Each part has a MIS weight of its own, as
+// it has where its sample finds the light: the path follows one of the two, with the probability of its weight.
+INLINE Vec4 blend_value(const LightSample* light, Vec4 value_and_pdf, Vec4 other_value_and_pdf, float other_weight)
+{
+    const float mis = light->is_delta ? 1.0f : mis_weight(light->pdf, value_and_pdf.w);
+    const float other_mis = light->is_delta ? 1.0f : mis_weight(light->pdf, other_value_and_pdf.w);
+    return vec4_from(add3(scale3(xyz(value_and_pdf), (1.0f - other_weight) * mis),
+                          scale3(xyz(other_value_and_pdf), other_weight * other_mis)),
+                     0.0f);
+}
+#endif
+
 // Contribution of a light sample if it is not occluded. `bsdf_value`: bsdf * |cos|; `bsdf_pdf`: of the light's
 // direction.
 INLINE Vec3 direct_lighting(const Path* p, const Surface* s, const BsdfContext* ctx, const LightSample* light,
@@ -50,7 +63,18 @@ INLINE void sample_direct(const SceneView* scene, const PathBuffers* paths, size
     const LightSample light = sample_light(scene, selection, s->position, u.y);
     if (!can_contribute(&light)) return;
     float bsdf_pdf = 0.0f;
-    const Vec3 bsdf_value = bsdf_eval(ctx, light.direction, &bsdf_pdf);
+    Vec3 bsdf_value = bsdf_eval(ctx, light.direction, &bsdf_pdf);
+#if HAS_BLEND_LIGHTING
+    if (ctx->other_weight > 0.0f) {
+        BsdfContext other = *ctx;
+        float other_pdf = 0.0f;
+        other.bsdf = ctx->other_bsdf;
+        const Vec3 other_value = bsdf_eval(&other, light.direction, &other_pdf);
+        bsdf_value = xyz(
+            blend_value(&light, vec4_from(bsdf_value, bsdf_pdf), vec4_from(other_value, other_pdf), ctx->other_weight));
+        bsdf_pdf = 0.0f;
+    }
+#endif
     const Vec3 radiance = direct_lighting(p, s, ctx, &light, bsdf_value, bsdf_pdf);
     if (radiance.x + radiance.y + radiance.z == 0.0f) return;
     write_shadow_ray(paths, i, p, s, &light);

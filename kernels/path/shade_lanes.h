@@ -127,20 +127,20 @@ INLINE void sample_lights(const SceneView* scene, const PathBuffers* paths, cons
 #endif
 
 #if FEATURE_TEXTURES
-// Texture values of all BSDF parameters, BSDF slot by BSDF slot.
-INLINE void evaluate_textures(const SceneView* scene, const HitLanes* hits, float* lane_state)
+// Texture values of all BSDF parameters, BSDF slot by BSDF slot. `member`: the BSDF is in LANE_BSDF or LANE_OTHER_BSDF.
+INLINE void evaluate_textures(const SceneView* scene, const HitLanes* hits, uint flag, uint member, float* lane_state)
 {
     int list[LANES + 1];
     for (uint slot = 0u; slot < BSDF_SLOTS; ++slot) {
         if (!(scene->textured_slots & (1u << slot))) continue;
         COMPACT_LANES(list, textured_count, k, hits->count,
-                      has_lane_flag(LANE_FLAG_SCATTERS, lane_state, k) &
-                          (scene->bsdfs[load_lane_uint(lane_state, LANE_BSDF, k)].textures[slot] != NONE))
+                      has_lane_flag(flag, lane_state, k) &
+                          (scene->bsdfs[load_lane_uint(lane_state, member, k)].textures[slot] != NONE))
         FOR_LANES(j, textured_count) {
             if (j >= textured_count) continue;
             const Surface s = load_surface_lane(lane_state, list[j]);
             const TexturePoint point = texture_point(&s);
-            __global const Bsdf* bsdf = scene->bsdfs + load_lane_uint(lane_state, LANE_BSDF, list[j]);
+            __global const Bsdf* bsdf = scene->bsdfs + load_lane_uint(lane_state, member, list[j]);
             const bool is_number = bsdf->number_slots & (1u << slot);
             const Vec3 value = is_number ? splat3(texture_float(&scene->textures, bsdf->textures[slot], &point))
                                          : texture_rgb(&scene->textures, bsdf->textures[slot], &point);
@@ -187,6 +187,29 @@ INLINE void scatter_lanes(const SceneView* scene, const PathBuffers* paths, cons
     }
 }
 
+#if HAS_BLEND_LIGHTING
+// Evaluates the other parts of blends that are of this kind for the light sample.
+INLINE void evaluate_other_lanes(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, uint kind,
+                                 float* lane_state)
+{
+    int list[LANES + 1];
+    COMPACT_LANES(list, kind_count, k, hits->count,
+                  has_lane_flag(LANE_FLAG_BLENDS, lane_state, k) &
+                      has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k) &
+                      (scene->bsdfs[load_lane_uint(lane_state, LANE_OTHER_BSDF, k)].kind == kind))
+    FOR_LANES(j, kind_count) {
+        if (j >= kind_count) continue;
+        const size_t lane = list[j];
+        const Vec3 direction = load_planes3(paths->ray_direction, compacted_path(hits, list[j]), paths->plane_stride);
+        BsdfContext ctx = load_bsdf_context_lane(scene, kind, direction, lane_state, lane);
+        ctx.bsdf = load_lane_uint(lane_state, LANE_OTHER_BSDF, lane);
+        float pdf = 0.0f;
+        const Vec3 value = bsdf_eval_kind(kind, &ctx, load_lane3(lane_state, LANE_LIGHT_DIRECTION, lane), &pdf);
+        store_lane4(vec4_from(value, pdf), lane_state, LANE_OTHER_VALUE, lane);
+    }
+}
+#endif
+
 // Writes the radiance of the shadow rays, and the rays of the paths that continue.
 INLINE void write_rays(const SceneView* scene, const PathBuffers* paths, const HitLanes* hits, uint rr_depth,
                        const float* lane_state)
@@ -201,7 +224,12 @@ INLINE void write_rays(const SceneView* scene, const PathBuffers* paths, const H
 #if FEATURE_NEXT_EVENT
         if (has_lane_flag(LANE_FLAG_SAMPLES_LIGHT, lane_state, k)) {
             const LightSample light = load_light_sample_lane(lane_state, k);
-            const Vec4 value = load_lane4(lane_state, LANE_BSDF_VALUE, k);
+            Vec4 value = load_lane4(lane_state, LANE_BSDF_VALUE, k);
+#if HAS_BLEND_LIGHTING
+            if (has_lane_flag(LANE_FLAG_BLENDS, lane_state, k))
+                value = blend_value(&light, value, load_lane4(lane_state, LANE_OTHER_VALUE, k),
+                                    load_lane(lane_state, LANE_OTHER_WEIGHT, k));
+#endif
             const Vec3 radiance = direct_lighting(&p, &s, &ctx, &light, xyz(value), value.w);
             store_planes3(radiance, paths->shadow_radiance, i, paths->plane_stride);
             if (radiance.x + radiance.y + radiance.z == 0.0f)

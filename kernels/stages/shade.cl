@@ -92,10 +92,17 @@ INLINE void shade_lanes(const SceneView* scene, const PathBuffers* paths, size_t
 #endif
 
 #if FEATURE_TEXTURES
-    evaluate_textures(scene, hits, lane_state);
+    evaluate_textures(scene, hits, LANE_FLAG_SCATTERS, LANE_BSDF, lane_state);
 #endif
 #define SCATTER_KIND(BIT, name) scatter_lanes(scene, paths, hits, BIT, lane_state);
     FOR_BSDFS(SCATTER_KIND)
+#if HAS_BLEND_LIGHTING
+#if FEATURE_TEXTURES
+    evaluate_textures(scene, hits, LANE_FLAG_BLENDS, LANE_OTHER_BSDF, lane_state);
+#endif
+#define EVALUATE_OTHER(BIT, name) evaluate_other_lanes(scene, paths, hits, BIT, lane_state);
+    FOR_NON_DELTA_BSDFS(EVALUATE_OTHER)
+#endif
     write_rays(scene, paths, hits, rr_depth, lane_state);
 }
 #endif

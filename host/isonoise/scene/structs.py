@@ -27,7 +27,8 @@ TRIANGLE_REVERSED_WINDING = 16  # beside its shape's flags
     BSDF_NO_LIGHT_SAMPLING,  # phase function from which no lights are sampled
     BSDF_PASS_THROUGH,  # part of the light goes straight on
     BSDF_TRANSMITS,  # light from both sides counts
-) = (1 << bit for bit in range(9))
+    BSDF_EVALUATE_BOTH,  # blend: next-event estimation evaluates both parts
+) = (1 << bit for bit in range(10))
 BSDF_SLOTS, BSDF_CONSTANTS = SLOT_COUNT, max(CONSTANT_COUNT, 1)
 
 CAMERA = np.dtype(

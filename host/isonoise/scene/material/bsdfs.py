@@ -79,6 +79,8 @@ class Bsdfs:
                 return self._add_record(inner)
         record = self._record(kind, bsdf)
         record["nested"][0, : len(nested)] = nested
+        if kind.name == "blend" and _can_evaluate_both(self._records[nested[0]], self._records[nested[1]]):
+            record["flags"] |= structs.BSDF_EVALUATE_BOTH
         return self._add_record(record)
 
     def _add_record(self, record: np.ndarray) -> int:
@@ -108,6 +110,14 @@ class Bsdfs:
         for number, compute in enumerate(kind.constants.values()):
             record["constants"][0, number] = compute(bsdf, self._tables)
         return record
+
+
+def _can_evaluate_both(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether next-event estimation evaluates both parts of a blend: they scatter, and the same lights count."""
+    scatters = bits_where(lambda kind: kind.scatters)
+    same = structs.BSDF_TWOSIDED | structs.BSDF_TRANSMITS
+    both_scatter = first["kind"][0] & scatters and second["kind"][0] & scatters
+    return bool(both_scatter) and not (first["flags"][0] ^ second["flags"][0]) & same
 
 
 def mark_pass_through(records: np.ndarray) -> np.ndarray:
