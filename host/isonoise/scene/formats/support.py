@@ -27,6 +27,7 @@ FEATURES = {
     "diffuse": "diffuse colour",
     "metal": "metal",
     "roughness": "roughness",
+    "one_sided": "single-sided surfaces",
     "specular": "specular reflection",
     "emission": "emission",
     "opacity": "opacity",

@@ -181,6 +181,7 @@ def _report_features(material: Material, report: ImportReport) -> None:
         "diffuse": material.factor(_PBR, "metallicFactor", 1.0) < 1 or "metallicRoughnessTexture" in material.textures,
         "metal": material.factor(_PBR, "metallicFactor", 1.0) > 0,
         "roughness": True,
+        "one_sided": not material.values.boolean("doubleSided", False),
         "normal_map": "normalTexture" in material.textures,
         "occlusion_map": "occlusionTexture" in material.values,
         "emission": max(material.factors("", "emissiveFactor", 3, 0.0)) > 0,

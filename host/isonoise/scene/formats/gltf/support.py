@@ -18,9 +18,10 @@ SUPPORT = {
         PARTLY, "shown at rest: animations are not played; skins in rest pose, morph targets with their default weights"
     ),
     "includes": Support(YES, "buffers and images in files inside the folder of the scene, or in data URIs"),
-    "diffuse": Support(YES, "`principled` base_color: factor, texture and vertex colours"),
+    "diffuse": Support(YES, "`principled` base_color: factor, texture, vertex colours; Burley's lobe, not Lambert's"),
     "metal": Support(YES, "`principled` metallic: factor and texture"),
     "roughness": Support(YES, "`principled` roughness: factor and texture"),
+    "one_sided": Support(PARTLY, "they are visible from both sides, as `twosided`; rasterisers leave out their backs"),
     "specular": Support(
         PARTLY,
         "`principled` eta from KHR_materials_ior and _specular; specularFactor as `blendbsdf`; "
