@@ -7,7 +7,7 @@ from isonoise.scene.formats.pbrt.support import SUPPORT
 from isonoise.scene.formats.report import ImportReport
 
 RICH = """
-# every directive and most parameters; it names a.ply, a.png, a.exr and part.pbrt
+# most directives; it names a.ply, a.png, a.exr and part.pbrt
 Option "bool disablewavelengthjitter" true
 ColorSpace "srgb"
 LookAt 0 1 -5  0 0 0  0 1 0
@@ -20,9 +20,12 @@ Integrator "volpath" "integer maxdepth" 3
 Accelerator "bvh"
 WorldBegin
 LightSource "infinite" "string filename" "a.exr" "float scale" 0.5
+LightSource "infinite" "rgb L" [ 0.1 0.2 0.3 ]
 LightSource "point" "rgb I" [ 1 2 3 ] "point3 from" [ 0 2 0 ]
 LightSource "spot" "blackbody I" 5000 "point3 from" [ 0 2 0 ] "point3 to" [ 0 0 0 ] "float coneangle" 40
 LightSource "distant" "spectrum L" [ 400 1 500 2 700 1 ] "point3 from" [ 1 2 3 ] "float illuminance" 2
+LightSource "goniometric" "rgb I" [ 1 1 1 ] "string filename" "a.png"
+LightSource "projection" "string filename" "a.png" "float fov" 30 "float power" 5
 Texture "checks" "spectrum" "checkerboard" "rgb tex1" [ 1 0 0 ] "float uscale" 4 "float vscale" 4
 Texture "picture" "spectrum" "imagemap" "string filename" "a.png" "string wrap" "clamp" "float scale" 0.5
 Texture "grey" "float" "imagemap" "string filename" "a.png"

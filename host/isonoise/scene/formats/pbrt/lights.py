@@ -64,7 +64,11 @@ class Lights:
                 emitted *= float(np.mean(_luminance(image)))
             factor = factor * (power * light_count / emitted if emitted > 0 else 0.0)
         if image is not None:
-            texture = {"type": "bitmap", "bitmap": self._textures.scaled_image(image, factor), "wrap_mode": "clamp"}
+            texture = {
+                "type": "bitmap",
+                "bitmap": self._textures.scaled_image(image, factor, parameters),
+                "wrap_mode": "clamp",
+            }
             return {"type": "area", "radiance": texture}
         return {"type": "area", "radiance": rgb(self._emission(parameters, "L") * factor)}
 
@@ -177,7 +181,11 @@ class Lights:
         linear = to_world[:3, :3]
         rotation = np.eye(4)
         rotation[:3, :3] = linear / abs(np.linalg.det(linear)) ** (1 / 3)
-        return {"type": "envmap", "bitmap": self._textures.scaled_image(image, factor), "to_world": rotation}
+        return {
+            "type": "envmap",
+            "bitmap": self._textures.scaled_image(image, factor, parameters),
+            "to_world": rotation,
+        }
 
     def _projection(self, parameters: Parameters, to_world: np.ndarray) -> dict:
         """A projection light."""

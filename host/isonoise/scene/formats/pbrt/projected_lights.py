@@ -35,7 +35,8 @@ def projector(intensity: np.ndarray, fov: float, to_world: np.ndarray) -> dict:
     x = shorter * (2 * np.arange(width) + 1 - width)
     y = shorter * (2 * np.arange(height) + 1 - height)
     cosine = 1 / np.sqrt(1 + x**2 + y[:, None] ** 2)
-    pixels = (intensity * (cosine**3 / np.pi)[..., None]).astype(np.float32)
+    with np.errstate(over="ignore"):  # pixels that are not finite are errors later
+        pixels = (intensity * (cosine**3 / np.pi)[..., None]).astype(np.float32)
     return {
         "type": "projector",
         "irradiance": {"type": "bitmap", "bitmap": Image(pixels), "filter_type": "nearest", "wrap_mode": "clamp"},

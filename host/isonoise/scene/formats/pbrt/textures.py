@@ -101,7 +101,8 @@ class Textures:
             textures = [self.mean(t) if isinstance(t, ImageTexture) and not _fits(t, first) else t for t in textures]
         arrays = [self._values(texture) for texture in textures]
         key = ("pbrt", name, *((t.image, t.raw) if isinstance(t, ImageTexture) else tuple(t) for t in textures))
-        image = self._bitmaps.once(key, lambda: Image(np.maximum(function(*arrays), 0).astype(np.float32)))
+        with np.errstate(over="ignore", invalid="ignore"):  # pixels that are not finite are errors later
+            image = self._bitmaps.once(key, lambda: Image(np.maximum(function(*arrays), 0).astype(np.float32)))
         return ImageTexture(image, False, first.sampling)
 
     def to_colour(self, texture: Texture) -> dict:
@@ -138,9 +139,13 @@ class Textures:
         """The texture of normals that a parameter names."""
         return self._bitmaps.texture(self.read_image(parameters, name), raw=True)
 
-    def scaled_image(self, image: Image, factor: np.ndarray) -> Image:
-        """The image times a colour."""
-        return self._bitmaps.scaled(image, factor)
+    def scaled_image(self, image: Image, factor: np.ndarray, parameters: Parameters) -> Image:
+        """The image of a light times a colour."""
+        with np.errstate(over="ignore"):
+            scaled = self._bitmaps.scaled(image, factor)
+        if not np.isfinite(scaled.pixels).all():
+            parameters.position.raise_error("the image of the light times its scale exceeds 32-bit floats")
+        return scaled
 
     def _read(self, parameters: Parameters, name: str, type_: str, default: np.ndarray | None) -> Texture | None:
         if name not in parameters:
