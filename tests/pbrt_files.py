@@ -56,6 +56,8 @@ CoordinateSystem "here"
 ObjectBegin "thing"
   Shape "trianglemesh" "point3 P" [ 0 0 0 1 0 0 0 1 0 ] "integer indices" [ 0 1 2 ] "point2 uv" [ 0 0 1 0 0 1 ]
   Shape "bilinearmesh" "point3 P" [ 0 0 0 1 0 0 0 1 0 1 1 1 ]
+  Shape "loopsubdiv" "integer levels" 1 "point3 P" [ 0 0 0 1 0 0 0 1 0 ] "integer indices" [ 0 1 2 ]
+  Shape "heightfield" "integer nu" 2 "integer nv" 2 "float Pz" [ 0 0 0 1 ]
 ObjectEnd
 ObjectInstance "thing"
 CoordSysTransform "here"

@@ -216,6 +216,52 @@ def test_bilinear_patches(tmp_path):
         assert (np.cross(second - first, third - first)[:, 2] > 0).all()  # dp/du x dp/dv
 
 
+OCTAHEDRON = """
+"point3 P" [1 0 0 0 1 0 -1 0 0 0 -1 0 0 0 1 0 0 -1]
+"integer indices" [0 1 4 1 2 4 2 3 4 3 0 4 1 0 5 2 1 5 3 2 5 0 3 5]
+"""
+
+
+def test_subdivision_surfaces_lie_on_the_limit_surface(tmp_path):
+    """More levels add vertices of the same surface; the limit of a vertex of valence 4 is known."""
+    meshes = [
+        only(read_world(tmp_path, f'Shape "loopsubdiv" "integer levels" {levels} {OCTAHEDRON}')[0], "mesh")
+        for levels in (0, 1, 3)
+    ]
+    assert [len(mesh["faces"]) for mesh in meshes] == [8, 32, 512]
+    # beta = 3/32, weight of a neighbour 1/(4 + 3/(8 beta)) = 1/8; the neighbours of (1, 0, 0) cancel
+    assert meshes[0]["vertices"][0] == pytest.approx([0.5, 0, 0])
+    for mesh in meshes[1:]:
+        assert mesh["vertices"][:6] == pytest.approx(meshes[0]["vertices"])
+        first, second, third = (mesh["vertices"][mesh["faces"][:, corner]] for corner in range(3))
+        assert (np.einsum("ij,ij->i", np.cross(second - first, third - first), first) > 0).all()  # outwards
+    assert meshes[2]["face_normals"] is False
+
+
+def test_borders_of_subdivision_surfaces_are_splines(tmp_path):
+    """The border of a flat square stays in its plane, its corners move as those of a cubic B-spline."""
+    square = '"point3 P" [0 0 0 1 0 0 1 1 0 0 1 0] "integer indices" [0 1 2 0 2 3]'
+    scene, report = read_world(tmp_path, f'Shape "loopsubdiv" "integer levels" 2 {square}')
+    mesh = only(scene, "mesh")
+    # limit of a corner: (1 - 2/5) p + 1/5 of its neighbours, after two steps of 3/4 p + 1/8 of them
+    ring = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    for _ in range(2):
+        even = 0.75 * ring + 0.125 * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
+        odd = 0.5 * (ring + np.roll(ring, -1, axis=0))
+        ring = np.stack([even, odd], axis=1).reshape(-1, 2)
+    limit = 0.6 * ring + 0.2 * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
+    assert mesh["vertices"][0, :2] == pytest.approx(limit[0])
+    assert not mesh["vertices"][:, 2].any()
+    assert not report.warnings()
+
+
+def test_height_fields(tmp_path):
+    scene, _ = read_world(tmp_path, 'Shape "heightfield" "integer nu" 3 "integer nv" 2 "float Pz" [0 1 2 3 4 5]')
+    mesh = only(scene, "mesh")
+    assert mesh["vertices"][4].tolist() == [0.5, 1, 4]
+    assert len(mesh["faces"]) == 4
+
+
 def test_ply_meshes_are_read_from_the_scenes_folder(tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
     header += "property float u\nproperty float v\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"

@@ -7,6 +7,7 @@ import numpy as np
 
 from isonoise.scene import transforms
 from isonoise.scene.formats.pbrt.directives import find_file
+from isonoise.scene.formats.pbrt.loop_subdivision import possible_levels, subdivide
 from isonoise.scene.formats.pbrt.parameters import Parameters
 from isonoise.scene.formats.pbrt.surfaces_of_revolution import (
     QUADRICS,
@@ -20,8 +21,8 @@ from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.mesh.mesh import Mesh
 from isonoise.scene.mesh.ply import read_ply
 
-_UNSUPPORTED = ("curve", "heightfield", "hyperboloid", "nurbs")
-SHAPES = ("trianglemesh", "plymesh", "bilinearmesh", "loopsubdiv", *QUADRICS, *_UNSUPPORTED)
+_UNSUPPORTED = ("curve", "hyperboloid", "nurbs")
+SHAPES = ("trianglemesh", "plymesh", "bilinearmesh", "loopsubdiv", "heightfield", *QUADRICS, *_UNSUPPORTED)
 _POINTS = ("point3", "point", "vector3")
 _NORMALS = ("normal", "normal3")
 _UVS = ("point2", "float", "vector2")
@@ -69,7 +70,7 @@ class ShapeReader:
             parameters.ignore(*(value.name for value in parameters.unused()))
             return None
         readers = {"trianglemesh": self._triangles, "plymesh": self._ply, "bilinearmesh": self._patches}
-        readers["loopsubdiv"] = self._control_mesh
+        readers |= {"loopsubdiv": self._subdivision_surface, "heightfield": self._height_field}
         if kind not in readers:
             parameters.position.raise_unknown("unknown shape", kind, SHAPES)
         mesh, patch_count = readers[kind](parameters)
@@ -146,15 +147,31 @@ class ShapeReader:
         mesh.attributes = {}  # pbrt has no vertex colours
         return mesh, 0
 
-    def _control_mesh(self, parameters: Parameters) -> tuple[Mesh, int]:
+    def _subdivision_surface(self, parameters: Parameters) -> tuple[Mesh, int]:
         points = parameters.array("P", _POINTS)
         if points is None:
             parameters.position.raise_error('the shape needs vertices: "point3 P"')
         faces = _faces(parameters.array("indices", ("integer",)), 3, len(points), parameters)
-        parameters.ignore("levels", "nlevels", "scheme")
-        problem = "a subdivision surface becomes its control mesh with smooth normals"
-        self.report.limit("curves", problem, parameters.position.place)
+        name = "nlevels" if "nlevels" in parameters else "levels"
+        levels = min(max(parameters.integer(name, 3), 0), 10)
+        parameters.ignore("scheme")
+        self.report.use("curves")
+        possible = possible_levels(len(faces), levels)
+        if possible < levels:
+            problem = f"a subdivision surface has {possible} levels: more would make too many triangles"
+            self.report.limit("curves", problem, parameters.position.place)
+        points, faces = subdivide(points, faces, possible)
         return Mesh(points, faces, np.zeros((0, 3))), 0
+
+    def _height_field(self, parameters: Parameters) -> tuple[Mesh, int]:
+        """pbrt-v3's `heightfield`: heights over the unit square."""
+        columns, rows = parameters.integer("nu", 0), parameters.integer("nv", 0)
+        heights = parameters.array("Pz", ("float",))
+        if heights is None or min(rows, columns) < 2 or len(heights) != rows * columns:
+            parameters.position.raise_error('a heightfield needs "integer nu", "integer nv" and nu x nv "float Pz"')
+        x, y = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows))
+        points = np.stack([x.ravel(), y.ravel(), heights], axis=1)
+        return Mesh(points, grid_faces(rows, columns), np.zeros((0, 3)), _flipped(points[:, :2])), 0
 
     def _patches(self, parameters: Parameters) -> tuple[Mesh, int]:
         """Bilinear patches; their corners are at uv (0, 0), (1, 0), (0, 1), (1, 1)."""

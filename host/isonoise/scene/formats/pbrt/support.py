@@ -8,7 +8,7 @@ SUPPORT = {
     "quadrics": Support(
         PARTLY, "`sphere`, `disk`, `cylinder`; partial or non-uniformly scaled ones, cones and paraboloids: fine meshes"
     ),
-    "curves": Support(PARTLY, "loopsubdiv: its control mesh, smooth; curve, heightfield, hyperboloid, nurbs: left out"),
+    "curves": Support(PARTLY, "loopsubdiv: subdivided triangles; curve, hyperboloid and nurbs are left out"),
     "normals": Support(YES, "also of mirrored and reversed shapes"),
     "uvs": Support(YES, "pbrt's default coordinates where a mesh has none"),
     "compression": Support(NO, "decompress .gz files with gunzip"),
