@@ -90,8 +90,13 @@ def test_errors_name_file_line_and_column(tmp_path, text, place, message):
     assert message in str(error.value)
 
 
+def test_a_byte_order_mark_is_skipped(tmp_path):
+    (tmp_path / "part.pbrt").write_text("\ufeff" + TRIANGLE, "utf-8")
+    only(read_text(tmp_path, '\ufeffWorldBegin Include "part.pbrt"')[0], "mesh")
+
+
 def test_open_blocks_and_a_missing_world_are_errors(tmp_path):
-    with pytest.raises(SceneError, match="1 blocks, such as AttributeBegin, have no end"):
+    with pytest.raises(SceneError, match=r"AttributeBegin, have an end \(1 too few"):
         read_text(tmp_path, "WorldBegin AttributeBegin")
     for text in ("", 'Film "rgb"'):
         with pytest.raises(SceneError, match="no WorldBegin"):

@@ -85,7 +85,7 @@ def make_sensor(settings: CameraSettings, empty: Parameters) -> dict:
 def _perspective(settings: CameraSettings, camera: Setting, film: dict) -> dict:
     parameters = camera.parameters
     if camera.type != "perspective":
-        problem = f"a {camera.type} camera becomes a perspective one with an angle of view of 45 degrees"
+        problem = f"the {camera.type} camera becomes a perspective one with an angle of view of 45 degrees"
         settings.report.limit("cameras", problem, parameters.position.place)
         parameters.ignore(*(value.name for value in parameters.unused()))
     fov = parameters.number("fov", 90.0 if camera.type == "perspective" else 45.0)

@@ -15,6 +15,7 @@ from isonoise.scene.formats.pbrt.parameters import TYPES, Parameters, Value, che
 from isonoise.scene.formats.pbrt.tokens import CLOSE, END, OPEN, STRING, WORD, Position, Source, Token, Tokenizer
 from isonoise.scene.parse.elements import path_exists
 
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _MAX_INCLUDE_DEPTH = 32
 _MAX_INCLUDES = 10_000  # of one scene: a file that includes others twice each grows exponentially
 
@@ -51,7 +52,7 @@ def read_directives(path: Path, folder: Path | None) -> Iterator[Directive]:
 
 
 def _read_source(path: Path) -> Source:
-    return Source(path, read_bytes(path).decode("utf-8", errors="replace"))
+    return Source(path, read_bytes(path).removeprefix(_BYTE_ORDER_MARK).decode("utf-8", errors="replace"))
 
 
 class _Parser:

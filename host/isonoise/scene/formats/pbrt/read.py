@@ -23,5 +23,5 @@ def read(path: Path, folder: Path | None, report: ImportReport) -> dict:
     if first is None or not builder.is_complete:
         raise SceneError(f"{path}: it has no WorldBegin, so it is no scene of its own; read the file that includes it")
     if builder.open_blocks:
-        raise SceneError(f"{path}: {builder.open_blocks} blocks, such as AttributeBegin, have no end")
+        raise SceneError(f"{path}: not all blocks, such as AttributeBegin, have an end ({builder.open_blocks} too few)")
     return builder.finish()

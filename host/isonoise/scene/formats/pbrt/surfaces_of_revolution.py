@@ -135,5 +135,6 @@ def is_mirroring(to_world: np.ndarray) -> bool:
 
 def report_mesh(quadric: Quadric, is_distorted: bool, parameters: Parameters, report: ImportReport) -> None:
     """Say that a quadric becomes a mesh, and why."""
-    why = "non-uniformly scaled" if is_distorted else "partial or textured"
-    report.limit("quadrics", f"{why} {quadric.kind}s become fine meshes", parameters.position.place)
+    is_always_a_mesh = quadric.kind in ("cone", "paraboloid")
+    why = "" if is_always_a_mesh else "non-uniformly scaled " if is_distorted else "partial or textured "
+    report.limit("quadrics", f"{why}{quadric.kind}s become fine meshes", parameters.position.place)
