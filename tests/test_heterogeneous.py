@@ -103,7 +103,8 @@ def test_transmittance_of_slanted_rays_through_turned_grids(wrap, filter_type):
     for target in ((0.3, 0.2, 0.9), (-0.6, 0.5, 1.2), (0.8, -0.5, 0.6)):
         eye = np.array([0.3, 1.0, 5.0])
         towards = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-        distances = np.sort(np.stack([(lower - eye) / towards, (upper - eye) / towards]), axis=0)
+        with np.errstate(divide="ignore"):
+            distances = np.sort(np.stack([(lower - eye) / towards, (upper - eye) / towards]), axis=0)
         begin, end = distances[0].max(), distances[1].min()
         assert begin < end
         places = (np.append(eye + t * towards, 1) @ np.linalg.inv(to_world).T for t in (begin, end))

@@ -40,7 +40,7 @@ PICTURES = {  # depth, objects
         6,
         {**LAMPS, "sun": SUN, "sensor": CAMERA | {"medium": SMOKE | {"scale": 3.0}}, "ball": ball(9.0, interior=SMOKE)},
     ),
-    "the unit cube": (6, {**LAMPS, "ball": ball(1.5, interior=smoke(rgb(1.0, 2.0, 4.0)))}),
+    "the unit cube": (6, {**LAMPS, "ball": ball(1.5, interior=smoke({"type": "constvolume", "value": rgb(1, 2, 4)}))}),
     "a slope": (6, {"sun": SUN, "ball": ball(interior=smoke(grid(ramp(0, 3), IN_BALL, filter_type="nearest"), 0.9))}),
     "instances": (
         6,
@@ -48,12 +48,12 @@ PICTURES = {  # depth, objects
             **LAMPS,
             "group": {"type": "shapegroup", "shape": ball(interior=SMOKE)},
             **{
-                f"instance {x}": {
+                f"instance_{i}": {
                     "type": "instance",
                     "to_world": transform(x, scale=0.6),
                     "shape": {"type": "ref", "id": "group"},
                 }
-                for x in (-0.5, 0.7)
+                for i, x in enumerate((-0.5, 0.7))
             },
         },
     ),

@@ -21,6 +21,7 @@ TURN = np.array([[0.8, -0.6, 0, 0], [0.6, 0.8, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.
 def scene_of_medium(shape: dict | None = None, integrator: str = "volpath", **medium) -> dict:
     cube = {"type": "cube", "bsdf": NULL, "interior": {"type": "heterogeneous", **medium}, **(shape or {})}
     scene = {"type": "scene", "integrator": {"type": integrator}, "sensor": {"type": "perspective"}, "cube": cube}
+    scene["sky"] = {"type": "constant"}
     return scene
 
 

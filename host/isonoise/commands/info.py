@@ -141,7 +141,7 @@ def describe_scene(scene: CompiledScene) -> dict[str, str]:
         "lights": _counts(LIGHTS, scene.lights["kind"]),
         "materials": _counts(MATERIALS, scene.bsdfs["kind"]),
         "textures": _counts(TEXTURES, scene.textures["kind"]),
-        "media": f"{len(scene.media):,}" if len(scene.media) else "none",
+        "media": _describe_media(scene),
         "triangles": f"{len(scene.faces):,} with {len(scene.vertices):,} vertices",
         "analytic": _counts(SHAPES, scene.analytics["kind"]),
         "instances": instances if len(scene.instances) else "none",
@@ -170,6 +170,14 @@ def _camera(camera: np.void) -> str:
         view = f"{'thin lens' if camera['kind'] == structs.CAMERA_THIN_LENS else 'pinhole'}, "
         view += " x ".join(format_number(float(angle)) for angle in angles) + " degrees"
     return f"{view}, at ({position}), looks along ({direction})"
+
+
+def _describe_media(scene: CompiledScene) -> str:
+    text = f"{len(scene.media):,}" if len(scene.media) else "none"
+    if scene.heterogeneous is None:
+        return text
+    varying = np.count_nonzero(scene.heterogeneous.records["sigma_t"] != structs.NONE)
+    return f"{text}, {varying:,} of them heterogeneous; grids of {scene.heterogeneous.values.size:,} values"
 
 
 def _counts(names: dict[int, str], kinds: np.ndarray) -> str:

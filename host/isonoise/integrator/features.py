@@ -187,7 +187,7 @@ FEATURES = {
             "heterogeneous_media": _records(structs.HETEROGENEOUS_MEDIUM, "a medium"),
             "grids": _records(structs.GRID, "a grid"),
             "grid_values": "4 bytes a value of a grid",
-            "extinction_bounds": "8 bytes for up to 64 values of a grid",
+            "extinction_bounds": "8 bytes a cell of 64 values of a grid or more",
         },
     ),
     "AREA_LIGHTS": Feature("area emitters", lambda use: use.light_bits & _AREA_LIGHTS != 0, _LIGHTS),

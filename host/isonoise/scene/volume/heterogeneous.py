@@ -28,7 +28,6 @@ _MIN_SIZE = 1e-30
 _CELL_SIZE = 4  # values of the grid along a side of a cell
 _MAX_CELLS = 64  # along an axis
 _MARGIN = 0.25  # values beyond a cell's border that count as in it: positions are rounded
-_SLAB_VALUES = 1 << 22  # that temporary arrays hold at a time
 _UNIT_CUBE = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
 _WRAP_FLAGS = {"clamp": TEXTURE_CLAMP, "repeat": 0, "mirror": TEXTURE_MIRROR}
 
@@ -243,16 +242,15 @@ def cell_bounds(
 ) -> np.ndarray:
     """The minimum and maximum (cz, cy, cx, 2) of values (nz, ny, nx, channels) in cells, given by index ranges.
 
-    Slabs of the grid are reduced one after the other, so that temporary arrays stay small.
+    One layer of cells is reduced after the other, so that temporary arrays stay small.
     """
-    rows = max(_SLAB_VALUES // max(values[0].size, 1), 1)
-    slabs = []
-    for begin in range(0, len(values), rows):
-        slab = values[begin : begin + rows]
-        pair = np.stack([-slab.min(axis=3), slab.max(axis=3)])
-        slabs.append(_reduce(_reduce(pair, x_ranges, 3), y_ranges, 2))
-    low, high = _reduce(np.concatenate(slabs, axis=1), z_ranges, 1).astype(float)
-    return np.stack([-low, high], axis=-1)
+    layers = []
+    for indices in z_ranges:
+        slab = values[indices]
+        pair = np.stack([-slab.min(axis=0).min(axis=-1), slab.max(axis=0).max(axis=-1)])
+        low, high = _reduce(_reduce(pair, y_ranges, 1), x_ranges, 2).astype(float)
+        layers.append(np.stack([-low, high], axis=-1))
+    return np.stack(layers)
 
 
 def _reduce(values: np.ndarray, ranges: list[np.ndarray], axis: int) -> np.ndarray:
