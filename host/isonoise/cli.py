@@ -314,6 +314,9 @@ class _CommandParser(argparse.ArgumentParser):
     def __init__(self, **options):
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
 
+    def parse_known_args(self, args=None, namespace=None):
+        return super().parse_known_args(shared_options.join_negative_values(args), namespace)
+
     def format_help(self) -> str:
         if self.epilog_name:
             self.epilog = getattr(importlib.import_module("isonoise.help_texts"), self.epilog_name)()

@@ -1,6 +1,11 @@
 """Options that several commands have; each function adds some to a parser. Called by `cli`."""
 
+import re
+from collections.abc import Sequence
+
 from isonoise import argument_types
+
+_NEGATIVE_VALUE = re.compile(r"-[\d.xyz]")
 
 
 def add_size(parser) -> None:
@@ -20,8 +25,7 @@ def add_view(parser) -> None:
         "--look-at",
         metavar="[X,Y,Z:]X,Y,Z",
         type=argument_types.look_at,
-        help="turn the camera to a point; with two, put it at the first one before. Write --look-at=-1,0,0 for a point "
-        "that begins with a minus",
+        help="turn the camera to a point; with two, put it at the first one before",
     )
     view.add_argument(
         "--up",
@@ -32,6 +36,17 @@ def add_view(parser) -> None:
     view.add_argument(
         "--env", metavar="FILE", help="an image in latitude-longitude format, .hdr or .exr, around the scene"
     )
+
+
+def join_negative_values(arguments: Sequence[str]) -> list[str]:
+    """The arguments with `--up -z` as `--up=-z`: argparse takes a value such as -1,0,0 for an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] in ("--look-at", "--up") and _NEGATIVE_VALUE.match(argument):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def add_images(parser) -> None:
