@@ -50,6 +50,17 @@ def filtered_lamp() -> dict:
     return scene
 
 
+def lamp_over_smoke() -> dict:
+    """The tiny scene of other tests, with smoke on the floor."""
+    values = np.linspace(0, 3, 4 * 3 * 5, dtype=np.float32).reshape(4, 3, 5)
+    volume = {"type": "gridvolume", "data": values, "to_world": np.diag([0.8, 0.8, 0.7, 1.0])}
+    albedo = {"type": "gridvolume", "data": np.full((2, 2, 2, 3), 0.7), "wrap_mode": "mirror", "filter_type": "nearest"}
+    medium = {"type": "heterogeneous", "sigma_t": volume, "albedo": albedo}
+    scene = lamp_over_floor()
+    scene["integrator"]["type"] = "volpath"
+    return scene | {"smoke": {"type": "sphere", "radius": 0.9, "bsdf": {"type": "null"}, "interior": medium}}
+
+
 # Together they cover every feature, in the kernels with one path per work-item and, where they exist, with many.
 # The large pool is for work-items that trace several rays, and for more than one block of paths.
 CASES = {
@@ -62,6 +73,7 @@ CASES = {
     "penumbra": Case("penumbra", "tsallis:q=3"),
     "bright-spots": Case("bright-spots", "dammertz"),
     "bright-spots, many": Case("bright-spots", many=True),
+    "smoke": Case(lamp_over_smoke(), spp=4),
     "lamp": Case(filtered_lamp(), "relative-median:batch=1", pool=600, spp=10),
     "lamp, many": Case(filtered_lamp(), "relative-median", many=True, pool=600, spp=10),
 }

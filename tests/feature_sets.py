@@ -278,8 +278,11 @@ def _shapes(on: dict[str, bool], materials: list[dict], folder: Path) -> dict[st
             ref = {"type": "ref", "id": "group"}
             scene[f"instance{k}"] = {"type": "instance", "group": ref, "to_world": placed((k - 0.5, 1.5, 5.0), 0.4)}
     if on["MEDIA"] and on["SPHERES"] and on["NULL"]:
-        kind = "heterogeneous" if on["HETEROGENEOUS"] else "homogeneous"
-        fog = {"type": kind, "sigma_t": 1.0, "albedo": 0.7}
+        fog = {"type": "homogeneous", "sigma_t": 1.0, "albedo": 0.7}
+        if on["HETEROGENEOUS"]:
+            values = np.linspace(0, 4, 4 * 5 * 6, dtype=np.float32).reshape(4, 5, 6)
+            grid = {"type": "gridvolume", "data": values, "to_world": placed((1.2, -1.2, 5.7), 2.4)}
+            fog |= {"type": "heterogeneous", "sigma_t": grid}
         ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}
         scene["cloud"] = {**ball, "to_world": placed((0.0, 0.0, 4.5), 1.2)}
     return scene

@@ -105,6 +105,14 @@ def compile_damaged_dict(path: Path) -> None:
         },
         "ball": {"type": "sphere", "center": [0, 1, 2], "radius": 2.0, "paint": {"type": "ref", "id": "matt"}},
         "fog": {"type": "cube", "interior": {"type": "homogeneous", "sigma_t": 0.5, "phase": {"type": "hg", "g": 0.1}}},
+        "smoke": {
+            "type": "cube",
+            "interior": {
+                "type": "heterogeneous",
+                "sigma_t": {"type": "gridvolume", "data": np.ones((2, 3, 4)), "to_world": np.eye(4)},
+                "albedo": {"type": "gridvolume", "data": np.ones((2, 1, 1, 3)), "wrap_mode": "mirror"},
+            },
+        },
         "lamp": {"type": "spot", "intensity": {"type": "spectrum", "value": [(400, 1.0), (700, 2.0)]}},
     }
     for _ in range(0 if path.read_text() == "sound" else rng.choice((1, 1, 2, 4))):

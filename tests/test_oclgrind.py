@@ -39,7 +39,7 @@ def run(*arguments: str) -> list[str]:
 def test_the_cases_cover_every_feature(many, tmp_path):
     without = {"COUNT_TESTS"}
     if many:  # no kernels with many paths per work-item have these
-        without |= {"VOLPATH", "MEDIA", "NULL", *statistics_features(BASIC_NEEDS)}
+        without |= {"VOLPATH", "MEDIA", "HETEROGENEOUS", "NULL", *statistics_features(BASIC_NEEDS)}
     seen, kinds = set(), set()
     for number, case in enumerate(case for case in CASES.values() if case.many == many):
         scene = compile_scene(load(case.source(tmp_path / str(number))))

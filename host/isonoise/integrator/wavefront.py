@@ -46,7 +46,7 @@ _BUFFER_LABELS = {
     "alive": "the flags of the paths",
     "holes": "the slots of dead paths",
     "tests": "the counts of tests",
-    **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance"), "the shadow rays"),
+    **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance", "shadow_stream"), "the shadow rays"),
     **dict.fromkeys(("path_block_alive", "total_alive"), "the compaction"),
     "samples": "the sample buffer",
     "sample_pixel": "the sample list",
