@@ -47,9 +47,11 @@ def forbid_processes(monkeypatch) -> None:
 @pytest.mark.usefixtures("two_processes")
 def test_programs_are_compiled_once(device, monkeypatch):
     jobs = [job(1), job(2)]
-    allocated = device.allocated
-    precompile.precompile(device, jobs)
+    allocated, progress = device.allocated, []
+    precompile.precompile(device, jobs, lambda *reported: progress.append(reported))
     assert device.allocated == allocated
+    assert progress[0][1:] == (0, 2)
+    assert [done for _, done, _ in progress] == sorted(done for _, done, _ in progress)
     forbid_processes(monkeypatch)
     precompile.precompile(device, jobs)
     with pytest.raises(AssertionError):  # a new program, and one with other launches

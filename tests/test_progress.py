@@ -80,3 +80,23 @@ def test_the_bar_shows_time_samples_error_and_time_left(monkeypatch):
         bar.update(12.0, 1234567, 0.0456, 68.0)
     shown = terminal.getvalue()
     assert "12.0 s, 1.23 M samples, error 4.56 %, 1:08 left" in shown
+
+
+def test_set_up_prints_the_settings_before_kernels_are_compiled(monkeypatch, capsys):
+    """And shows the program that is compiled, on a terminal; what is printed does not end up in the bar."""
+    from isonoise.cli import _parser
+    from isonoise.commands import render
+
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr(render, "print_settings", lambda options, renderer: print("scene", renderer))
+    display = render._SetUpDisplay(_parser().parse_args(["render", "a.glb", "-o", "a.exr"]))
+    display.update("it", "", 0, 0)
+    assert capsys.readouterr().out == "scene it\n"
+    display.update("it", "shade", 1, 3)
+    display.close()
+    assert capsys.readouterr().out == ""
+    assert "loading a.glb" in terminal.getvalue()
+    assert "1 of 3 done: shade" in terminal.getvalue()
