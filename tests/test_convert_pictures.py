@@ -4,13 +4,10 @@ Seeds are fixed. False-alarm rates, the chance that a correct program fails unde
 scene, at most 0.8 % for its three image means.
 """
 
-import numpy as np
 import pytest
 import references
 
 from isonoise.convert.convert import convert
-from isonoise.scene import load
-from isonoise.scene.vocabulary import plugins_of
 
 SCENES = {
     "gltf/AlphaBlendModeTest/AlphaBlendModeTest.glb": 64,
@@ -40,9 +37,6 @@ SCENES = {
 
 BATCHES, SIZE, BLOCK = 16, (96, 96), 16
 
-SCALES = {"pbrt-coffee/pbrt/scene-v4.pbrt": 100.0}
-"""Factors on all lengths. Mitsuba's rays start 9e-5 (1 + coordinate) off surfaces, and miss those of thin glass."""
-
 
 def test_no_scene_is_left_out(public_scenes):
     found = {
@@ -53,19 +47,6 @@ def test_no_scene_is_left_out(public_scenes):
     assert found == set(SCENES)
 
 
-def scaled(path, factor: float) -> dict:
-    """The description of a scene without media and point lights, with all lengths times a factor."""
-    description = load(path)
-    matrix = np.diag([factor, factor, factor, 1.0])
-    for part in description.values():
-        if isinstance(part, dict) and part["type"] in plugins_of("shape"):
-            part["to_world"] = matrix @ part.get("to_world", np.eye(4))
-        elif isinstance(part, dict) and part["type"] in plugins_of("sensor"):
-            part["to_world"][:3, 3] *= factor
-            part |= {name: factor * part[name] for name in ("near_clip", "far_clip")}
-    return description
-
-
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("name", SCENES)
@@ -73,8 +54,7 @@ def test_mitsuba_renders_the_same_picture(public_scenes, tmp_path, name):
     """Means of blocks of 16 x 16 pixels, and of the image to 1 %. With a box filter borders are the same."""
     pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
     path = tmp_path / "scene.xml"
-    source = scaled(public_scenes / name, SCALES[name]) if name in SCALES else public_scenes / name
-    converted = convert(source, path, size=SIZE)
+    converted = convert(public_scenes / name, path, size=SIZE)
     text = path.read_text("utf-8")
     path.write_text(text.replace('<rfilter type="gaussian"/>', '<rfilter type="box"/>'), "utf-8")
     theirs = references.mitsuba_batches(path, SCENES[name], BATCHES, tmp_path, files=converted.files)

@@ -5,6 +5,7 @@ import warnings
 
 from isonoise.commands import EXIT_DONE
 from isonoise.convert.convert import convert
+from isonoise.convert.scaling import SCALING_REASON
 from isonoise.scene.view import view_of
 
 
@@ -17,4 +18,6 @@ def run(options: argparse.Namespace) -> int:
     files = converted.files
     beside = f", {len(files)} file{'s' * (len(files) > 1)} in {files[0].parent.name}/" if files else ""
     print(f"written: {options.output}{beside}")
+    if converted.scale != 1:
+        print(f"lengths times {converted.scale:g}: {SCALING_REASON}")
     return EXIT_DONE

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from isonoise import __version__
+from isonoise.convert.scaling import SCALING_REASON, scale_up
 from isonoise.convert.scene_files import SceneFiles
 from isonoise.convert.xml_writer import write_scene
 from isonoise.errors import UserError
@@ -30,6 +31,7 @@ class ConvertedScene:
     """What `convert` has written."""
 
     files: list[Path]  # meshes and images, in the folder beside the XML file
+    scale: float  # factor on lengths
     report: "ImportReport | None"  # of a scene in another format than Mitsuba 3's
 
 
@@ -44,6 +46,7 @@ def convert(
     """Write a scene as a Mitsuba 3 XML file, and its meshes and images to the folder `NAME_files` beside it.
 
     All files are complete before the first one appears at its place. Existing files with the same names are replaced.
+    Small scenes of other formats than Mitsuba's are scaled up: see `scaling.py`.
 
     Parameters
     ----------
@@ -71,16 +74,19 @@ def convert(
         scene = load_scene(source, parameters, allow_outside, view, size)
         files = SceneFiles(temporary, folder.name)
         description = _resized(scene.description, size) if size else scene.description
-        comment = _comment(source, scene.report)
+        ids, scale = dict(scene.ids), 1.0
+        if scene.report:
+            description, scale = scale_up(description, ids)
+        comment = _comment(source, scene.report, scale)
 
         def write(temporary_file: Path) -> None:
             with open(temporary_file, "w", encoding="utf-8") as text:
-                write_scene(text, description, files, scene.ids, comment)
+                write_scene(text, description, files, ids, comment)
             check_no_input([path, *(folder / name for name in files.names)], inputs)
             _move_files(temporary, folder)
 
         write_atomically(path, write)
-    return ConvertedScene([folder / name for name in files.names], scene.report)
+    return ConvertedScene([folder / name for name in files.names], scale, scene.report)
 
 
 def _resized(description: dict, size: tuple[int, int]) -> dict:
@@ -94,10 +100,12 @@ def _resized(description: dict, size: tuple[int, int]) -> dict:
     return result
 
 
-def _comment(source: str | os.PathLike | Mapping, report: "ImportReport | None") -> list[str]:
+def _comment(source: str | os.PathLike | Mapping, report: "ImportReport | None", scale: float) -> list[str]:
     """Lines about the origin of a scene, and about what it has lost."""
     name = "a dict" if isinstance(source, Mapping) else Path(source).name
     lines = [f"Converted by isonoise {__version__} from {name}"]
+    if scale != 1:
+        lines.append(f"Lengths are those of the source times {scale:g}: {SCALING_REASON}")
     losses = report.loss_texts() if report else []
     return lines + ["Not converted exactly:"] * bool(losses) + [f"  {text}" for text in losses]
 

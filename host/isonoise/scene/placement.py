@@ -95,9 +95,19 @@ def _distances(boxes: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.abs(boxes).max(axis=(1, 2)) / size
 
 
-def place_scene(description: dict, world: Placement, groups: Mapping[int, Placement]) -> dict:
-    """The description in placed spaces. `groups` has the placement of each shape group by the id() of its dict."""
-    return _Placer(world, groups).placed(description, world)
+def place_scene(
+    description: dict, world: Placement, groups: Mapping[int, Placement], ids: dict[int, str] | None = None
+) -> dict:
+    """The description in placed spaces.
+
+    `groups` has the placement of each shape group by the id() of its dict. `ids` are names of objects by the id() of
+    their dicts; those of the new dicts are added.
+    """
+    placer = _Placer(world, groups)
+    placed = placer.placed(description, world)
+    if ids is not None:
+        ids.update({id(new): ids[old] for old, new in placer.done.items() if old in ids})
+    return placed
 
 
 class _Placer:
