@@ -201,6 +201,16 @@ def test_bad_option_values_are_reported(option, value, message, capsys):
     assert os.listdir() == []
 
 
+def test_points_and_axes_may_begin_with_a_minus():
+    from isonoise.cli import _parser
+
+    options = _parser().parse_args(
+        ["render", "a.glb", "-o", "a.png", "--look-at", "-1,0,-2:-.5,1e-3,0", "--up", "-z", "-D", "a=-1"]
+    )
+    assert options.look_at == ((-1, 0, -2), (-0.5, 1e-3, 0))
+    assert options.up == (0, 0, -1)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

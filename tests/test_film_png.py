@@ -87,3 +87,8 @@ def test_a_bright_object_before_a_dark_background_is_not_white(share, is_limited
     mapped = tone_map(grey(brightness[None]))[0, 0, 0]
     limit = SHOULDER + (1 - SHOULDER) * -np.expm1(-(1 - SHOULDER) / (1 - SHOULDER))
     assert (mapped == srgb(limit)) == is_limited
+
+
+def test_a_given_exposure_replaces_the_automatic_one():
+    mapped = tone_map(grey([[0.1, 0.4, 0.5]]), exposure=0.5)[0, :, 0]
+    assert mapped.tolist() == [srgb(0.05), srgb(0.2), srgb(0.25)]

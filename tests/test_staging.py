@@ -320,3 +320,46 @@ def test_stl_files_stand_on_z(tmp_path):
         scene = load(path)
         assert abs(scene["sensor"]["to_world"][up, 0]) < 1e-6
         assert scene["sensor"]["to_world"][up, 2] < 0
+
+
+def test_a_converted_model_has_the_view_and_no_exposure(tmp_path):
+    """Mitsuba 3 would refuse it."""
+    from isonoise.convert.convert import convert
+
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    convert(tmp_path / "a.obj", tmp_path / "b.xml", view=View(look_at=((0, 0, 9), (0, 0, 0))), size=(30, 20))
+    assert "exposure" not in (tmp_path / "b.xml").read_text()
+    sensor = load(tmp_path / "b.xml")["sensor"]
+    np.testing.assert_allclose(sensor["to_world"][:3, 3], (0, 0, 9))
+    assert (sensor["film"]["width"], sensor["film"]["height"]) == (30, 20)
+
+
+def test_views_of_scenes_that_are_no_models(tmp_path):
+    """Two sensors and an environment in the file; the camera keeps its place, and the nearest axis is up."""
+    to_world = look_at((0, 3, 8), (0, 0, 0), (0, 1, 0))
+    scene = {
+        "type": "scene",
+        "a": {"type": "perspective", "fov": 30.0, "to_world": to_world},
+        "b": {"type": "thinlens", "focal_length": "50mm", "aperture_radius": 0.1},
+        "sky": {"type": "constant"},
+    }
+    turned = load(scene, view=View(look_at=(5, 0, 0)))["a"]["to_world"]
+    np.testing.assert_allclose(turned, look_at((0, 3, 8), (5, 0, 0), (0, 1, 0)), atol=1e-12)
+    seen = load(scene, view=View(camera="b", fov=20, env="sky.hdr"), size=(4, 2))
+    assert "a" not in seen
+    assert "sky" not in seen
+    assert (seen["b"]["fov"], seen["b"]["fov_axis"], seen["b"]["film"]["height"]) == (20, "x", 2)
+    assert "focal_length" not in seen["b"]
+    assert seen["environment"]["filename"].endswith("sky.hdr")
+    level = load(scene, view=View(up=(1, 0, 0)))["a"]["to_world"]
+    np.testing.assert_allclose(level[:3, 2:], to_world[:3, 2:])
+    assert abs(level[0, 0]) < 1e-12
+    assert level[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(
+    "values", [{"fov": 0}, {"fov": "wide"}, {"look_at": (1, 2)}, {"look_at": ((0, 0, 0),) * 3}, {"up": (0, 0, 0)}]
+)
+def test_invalid_views_are_refused(values):
+    with pytest.raises(UserError, match=f"{next(iter(values))} = "):
+        View(**values)

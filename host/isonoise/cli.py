@@ -5,6 +5,7 @@ Nothing slow is imported here, so that `isonoise --help` answers at once.
 
 import argparse
 import importlib
+import re
 import signal
 import sys
 
@@ -313,6 +314,8 @@ class _CommandParser(argparse.ArgumentParser):
 
     def __init__(self, **options):
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+        # argparse takes what matches this for a value and no option: points and axes, too, not just numbers
+        self._negative_number_matcher = re.compile(r"-(?:[0-9.][0-9.,:eE+-]*|[xyz])$")
 
     def parse_known_args(self, args=None, namespace=None):
         return super().parse_known_args(shared_options.join_negative_values(args), namespace)
