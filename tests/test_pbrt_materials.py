@@ -9,6 +9,7 @@ from pbrt_files import TRIANGLE, material, objects, only, read_world
 
 import isonoise
 from isonoise.errors import SceneError
+from isonoise.scene.formats.pbrt.coats import coat_transmittance, dielectric_reflectance
 from isonoise.scene.formats.pbrt.legacy_materials import legacy_alpha
 from isonoise.scene.material.presets import conductors
 from isonoise.scene.spectra import srgb_to_linear
@@ -24,15 +25,14 @@ def two_sided(**bsdf):
     return {"type": "twosided", "bsdf": bsdf}
 
 
-COAT = math.exp(-2 * 1.13 * 0.01)  # transmittance of a coat of pbrt's default thickness, there and back
 EXACT = {
     'Material "diffuse" "rgb reflectance" [0.1 0.2 0.3]': two_sided(type="diffuse", reflectance=rgb(0.1, 0.2, 0.3)),
     'Material "diffuse"': two_sided(type="diffuse", reflectance=rgb(0.5, 0.5, 0.5)),
     'Material "diffuse" "spectrum reflectance" [300 0.25 900 0.25]': two_sided(
         type="diffuse", reflectance={"type": "rgb", "value": pytest.approx([0.25] * 3, rel=2e-3)}
     ),
-    'Material "coateddiffuse" "rgb reflectance" [1 0 0.5]': two_sided(
-        type="plastic", int_ior=1.5, ext_ior=1.0, nonlinear=True, diffuse_reflectance=rgb(COAT, 0, 0.5 * COAT)
+    'Material "coateddiffuse" "rgb reflectance" [1 0 0.5] "float thickness" 0': two_sided(
+        type="plastic", int_ior=1.5, ext_ior=1.0, nonlinear=True, diffuse_reflectance=rgb(1, 0, 0.5)
     ),
     'Material "coateddiffuse" "float roughness" 0.25 "float eta" 1.3 "float thickness" 0': two_sided(
         type="roughplastic",
@@ -90,6 +90,37 @@ def test_materials_that_are_mapped_without_loss(tmp_path, text):
     bsdf, report = material(tmp_path, text)
     assert bsdf == EXACT[text]
     assert not report.warnings()
+
+
+@pytest.mark.parametrize(
+    ("reflectance", "thickness", "tolerance"),
+    [(0.1, 0.0, 0.005), (0.9, 0.0, 0.005), (0.1, 0.01, 0.005), (0.5, 0.01, 0.02), (0.9, 0.01, 0.04)],
+)
+def test_coated_diffuse_has_nearly_the_albedo_of_pbrts_random_walk(tmp_path, reflectance, thickness, tolerance):
+    """pbrt-v4's LayeredBxDF, summed over all bounces between base and coat, against Mitsuba's nonlinear plastic.
+
+    Both add the coat's reflection, which is the same. Tolerances are relative to the albedo for diffuse light; what the
+    inside of the coat reflects is absorbed less than in pbrt.
+    """
+    text = f'Material "coateddiffuse" "rgb reflectance" [{reflectance} {reflectance} {reflectance}] '
+    bsdf, _ = material(tmp_path, text + f'"float thickness" {thickness}')
+    base = bsdf["bsdf"]["diffuse_reflectance"]["value"][0]
+    generator = np.random.default_rng(5)
+    cosines = np.sqrt((np.arange(20_000) + generator.random(20_000)) / 20_000)  # of light from outside, then inside
+    entered = 1 - dielectric_reflectance(cosines, 1.5)
+    power = entered * np.exp(-thickness / np.sqrt(1 - (1 - cosines**2) / 1.5**2))
+    mean_plain, emerged = 0.0, np.zeros_like(power)
+    plain = entered.copy()
+    for _ in range(60):
+        power, plain = power * reflectance, plain * base
+        inside = np.sqrt((generator.permutation(20_000) + generator.random(20_000)) / 20_000)
+        reflected = dielectric_reflectance(inside, 1 / 1.5)
+        emerged += power * np.exp(-thickness / inside) * (1 - reflected)
+        mean_plain += np.mean(plain) * np.mean(1 - reflected)
+        power = power * np.exp(-2 * thickness / inside) * reflected
+        plain = plain * np.mean(reflected)
+    assert mean_plain == pytest.approx(emerged.mean(), rel=tolerance)
+    assert mean_plain >= emerged.mean() * 0.995
 
 
 LOSSES = {
@@ -192,6 +223,17 @@ def test_images_are_flipped_scaled_and_inverted(tmp_path):
     raw = texture("linear")
     assert raw["raw"] is True
     assert raw["filter_type"] == "nearest"
+
+
+def test_images_below_a_coat_stay_images_of_bytes(tmp_path):
+    (tmp_path / "a.png").write_bytes(small_files.image_file("PNG"))
+    before = 'Texture "t" "spectrum" "imagemap" "string filename" "a.png"'
+    plain, _ = material(tmp_path, 'Material "diffuse" "texture reflectance" "t"', before)
+    coated, _ = material(tmp_path, 'Material "coateddiffuse" "texture reflectance" "t"', before)
+    pixels = [plain["bsdf"]["reflectance"]["bitmap"].pixels, coated["bsdf"]["diffuse_reflectance"]["bitmap"].pixels]
+    assert pixels[1].dtype == np.uint8
+    expected = coat_transmittance(0.01, 1.5) * srgb_to_linear(pixels[0] / 255)
+    assert np.abs(srgb_to_linear(pixels[1] / 255) - expected).max() < 0.005
 
 
 def test_checkerboards_alternate_as_in_pbrt(tmp_path):

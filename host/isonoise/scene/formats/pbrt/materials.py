@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.scene.formats.mesh_shape import rgb
+from isonoise.scene.formats.pbrt.coats import coat_transmittance
 from isonoise.scene.formats.pbrt.colours import Colours
 from isonoise.scene.formats.pbrt.parameters import SPECTRUM_TYPES, Parameters
 from isonoise.scene.formats.pbrt.textures import Texture, Textures
@@ -20,7 +21,6 @@ NULL = {"type": "null"}
 """The material of surfaces that are only boundaries of media."""
 
 _SMOOTH_ALPHA = 1e-3  # below it pbrt takes a surface for smooth (TrowbridgeReitzDistribution::EffectivelySmooth)
-_MEAN_SLANT = 1.13  # path through a coat of index 1.5 over its thickness, averaged over diffuse light
 _MAX_CONDUCTOR_REFLECTANCE = 0.9999  # as in pbrt-v4
 
 
@@ -100,17 +100,19 @@ def diffuse(parameters: Parameters, context: MaterialContext) -> dict:
 
 
 def coated_diffuse(parameters: Parameters, context: MaterialContext) -> dict:
-    """`coateddiffuse`: the coat absorbs exp(-thickness / cos) on each way, also where its albedo is 0."""
+    """`coateddiffuse`."""
     context.report.use("diffuse")
     context.report.use("specular")
     place = parameters.position.place
     reflectance = context.textures.colour(parameters, "reflectance", 0.5)
     _ignore_scattering_in_coat(parameters, context)
     thickness = context.number(parameters, "thickness", 0.01, "specular")
-    transmittance = math.exp(-2 * _MEAN_SLANT * abs(thickness))
-    reflectance = context.textures.map(f"coat {transmittance}", lambda values: transmittance * values, reflectance)
-    alphas = context.alphas(parameters, square_root)
-    return plastic(reflectance, eta(parameters, "eta", 1.5, context), alphas, place, context)
+    index = eta(parameters, "eta", 1.5, context)
+    if thickness and index != 1:
+        transmittance = coat_transmittance(thickness, index)
+        name = f"times {transmittance}"
+        reflectance = context.textures.map_bytes(name, lambda values: transmittance * values, reflectance)
+    return plastic(reflectance, index, context.alphas(parameters, square_root), place, context)
 
 
 def plastic(reflectance: Texture, index: float, alphas, place: str, context: MaterialContext) -> dict:

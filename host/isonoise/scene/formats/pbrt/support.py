@@ -19,7 +19,10 @@ SUPPORT = {
     "diffuse": Support(YES, "`diffuse`; coateddiffuse: `plastic` or `roughplastic`; pbrt-v3's `sigma` is ignored"),
     "metal": Support(YES, "`conductor` or `roughconductor` by eta and k, or by reflectance"),
     "roughness": Support(YES, "alpha of GGX, with the remapping of pbrt-v4 or v3; of a coat one number"),
-    "specular": Support(PARTLY, "coats without scattering inside; pbrt-v3's plastic, substrate and uber become coats"),
+    "specular": Support(
+        PARTLY,
+        "coats without scattering inside, their absorption on the way in and out; pbrt-v3's plastic and uber: coats",
+    ),
     "emission": Support(PARTLY, "`area`, also two-sided, with images and by power; invisible lights become visible"),
     "opacity": Support(YES, "alpha: `mask`; pbrt-v3's shadowalpha is ignored"),
     "transmission": Support(

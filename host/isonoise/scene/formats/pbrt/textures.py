@@ -17,6 +17,7 @@ from isonoise.scene.formats.pbrt.directives import Directive, find_file
 from isonoise.scene.formats.pbrt.parameters import SPECTRUM_TYPES, Parameters
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.image.image import Image
+from isonoise.scene.material.textures import SRGB
 
 FLOAT, SPECTRUM = "float", "spectrum"
 _PROCEDURAL = ("bilerp", "dots", "fbm", "marble", "windy", "wrinkled", "ptex", "directionmix", "uv")
@@ -105,6 +106,16 @@ class Textures:
             image = self._bitmaps.once(key, lambda: Image(np.maximum(function(*arrays), 0).astype(np.float32)))
         return ImageTexture(image, False, first.sampling)
 
+    def map_bytes(self, name: str, function: Callable[[np.ndarray], np.ndarray], texture: Texture) -> Texture:
+        """Like `map`, for a function near the identity: images of bytes stay images of bytes, in sRGB."""
+        is_bytes = isinstance(texture, ImageTexture) and texture.image.pixels.dtype == np.uint8 and not texture.raw
+        if not is_bytes:
+            return self.map(name, function, texture)
+        midpoints = 0.5 * (SRGB[1:] + SRGB[:-1])
+        table = np.searchsorted(midpoints, function(SRGB.astype(np.float64))).astype(np.uint8)
+        image = self._bitmaps.once((name, texture.image), lambda: Image(table[texture.image.pixels]))
+        return ImageTexture(image, False, texture.sampling)
+
     def to_colour(self, texture: Texture) -> dict:
         """The value of a colour parameter in a scene dict, at most 1."""
         if isinstance(texture, ImageTexture) and _exceeds_1(texture.image):
@@ -141,7 +152,7 @@ class Textures:
 
     def scaled_image(self, image: Image, factor: np.ndarray, parameters: Parameters) -> Image:
         """The image of a light times a colour."""
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):  # infinity times 0
             scaled = self._bitmaps.scaled(image, factor)
         if not np.isfinite(scaled.pixels).all():
             parameters.position.raise_error("the image of the light times its scale exceeds 32-bit floats")
