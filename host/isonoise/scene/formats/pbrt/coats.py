@@ -1,4 +1,4 @@
-"""How much light the coat of pbrt's coateddiffuse absorbs, which Mitsuba's plastic does not. Called by `materials.py`."""
+"""How much light the coat of pbrt's coateddiffuse absorbs; Mitsuba's plastic absorbs none. Called by `materials.py`."""
 
 from functools import lru_cache
 
