@@ -324,68 +324,6 @@ def test_without_a_driver_the_message_says_what_to_install(tmp_path):
     assert os.listdir() == []
 
 
-def test_info_on_a_scene(capsys):
-    assert isonoise("info", "cornell") == 0
-    out = capsys.readouterr().out
-    labels = [line.split()[0] for line in out.splitlines() if line and line[0] != " "]
-    assert labels[:4] == ["file", "cameras", "image", "camera"]
-    assert "256x256" in out
-    assert "DIELECTRIC" not in out
-    assert isonoise("info", "cornell", "--features") == 0
-    present, absent = capsys.readouterr().out.split("left out")
-    assert "TRIANGLES" in present
-    assert "DIELECTRIC" in absent
-
-
-def test_info_on_a_model(capsys, tmp_path):
-    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    assert isonoise("info", "a.obj", "--size", "30x20", "--fov", "50") == 0
-    out = capsys.readouterr().out
-    for text in (
-        "a.obj, OBJ",
-        "1 triangle",
-        "a camera that frames the model, a studio, a ground",
-        "30x20",
-        "50 x ",
-        "(0, 0, 0) to (1, 1, 0)",
-    ):
-        assert text in out
-    assert isonoise("info", "a.obj", "--camera", "0") == 2
-    assert "the scene has none" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("a.serialized", b"\x1c\x04", '<shape type="serialized">'),
-        ("a.png", b"\x89PNG", "--env"),
-        ("a.blend", b"BLENDER", "export it as glTF"),
-        ("a.mtl", b"newmtl a", "give the .obj file"),
-        ("a", b"glTF\2\0\0\0", "ends in .glb"),
-        ("a.txt", b"hello", "no scene that isonoise reads"),
-    ],
-)
-def test_files_that_are_no_scenes_are_named(name, content, message, capsys, tmp_path):
-    (tmp_path / name).write_bytes(content)
-    for command in (("render", name, "-o", "b.exr"), ("info", name)):
-        assert isonoise(*command) == 2
-        err = capsys.readouterr().err
-        assert err.startswith("isonoise: ")
-        assert err.count("\n") == 1
-        assert message in err
-        assert ".gltf" in err
-
-
-def test_info_on_an_image(capsys):
-    write_exr("a.exr", {"": np.ones((5, 6, 3), np.float32)}, {"isonoise.seed": 3})
-    assert isonoise("info", "a.exr") == 0
-    out = capsys.readouterr().out
-    assert "6x5" in out
-    assert "B, G, R" in out
-    assert ["isonoise.seed", "3"] in [line.split() for line in out.splitlines()]
-    assert isonoise("info", "nothing.exr") == 2
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX pipes")
 def test_a_closed_pipe_is_no_error():
     process = start("info", "cornell")
