@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isonoise import View, cli
+from isonoise import View
 from isonoise.errors import SceneError, UserError
 from isonoise.scene import compile_scene, load
 from isonoise.scene.formats.framing import FILL, find_extent
@@ -296,11 +296,6 @@ def test_a_camera_of_the_model_is_chosen_by_name_or_number(camera, position):
 def test_views_that_do_not_fit_the_model(view, shapes, message):
     with pytest.raises((SceneError, UserError), match=message):
         staged(view, **shapes)
-
-
-def test_options_take_values_that_begin_with_a_minus():
-    options = cli._parser().parse_args(["render", "a.obj", "--look-at", "-1,0,.5", "--up", "-z", "-o", "a.png"])
-    assert (options.look_at, options.up) == (((-1, 0, 0.5),), (0, 0, -1))
 
 
 def test_a_rotation_from_y_is_a_rotation_and_takes_y_there():

@@ -317,9 +317,6 @@ class _CommandParser(argparse.ArgumentParser):
         # argparse takes what matches this for a value and no option: points and axes, too, not just numbers
         self._negative_number_matcher = re.compile(r"-(?:[0-9.][0-9.,:eE+-]*|[xyz])$")
 
-    def parse_known_args(self, args=None, namespace=None):
-        return super().parse_known_args(shared_options.join_negative_values(args), namespace)
-
     def format_help(self) -> str:
         if self.epilog_name:
             self.epilog = getattr(importlib.import_module("isonoise.help_texts"), self.epilog_name)()

@@ -1,11 +1,6 @@
 """Options that several commands have; each function adds some to a parser. Called by `cli`."""
 
-import re
-from collections.abc import Sequence
-
 from isonoise import argument_types
-
-_NEGATIVE_VALUE = re.compile(r"-[\d.xyz]")
 
 
 def add_size(parser) -> None:
@@ -36,17 +31,6 @@ def add_view(parser) -> None:
     view.add_argument(
         "--env", metavar="FILE", help="an image in latitude-longitude format, .hdr or .exr, around the scene"
     )
-
-
-def join_negative_values(arguments: Sequence[str]) -> list[str]:
-    """The arguments with `--up -z` as `--up=-z`: argparse takes a value such as -1,0,0 for an option."""
-    joined: list[str] = []
-    for argument in arguments:
-        if joined and joined[-1] in ("--look-at", "--up") and _NEGATIVE_VALUE.match(argument):
-            joined[-1] += f"={argument}"
-        else:
-            joined.append(argument)
-    return joined
 
 
 def add_images(parser) -> None:
