@@ -47,12 +47,15 @@ def make_medium(parameters: Parameters, to_world: np.ndarray, colours: Colours, 
         "Le", "Lescale", "Legrid", "temperature", "temperaturescale", "temperatureoffset", "temperaturecutoff"
     )
     phase = _phase(parameters)
-    if kind == "homogeneous":
-        sigma_a, sigma_s = _coefficients(parameters, colours, report)
-        medium = _collisions(sigma_a, sigma_s) | {"type": "homogeneous"}
-    else:
-        medium = _grid(parameters, to_world, colours)
-    return medium | {"scale": parameters.number("scale", 1.0), "phase": phase}
+    scale = parameters.number("scale", 1.0)
+    if scale < 0:
+        parameters.place("scale").raise_error("'scale' of a medium cannot be negative")
+    if kind != "homogeneous":
+        return _grid(parameters, to_world, colours) | {"scale": scale, "phase": phase}
+    sigma_a, sigma_s = _coefficients(parameters, colours, report)
+    largest = float((sigma_a + sigma_s).max()) or 1.0  # Mitsuba refuses an rgb sigma_t above 1
+    medium = _collisions(sigma_a / largest, sigma_s / largest)
+    return medium | {"type": "homogeneous", "scale": scale * largest, "phase": phase}
 
 
 def _phase(parameters: Parameters) -> dict:
