@@ -200,13 +200,13 @@ def test_small_models_are_scaled_up(write_file, tmp_path, capsys):
     corners = "\n".join(f"v {x} {y} {z}" for x, y, z in 1e-3 * mesh()["vertices"])
     path = write_file("small.obj", f"{corners}\nf 1 2 3\nf 2 4 3\n")
     assert main(["convert", str(path), str(tmp_path / "out.xml")]) == 0
-    assert "lengths times 1000" in capsys.readouterr().out
-    assert "times 1000" in (tmp_path / "out.xml").read_text("utf-8")
+    assert "lengths times 10000" in capsys.readouterr().out
+    assert "times 10000" in (tmp_path / "out.xml").read_text("utf-8")
     scene, expected = compile_scene(load(tmp_path / "out.xml")), compile_scene(load(path))
-    np.testing.assert_allclose(scene.vertices, 1e3 * expected.vertices, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(scene.vertices, 1e4 * expected.vertices, rtol=1e-5, atol=1e-4)
     to_world, expected_to_world = (one.camera["to_world"].reshape(3, 4) for one in (scene, expected))
     np.testing.assert_allclose(to_world[:, :3], expected_to_world[:, :3], atol=1e-6)
-    np.testing.assert_allclose(to_world[:, 3], 1e3 * expected_to_world[:, 3], rtol=1e-5)
+    np.testing.assert_allclose(to_world[:, 3], 1e4 * expected_to_world[:, 3], rtol=1e-5)
 
 
 def test_inputs_are_not_replaced(in_tmp_path, write_file, capsys):

@@ -4,6 +4,9 @@ Seeds are fixed. False-alarm rates, the chance that a correct program fails unde
 scene, at most 0.8 % for its three image means.
 """
 
+from pathlib import Path
+from xml.etree import ElementTree
+
 import pytest
 import references
 
@@ -38,6 +41,28 @@ SCENES = {
 BATCHES, SIZE, BLOCK = 16, (96, 96), 16
 
 
+def adapt(path: Path) -> None:
+    """Give a converted scene a box filter, because of the border, and rough thin sheets in place of clear ones.
+
+    A `blendbsdf` with a delta part loses light in Mitsuba 3.9.1: black and a perfect mirror, half each, reflect 0.38 of
+    a white environment.
+    """
+    tree = ElementTree.parse(path)
+    for rfilter in tree.iter("rfilter"):
+        rfilter.set("type", "box")
+    for bsdf in tree.iter("bsdf") if tree.find(".//bsdf[@type='blendbsdf']") is not None else ():
+        if bsdf.get("type") == "thindielectric":
+            bsdf.set("type", "principledthin")
+            for part in list(bsdf):
+                if part.get("name") == "specular_transmittance":
+                    part.set("name", "base_color")
+                else:
+                    bsdf.remove(part)
+            for name, value in (("spec_trans", "1"), ("roughness", "0.3")):
+                ElementTree.SubElement(bsdf, "float", name=name, value=value)
+    tree.write(path)
+
+
 def test_no_scene_is_left_out(public_scenes):
     found = {
         str(path.relative_to(public_scenes))
@@ -51,12 +76,11 @@ def test_no_scene_is_left_out(public_scenes):
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("name", SCENES)
 def test_mitsuba_renders_the_same_picture(public_scenes, tmp_path, name):
-    """Means of blocks of 16 x 16 pixels, and of the image to 1 %. With a box filter borders are the same."""
+    """Means of blocks of 16 x 16 pixels, and of the image to 1 %."""
     pytest.importorskip("mitsuba", reason="needs Mitsuba 3: pip install mitsuba")
     path = tmp_path / "scene.xml"
     converted = convert(public_scenes / name, path, size=SIZE)
-    text = path.read_text("utf-8")
-    path.write_text(text.replace('<rfilter type="gaussian"/>', '<rfilter type="box"/>'), "utf-8")
+    adapt(path)
     theirs = references.mitsuba_batches(path, SCENES[name], BATCHES, tmp_path, files=converted.files)
     ours = references.wave_batches(path, SCENES[name], BATCHES)
     image, reference = (references.from_batches(references.block_means(b, BLOCK)) for b in (ours, theirs))

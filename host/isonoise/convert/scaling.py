@@ -14,11 +14,11 @@ from isonoise.scene.transforms import transform_points
 
 SCALING_REASON = "Mitsuba's rays start 0.0001 off surfaces and miss what is nearer"
 _MIN_SIZE = 0.5
-"""Median size of meshes from which Mitsuba's ray offset is small enough: 2e-4 of it."""
+"""Median size of meshes below which a scene is scaled up: there the offset is 2e-4 of the size or more."""
 
 
 def scale_up(description: dict, ids: dict[int, str]) -> tuple[dict, float]:
-    """(scene, factor): lengths times a power of ten, so that its meshes have a size near 1; 1 if they are large enough.
+    """(scene, factor): lengths times a power of ten, so that meshes have a size of 10 to 100; else 1.
 
     `ids` gets the objects of the returned scene.
     """
@@ -26,7 +26,7 @@ def scale_up(description: dict, ids: dict[int, str]) -> tuple[dict, float]:
     median = float(np.median(sizes)) if sizes else _MIN_SIZE
     if not 0 < median < _MIN_SIZE:
         return description, 1.0
-    factor = 10.0 ** -math.floor(math.log10(median))
+    factor = 10.0 ** (1 - math.floor(math.log10(median)))
     groups = {id(part): UNPLACED for part in _shape_groups(description)}
     return place_scene(description, Placement(np.zeros(3), factor), groups, ids), factor
 
