@@ -4,6 +4,7 @@ What the vocabulary has as default is left out. An object that is used several t
 referenced.
 """
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TextIO
@@ -12,6 +13,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from isonoise.convert.scene_files import SceneFiles, plain_name
+from isonoise.errors import SceneError
 from isonoise.scene.parse.elements import SourceLocation
 from isonoise.scene.parse.parameter_values import check_value
 from isonoise.scene.vocabulary import plugins_of
@@ -19,6 +21,7 @@ from isonoise.scene.vocabulary.plugin import Parameter, Plugin
 
 _Nested = tuple[str, str, dict]  # (kind, key, object) of an object in another one
 _INDENT = "    "
+_INVALID = re.compile("[^\t -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # characters that XML 1.0 does not allow
 _FORMAT_VERSION = "3.0.0"
 _KINDS = ("integrator", "sensor", "shape", "emitter")
 """Kinds of objects in a scene, in the order of the file; before them come shared objects."""
@@ -53,7 +56,7 @@ def write_scene(file: TextIO, description: dict, files: SceneFiles, ids: Mapping
     """
     file.write(f'<?xml version="1.0" encoding="utf-8"?>\n<scene version="{_FORMAT_VERSION}">\n')
     if comment:
-        text = "\n         ".join(line.replace("--", "- -") for line in comment)
+        text = "\n         ".join(_INVALID.sub("?", line).replace("--", "- -") for line in comment)
         file.write(f"    <!-- {text} -->\n")
     _Writer(file, files, ids, description).write_all()
     file.write("</scene>\n")
@@ -254,4 +257,7 @@ def _format_matrix(matrix: np.ndarray) -> str:
 
 def _attributes(**values: str) -> str:
     """Attributes of a tag, without those that are empty."""
+    for value in values.values():
+        if _INVALID.search(value):
+            raise SceneError(f"{value[:100]!r} has a character that XML does not allow; use another name")
     return "".join(f" {name.strip('_')}={quoteattr(value)}" for name, value in values.items() if value)
