@@ -144,7 +144,7 @@ class Bitmaps:
 
         def colour() -> np.ndarray | None:
             first = image.pixels[:1, :1]
-            is_constant = (image.pixels == first).all()
+            is_constant = (image.pixels[0] == first).all() and (image.pixels == first).all()
             return np.broadcast_to(Image(first).linear(raw)[0, 0], 3).astype(np.float64) if is_constant else None
 
         return self.once(("constant", image, raw), colour)

@@ -143,8 +143,11 @@ def _decode_with_pillow(
         return pixels[..., :1], pixels[..., 1:] if with_alpha else None
     if mode.startswith("I"):
         return decode().astype(np.uint16)[..., None], None
-    alpha = decode(mode="RGBA")[..., 3:] if with_alpha else None
-    return np.atleast_3d(decode(mode="L" if mode in ("1", "L", "LA", "La") else "RGB")), alpha
+    is_grey = mode in ("1", "L", "LA", "La")
+    if with_alpha:
+        pixels = decode(mode="RGBA")
+        return pixels[..., :1] if is_grey else pixels[..., :3], pixels[..., 3:]
+    return np.atleast_3d(decode(mode="L" if is_grey else "RGB")), None
 
 
 def _read_exr(path: bytes, file_bytes: int, location: SourceLocation, with_alpha: bool) -> Image:

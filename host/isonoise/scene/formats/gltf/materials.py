@@ -1,4 +1,4 @@
-"""Maps the materials of a glTF file to Mitsuba 3's vocabulary. Called by `nodes.py` for every primitive.
+"""Maps the materials of a glTF file to Mitsuba 3's vocabulary. Called by `shapes.py` for every primitive.
 
 Formats: glTF 2.0 section 3.9 and appendix B, and the extensions KHR_materials_*.
 """
