@@ -14,6 +14,7 @@ import scene_generator
 
 import isonoise
 from isonoise.scene import vocabulary
+from isonoise.scene.vocabulary.textures import CONSTANT_TEXTURES
 
 SEEDS = range(100)
 SPP, BATCHES = 64, 16
@@ -21,7 +22,9 @@ MAX_STANDARD_ERRORS = 4.0
 """Largest difference of image means, in standard errors."""
 
 UNUSED = {("integrator", "moment"), ("integrator", "aov"), ("shape", "mesh"), ("volume", "constvolume")}
-"""Plugins that no file uses: integrators that wrap another one, isonoise's own shape, constant volumes."""
+UNUSED |= {("medium", "heterogeneous"), ("volume", "gridvolume"), ("emitter", "projector")}
+UNUSED |= {("texture", name) for name in CONSTANT_TEXTURES}
+"""Plugins that no file uses: integrators that wrap another one, isonoise's own shape, and what has tests of its own."""
 
 
 @pytest.fixture(scope="session")
