@@ -5,7 +5,8 @@ import pytest
 
 from isonoise import View
 from isonoise.errors import SceneError, UserError
-from isonoise.scene import compile_scene, load
+from isonoise.scene import load
+from isonoise.scene.camera import compile_camera
 from isonoise.scene.formats.framing import FILL, find_extent
 from isonoise.scene.formats.model_lights import brightness_by_own_lights
 from isonoise.scene.formats.staging import stage
@@ -36,9 +37,13 @@ def cloud(seed: int = 0) -> dict:
 SQUARE = ((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0))
 
 
+def compiled_camera(scene: dict) -> np.ndarray:
+    return compile_camera(load(scene)["sensor"], None)[0][0]
+
+
 def image_points(scene: dict, points: np.ndarray) -> np.ndarray:
     """Where the camera sees points: (n, 2) in [-1, 1] within the image."""
-    camera = compile_scene(load({**scene, "ground": SPHERE})).camera[0]
+    camera = compiled_camera(scene)
     to_world = camera["to_world"].reshape(3, 4).astype(float)
     local = (points - to_world[:, 3]) @ to_world[:, :3]
     assert np.all(local[:, 2] > camera["near_clip"])
@@ -136,7 +141,7 @@ def test_the_camera_looks_down_and_the_ground_is_below(up):
 def test_the_edge_of_the_ground_is_not_in_the_image(size):
     """Every corner of the image sees the ground."""
     scene = staged(size=size, it=cloud())
-    camera = compile_scene(load(scene)).camera[0]
+    camera = compiled_camera(scene)
     to_world = camera["to_world"].reshape(3, 4).astype(float)
     ground = scene["ground"]["to_world"]
     to_ground = np.linalg.inv(ground)
