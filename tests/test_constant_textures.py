@@ -69,8 +69,21 @@ def test_a_constant_normal_map_needs_no_textures():
 
 
 @pytest.mark.parametrize(
+    "value", ['<rgb name="normalmap" value="0.5 0.4 0.6"/>', '<float name="normalmap" value="0.5"/>']
+)
+def test_a_normal_map_takes_colours_as_mitsuba_does(mitsuba, scene_of, value):
+    text = f'<bsdf {{}} type="normalmap" id="map">{value}<bsdf type="diffuse"/></bsdf>'
+    theirs = mitsuba.traverse(mitsuba.load_string(text.format('version="3.0.0"')))
+    (expected,) = (theirs[key] for key in ("normalmap.value", "normalmap.color") if key in theirs)
+    ours = scene_of(text.format(""))["map"]["normalmap"]["value"]
+    assert ours == pytest.approx(np.broadcast_to(np.array(expected), 3))
+
+
+@pytest.mark.parametrize(
     ("plugin", "message"),
     [
+        ({"type": "spot", "texture": {"type": "uniform", "value": 0.5}}, "the texture of a spot has to vary"),
+        ({"type": "normalmap", "normalmap": "a.png", "a": {"type": "diffuse"}}, "has to be a nested texture"),
         ({"type": "diffuse", "reflectance": {"type": "rawconstant", "value": 1.5}}, "a reflectance is at most 1"),
         ({"type": "diffuse", "reflectance": {"type": "rawconstant", "value": "0.5"}}, "finite number or a vector of"),
         ({"type": "roughplastic", "alpha": {"type": "rawconstant", "value": 0.5}}, "cannot contain a texture"),

@@ -182,6 +182,8 @@ def _check_directional(emitter: dict, location: Location):
 
 
 def _check_spot(emitter: dict, location: Location):
+    if emitter.get("texture", {}).get("type") == "rgb":
+        location.raise_error("the texture of a spot has to vary (so it has in Mitsuba 3): scale the intensity instead")
     if emitter.get("beam_width", 0.0) > emitter["cutoff_angle"]:
         location.raise_error("beam_width has to be at most cutoff_angle")
     _check_projected_texture(emitter, location)

@@ -20,6 +20,9 @@ def check_value(parameter: Parameter, value, location: Location):
     type_ = parameter.type
     if type_ in COLOURS:
         return _check_colour(type_, value, location)
+    if type_ == "texture" and isinstance(value, (int, float, dict)):  # a colour is a texture, as in Mitsuba 3
+        colour = _check_colour("reflectance", value, location)
+        return {"type": "rgb", "value": colour_to_rgb(colour, "reflectance").tolist()}
     if type_ == "index":
         return _check_index(value, location)
     convert, expected = _TYPES[type_]
