@@ -146,7 +146,7 @@ def test_anisotropy(tmp_path):
 def test_unlit(tmp_path):
     material = extended("unlit", {}, pbr(baseColorTexture={"index": 0}))
     scene, report = read_file(MaterialFile(material, COLOURS), tmp_path)
-    assert "also lights what is around it" in report.warnings()[0]
+    assert "also light what is around them" in report.warnings()[0]
     (shape,) = shapes_of(scene)
     assert shape["bsdf"]["reflectance"]["value"] == [0.0, 0.0, 0.0]
     np.testing.assert_array_equal(shape["emitter"]["radiance"]["bitmap"].pixels, COLOURS)

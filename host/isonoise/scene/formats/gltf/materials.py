@@ -68,6 +68,9 @@ class Materials:
     def __init__(self, document: Document, report: ImportReport):
         self.document, self.report = document, report
         self._textures = MaterialTextures(document, report)
+        for kind in ("materials", "images"):
+            if document.all(kind):
+                report.count(kind, len(document.all(kind)))
         self._materials: dict[int | None, Material] = {}
         self._surfaces: dict[tuple[int | None, PrimitiveInfo], Surface] = {}
 
@@ -140,7 +143,7 @@ def _lit(context: SurfaceContext, colour: dict, weight: dict | None) -> Surface:
 
 def _unlit(context: SurfaceContext, colour: dict, weight: dict | None) -> Surface:
     """A black surface that emits the base colour."""
-    context.limit("unlit", "it emits its colour, so it also lights what is around it")
+    context.limit("unlit", "they emit their colour, so they also light what is around them")
     if weight is not None:
         context.limit("vertex_colours", "over the texture of an unlit material they are left out")
     return Surface({"type": "diffuse", "reflectance": _BLACK}, emitter(context, "baseColorTexture", colour))

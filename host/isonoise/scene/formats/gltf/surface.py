@@ -66,8 +66,9 @@ class Material:
 
     @property
     def place(self) -> str:
-        """For warnings."""
-        return self.values.place
+        """For warnings: index and name."""
+        name = self.values.string("name", "")
+        return f"{self.values.place} '{name}'" if name else self.values.place
 
     def part(self, name: str) -> JsonObject | None:
         """The material itself for '', its metallic-roughness model, or an extension; None if it has none."""
