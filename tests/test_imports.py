@@ -26,6 +26,11 @@ SHARED = {
     )
 }
 """Modules that all strategies use, and `measures` for the floor of the stated error."""
+UNUSED = (
+    *("benchmark", "comparison", "convert", "selftest", "integrator.feature_superset", "integrator.feature_costs"),
+    *("scene.formats", "scene.other_files", "scene.volume."),
+)
+"""Beginnings of the names of modules that a render of `cornell` does not use."""
 MAX_START_CPU_S = 1.0
 """CPU time up to the first program to be compiled: 0.55 s on the machine where this was written."""
 
@@ -75,12 +80,12 @@ def strategies(modules: set[str]) -> set[str]:
 
 
 def test_a_uniform_render_imports_nothing_of_other_renders(tmp_path):
-    """No allocation rules, other strategies, mesh readers, plots, benchmarks and self-tests."""
+    """No allocation rules, other strategies, formats, mesh readers, plots, benchmarks and self-tests."""
     render("cornell", "--strategy", "uniform", folder=tmp_path)  # the first one checks the driver
     modules = render("cornell", "--strategy", "uniform", folder=tmp_path)
     assert strategies(modules) == {"isonoise.strategies.uniform"}
     assert modules.isdisjoint(HEAVY)
-    for package in ("benchmark", "comparison", "selftest", "integrator.feature_superset", "integrator.feature_costs"):
+    for package in UNUSED:
         assert not [name for name in modules if name.startswith(f"isonoise.{package}")], package
     assert {
         "isonoise.strategies.uniform_allocation",
