@@ -210,6 +210,20 @@ def test_small_models_are_scaled_up(write_file, tmp_path, capsys):
     np.testing.assert_allclose(to_world[:, 3], 1e4 * expected_to_world[:, 3], rtol=1e-5)
 
 
+@pytest.mark.parametrize("factors", [(1e-14, 1, 1), (1e-30, 1e-20, 1e-10), (1, 1, 1)])
+def test_transforms_stay_invertible(factors, tmp_path):
+    """Zeros of rotations are written as such, small factors are not lost."""
+    plane = {"type": "rectangle", "to_world": translate((1, 2, 3)) @ rotate((1, 0, 0), 90) @ scale(factors)}
+    sheared = {
+        "type": "rectangle",
+        "to_world": np.array([[1, 1, 0, 0], [1, 1 + 1e-9, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
+    }
+    convert(scene_of_shapes(plane=plane, sheared=sheared), tmp_path / "out.xml")
+    scene = load(tmp_path / "out.xml")
+    np.testing.assert_allclose(scene["plane"]["to_world"], plane["to_world"], rtol=1e-7, atol=1e-16)
+    assert np.linalg.matrix_rank(scene["sheared"]["to_world"]) == 4
+
+
 def test_names_with_any_characters(write_file, tmp_path):
     """A comment cannot contain all that names of materials and files can."""
     path = write_file("a--b.obj", b"v 0 0 0\nv 9 0 0\nv 0 9 0\nusemtl \x01<&\xff--\nf 1 2 3\n")

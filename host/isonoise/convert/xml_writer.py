@@ -33,7 +33,9 @@ _OWN_PARAMETERS = ("exposure",)
 """Parameters that Mitsuba 3 does not have and would refuse."""
 _IN_MEMORY = ("image", "grid")
 """Types of parameters that become files."""
-_MIN_ENTRY = 2.0**-40  # of a matrix, relative to the largest: smaller ones are rounding errors of rotations
+_MIN_ENTRY = 2.0**-40
+"""Of a matrix, relative to the largest of its row and its column: smaller ones are rounding errors of rotations."""
+_MAX_CHANGE = 2.0**-10  # of a determinant, relative: beyond it, numbers keep the precision of 64 bits
 _MAX_DISTANCE = 2.0**8
 """Translation, relative to the scale, up to which the numbers of a matrix are written with the precision of 32 bits."""
 
@@ -243,16 +245,24 @@ def _format_number(value: float) -> str:
 
 
 def _format_matrix(matrix: np.ndarray) -> str:
-    """16 numbers, row by row. Translations far beyond the scale keep the precision of 64 bits."""
-    linear = np.abs(matrix[:3, :3])
-    is_far = np.abs(matrix[:3, 3]).max() > _MAX_DISTANCE * linear.max()
-    matrix = matrix.copy()
-    matrix[:3, :3][linear < _MIN_ENTRY * linear.max()] = 0.0
-    rows = [[_format_number(number) for number in row] for row in matrix]
-    if is_far:
+    """16 numbers, row by row, in the precision of 32 bits where that is enough."""
+    linear, rounded = matrix[:3, :3], matrix.copy()
+    size = np.abs(linear)
+    row_sizes, column_sizes = size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True)
+    rounded[:3, :3] = np.where(size < _MIN_ENTRY * np.minimum(row_sizes, column_sizes), 0, linear.astype(np.float32))
+    determinant = np.linalg.det(linear)
+    if abs(np.linalg.det(rounded[:3, :3]) - determinant) > _MAX_CHANGE * abs(determinant):
+        rows = [list(map(_format_double, row)) for row in matrix.tolist()]  # it is nearly singular
+    else:
+        rows = [list(map(_format_number, row)) for row in rounded]
+    if np.abs(matrix[:3, 3]).max() > _MAX_DISTANCE * size.max():
         for row, number in zip(rows, matrix[:3, 3].tolist(), strict=False):
-            row[3] = repr(number).removesuffix(".0")
+            row[3] = _format_double(number)
     return ", ".join(map(" ".join, rows))
+
+
+def _format_double(value: float) -> str:
+    return repr(value).removesuffix(".0")
 
 
 def _attributes(**values: str) -> str:
