@@ -194,6 +194,15 @@ def test_emission(tmp_path):
     assert "emitter" not in read_material(tmp_path, "Ke 0 0 0")[0]
 
 
+def test_emissive_textures(tmp_path):
+    """Ke times the image; a Ke of 0 beside an image is meant as no factor."""
+    linear = srgb_to_linear(save_image(tmp_path / "a.png") / 255)
+    for statements, factor in (("Ke 2 1 0.5\nmap_Ke a.png", (2, 1, 0.5)), ("Ke 0 0 0\nmap_Ke a.png", 1)):
+        shape, losses = read_material(tmp_path, statements)
+        np.testing.assert_allclose(shape["emitter"]["radiance"]["bitmap"].linear(), linear * factor, rtol=1e-5)
+        assert losses == []
+
+
 def save_image(path: Path, mode: str = "RGB") -> np.ndarray:
     pixels = np.random.default_rng(3).integers(0, 256, (3, 4, len(mode)), dtype=np.uint8)
     Image.fromarray(pixels if len(mode) > 1 else pixels[..., 0], mode).save(path)
