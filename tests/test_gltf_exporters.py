@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gltf_files import TRIANGLE, Gltf, corners_of, one_mesh, only_mesh, read, read_file, shapes_of
+from gltf_files import TRIANGLE, Gltf, corners_of, one_mesh, only_mesh, pack_glb, read, read_file, shapes_of
 from gltf_material_files import COLOURS, MaterialFile, pbr
 
 from isonoise.errors import SceneError
@@ -13,6 +13,15 @@ def test_null_is_taken_as_missing(tmp_path):
     file.content["nodes"][0] |= {"name": None, "children": None, "matrix": None, "camera": None, "translation": None}
     file.content |= {"extensionsUsed": None, "scene": None, "cameras": None}
     np.testing.assert_array_equal(corners_of(only_mesh(file, tmp_path))[0], TRIANGLE)
+
+
+def test_json_padded_with_zero_bytes(tmp_path):
+    """The specification asks for blanks."""
+    file = one_mesh()
+    text = file._json(None)
+    path = tmp_path / "a.glb"
+    path.write_bytes(pack_glb(text + bytes(4 - len(text) % 4), bytes(file.data)))
+    assert len(shapes_of(read(path)[0])) == 1
 
 
 def test_names_of_files_with_backslashes(tmp_path):

@@ -142,7 +142,7 @@ def _split_glb(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
     chunks = dict(reversed(list(_glb_chunks(path, memoryview(data)[:length]))))  # the first one of a type counts
     if _JSON_CHUNK not in chunks:
         raise SceneError(f"{path}: the GLB file has no JSON chunk")
-    return bytes(chunks[_JSON_CHUNK]), chunks.get(_BINARY_CHUNK)
+    return bytes(chunks[_JSON_CHUNK]).rstrip(b"\0"), chunks.get(_BINARY_CHUNK)
 
 
 def _glb_chunks(path: Path, data: memoryview) -> Iterator[tuple[bytes, memoryview]]:

@@ -30,9 +30,12 @@ _READ = {
 }
 # These do not change the image of the default scene at rest.
 _WITHOUT_EFFECT = {
+    "AGI_articulations",
+    "AGI_stk_metadata",
     "CESIUM_RTC",
     "EXT_instance_features",
     "EXT_mesh_features",
+    "EXT_mesh_manifold",
     "EXT_structural_metadata",
     "FB_geometry_metadata",
     "GODOT_single_root",
@@ -45,6 +48,8 @@ _WITHOUT_EFFECT = {
     "KHR_implicit_shapes",
     "KHR_xmp",
     "KHR_xmp_json_ld",
+    "MOZ_hubs_components",
+    "MSFT_audio_emitter",
     "MSFT_lod",
 }
 # What these add is one of two versions of the same data; the other one is read.
@@ -54,6 +59,8 @@ _WITH_FALLBACK = {
     "KHR_draco_mesh_compression",
     "KHR_meshopt_compression",
     "KHR_texture_basisu",
+    "MSFT_packing_normalRoughnessMetallic",
+    "MSFT_packing_occlusionRoughnessMetallic",
     "MSFT_texture_dds",
 }
 COMPRESSED_MESHES = ("KHR_draco_mesh_compression",)
