@@ -34,6 +34,7 @@ from fuzz_scenes import PART, SCENES, compile_damaged_dict
 
 from isonoise.benchmark.baseline import Baseline
 from isonoise.benchmark.measure import SCHEMA, SCHEMA_VERSION
+from isonoise.convert.convert import convert
 from isonoise.errors import UserError
 from isonoise.film.exr import read_header, read_reference
 from isonoise.scene import compile_scene, load
@@ -157,6 +158,26 @@ def compile_mtl(path: Path) -> None:
     compile_file(path.with_suffix(".obj"))
 
 
+def convert_file(path: Path) -> None:
+    """Compile a scene, convert it to Mitsuba 3 XML, and compile that."""
+    description = load(path)
+    compile_scene(description)
+    converted = path.with_name("converted.xml")
+    try:
+        convert(path, converted)
+        compile_scene(load(converted))
+    except UserError as error:
+        raise AssertionError(f"the scene is sound, but not what becomes of it: {error}") from error
+
+
+def _rich_glb_files() -> list[bytes]:
+    return [
+        small_files.textured_glb(),
+        gltf_files.rich_file().glb(),
+        gltf_material_files.rich_material_file().glb(),
+    ]
+
+
 TARGETS = {
     "xml": Target(lambda: list(SCENES), "scene.xml", compile_file, mutate_xml),
     "dict": Target(lambda: [b"sound"], "number", compile_damaged_dict, lambda data, rng: str(rng.random()).encode()),
@@ -175,16 +196,9 @@ TARGETS = {
     "stl": Target(
         lambda: [small_files.from_trimesh("stl"), small_files.from_trimesh("stl_ascii")], "m.stl", compile_file
     ),
-    "glb": Target(
-        lambda: [
-            small_files.textured_glb(),
-            gltf_files.rich_file().glb(),
-            gltf_material_files.rich_material_file().glb(),
-        ],
-        "m.glb",
-        compile_file,
-        mutate_glb,
-    ),
+    "glb": Target(_rich_glb_files, "m.glb", compile_file, mutate_glb),
+    "convert-glb": Target(_rich_glb_files, "m.glb", convert_file, mutate_glb),
+    "convert-xml": Target(lambda: list(SCENES), "scene.xml", convert_file, mutate_xml),
     "gltf": Target(
         lambda: [gltf_files.rich_file().gltf(), gltf_material_files.rich_material_file().gltf()],
         "m.gltf",
