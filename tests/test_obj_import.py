@@ -95,6 +95,17 @@ def test_corners_with_empty_fields(face, tmp_path):
         np.testing.assert_array_equal(mesh.uvs[mesh.faces[0]], [[0, 1], [1, 1], [1, 0]])
 
 
+def test_faces_of_one_or_two_corners_are_left_out(tmp_path):
+    scene, losses = read(tmp_path, f"{QUAD}f 1 2\n{FACE}f 3\nf 1/1 2/2\n")
+    assert scene["part_0"]["faces"].tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert len(losses) == 1
+    assert "faces of one or two corners" in losses[0]
+    with pytest.raises(SceneError, match="no faces, only vertices"):
+        read(tmp_path, f"{QUAD}f 1 2\n")
+    with pytest.raises(SceneError, match=r"a\.obj:9: a face has fewer"):
+        read_obj(tmp_path / "a.obj")
+
+
 def test_errors_name_the_line(tmp_path):
     for text, line in (
         (QUAD + "f 1 2 9\n", 9),

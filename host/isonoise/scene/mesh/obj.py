@@ -46,16 +46,17 @@ class ObjFile:
     counts: dict[str, int]  # statements that are not read, by plural noun
 
 
-def read_obj(path: Path, flip_tex_coords: bool = True, cut_concave: bool = False) -> ObjFile:
+def read_obj(path: Path, flip_tex_coords: bool = True, mend_polygons: bool = False) -> ObjFile:
     """Read a file. `flip_tex_coords` replaces v by 1 - v, Mitsuba 3's default.
 
-    Polygons become triangle fans, as in Mitsuba 3; with `cut_concave`, concave ones are cut correctly. Raises
-    SceneError if it is not an OBJ file with faces, or has invalid indices or numbers.
+    Polygons become triangle fans, as in Mitsuba 3. With `mend_polygons`, concave ones are cut correctly, and those with
+    fewer than three corners are left out. Raises SceneError if it is not an OBJ file with faces, or has invalid indices
+    or numbers.
     """
     lines = _Lines(_clean_text(read_bytes(path), SourceLocation(str(path))), str(path))
     vertices, colours = lines.vertices()
     normals = lines.vectors(b"vn", 3)
-    corners, sizes, face_lines = lines.faces()
+    corners, sizes, face_lines = lines.faces(leave_out_short=mend_polygons)
     if not len(sizes):
         lines.location.raise_error("it has no faces, only vertices" if len(vertices) else "it has no faces")
     owner = np.repeat(np.arange(len(sizes)), sizes)
@@ -70,12 +71,13 @@ def read_obj(path: Path, flip_tex_coords: bool = True, cut_concave: bool = False
     uvs = np.zeros((0, 2), np.float32)
     if np.any(corners[:, 1] >= 0):
         uvs = make_uvs(lines.vectors(b"vt", 2), flip_tex_coords)
-    triangles = triangulate(vertices[corners[:, 0]], sizes) if cut_concave else triangle_fans(sizes)
+    triangles = triangulate(vertices[corners[:, 0]], sizes) if mend_polygons else triangle_fans(sizes)
     mesh, vertex_numbers = _index_corners(vertices, normals, uvs, corners, triangles)
     colours = colours[vertex_numbers] if len(colours) else colours
     polygon_material, names, libraries = lines.materials(face_lines)
     materials, is_flat = (np.repeat(values, sizes - 2) for values in (polygon_material, lines.is_flat(face_lines)))
-    return ObjFile(mesh, colours, materials, is_flat, names, libraries, int(np.sum(sizes > 3)), lines.counts())
+    counts = lines.counts() | {"incomplete faces": len(lines.lines_with_key(b"f ")) - len(sizes)}
+    return ObjFile(mesh, colours, materials, is_flat, names, libraries, int(np.sum(sizes > 3)), counts)
 
 
 def _clean_text(text: bytes, location: SourceLocation) -> bytes:
@@ -162,15 +164,23 @@ class _Lines:
             self.location_of(line).raise_error("a vertex or normal is not a finite number")
         return values, sizes, first
 
-    def faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Corners (c, 3) of (vertex, uv, normal), 0 where not given; corner count and line number of each face."""
+    def faces(self, leave_out_short: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Corners (c, 3) of (vertex, uv, normal), 0 where not given; corner count and line number of each face.
+
+        Faces with fewer than three corners are an error, or left out.
+        """
         line_numbers = self.lines_with_key(b"f ")
         if not len(line_numbers):
             return np.zeros((0, 3), np.int64), np.zeros(0, np.int64), line_numbers
         data = np.frombuffer(self.text_without_key(line_numbers), np.uint8)
-        begins, sizes = _find_words(data)
+        _, sizes = _find_words(data)
         if sizes.min() < 3:
-            self.location_of(line_numbers[np.argmin(sizes)]).raise_error("a face has fewer than three corners")
+            if not leave_out_short:
+                self.location_of(line_numbers[np.argmin(sizes)]).raise_error("a face has fewer than three corners")
+            line_numbers, sizes = line_numbers[sizes >= 3], sizes[sizes >= 3]
+            data = np.frombuffer(self.text_without_key(line_numbers), np.uint8)
+            if not len(line_numbers):
+                return np.zeros((0, 3), np.int64), sizes, line_numbers
         data = _without_trailing_slashes(data)
         begins, sizes_without = _find_words(data)
         if (sizes_without != sizes).any():

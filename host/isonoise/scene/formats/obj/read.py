@@ -15,13 +15,16 @@ from isonoise.scene.mesh.obj import ObjFile, read_obj
 from isonoise.scene.spectra import srgb_to_linear
 
 _MAX_MTL_FILES = 100  # of one OBJ
-_COUNTED_FEATURES = {"lines": "lines_points", "points": "lines_points", "curves": "curves", "surfaces": "curves"}
+_COUNTED_FEATURES = {
+    **dict.fromkeys(("lines", "points", "incomplete faces"), "lines_points"),
+    **dict.fromkeys(("curves", "surfaces"), "curves"),
+}
 _DEFAULT = Material("")
 
 
 def read(path: Path, folder: Path | None, report: ImportReport) -> dict:
     """The scene dict of a file: a shape for each material that it uses. Raises SceneError where it is invalid."""
-    obj = read_obj(path, cut_concave=True)
+    obj = read_obj(path, mend_polygons=True)
     _report_geometry(obj, report)
     mtl = _read_libraries(path, obj, folder, report)
     materials = Materials(path, folder, report)

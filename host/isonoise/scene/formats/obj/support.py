@@ -5,7 +5,9 @@ from isonoise.scene.formats.support import NO, PARTLY, YES, Support
 SUPPORT = {
     "triangles": Support(YES, "a `mesh` for each material; groups and objects are not told apart"),
     "polygons": Support(YES, "triangles; concave polygons are cut by ear clipping"),
-    "lines_points": Support(NO, "lines and points have no surface: make tubes or spheres of them"),
+    "lines_points": Support(
+        NO, "they have no surface, nor have faces of one or two corners: make tubes or spheres of them"
+    ),
     "curves": Support(NO, "convert curves and surfaces to polygons before the export"),
     "normals": Support(YES, "smooth without `vn`, flat with `s off`"),
     "uvs": Support(YES),
