@@ -27,6 +27,7 @@ from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 _LIGHTS = ("point", "spot", "distant", "infinite", "goniometric", "projection")
 _MAX_CUTOFF_DEGREES = 89.9  # Mitsuba's spot is narrower than a hemisphere
+_MIN_SOFT_EDGE = 1e-9  # difference of the cosines at its ends
 _TO_ENVMAP = np.array(  # from the space of Mitsuba's `envmap` to that of pbrt-v3's: z up, azimuth from +x
     [[0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
@@ -119,10 +120,11 @@ class Lights:
             "beam_width": min(start, cone),
             "intensity": rgb(self._intensity(parameters, extent)),
         }
-        if start < cone <= MAX_SOFT_CUTOFF_DEGREES:
+        is_narrow = cos_start - cos_end < _MIN_SOFT_EDGE  # a texture could not show the edge
+        if start < cone <= MAX_SOFT_CUTOFF_DEGREES and not is_narrow:
             edge = {"type": "bitmap", "bitmap": soft_edge(cone, start), "raw": True, "wrap_mode": "clamp"}
             spot |= {"beam_width": cone, "texture": edge}
-        elif start < cone:
+        elif start < cone and not is_narrow:
             problem = "the soft edge of a wide cone is linear in the angle; in pbrt it is a smooth step of its cosine"
             self._report.limit("spot_lights", problem, place)
         return spot
@@ -252,7 +254,8 @@ def sum_of_environments(first: dict, second: dict) -> dict | None:
     constant, envmap = (first, second) if first["type"] == "constant" else (second, first)
     if constant["type"] == "envmap":
         return None
-    pixels = envmap["bitmap"].linear() + _radiance(constant).astype(np.float32)
+    with np.errstate(over="ignore"):  # pixels that are not finite are errors later
+        pixels = envmap["bitmap"].linear() + _radiance(constant).astype(np.float32)
     return envmap | {"bitmap": Image(pixels)}
 
 
