@@ -1,6 +1,9 @@
 """The tokenizer and the grammar of pbrt files: values, positions of errors, included files."""
 
+import gzip
+
 import pytest
+import small_files
 from pbrt_files import TRIANGLE, objects, only, read_text, read_world
 
 import isonoise
@@ -146,11 +149,19 @@ def test_includes_that_cannot_be_read_are_errors(tmp_path):
     assert isonoise.load(path, allow_outside=True)["sensor"]["type"] == "perspective"
 
 
-def test_compressed_files_say_what_to_do(tmp_path):
-    (tmp_path / "a.pbrt.gz").write_bytes(b"")
-    for text in ('Include "a.pbrt.gz"', 'Shape "plymesh" "string filename" "a.ply.gz"'):
-        with pytest.raises(SceneError, match="gunzip"):
-            read_world(tmp_path, text)
+def test_compressed_files(tmp_path):
+    (tmp_path / "a.pbrt.gz").write_bytes(gzip.compress(TRIANGLE.encode()))
+    (tmp_path / "a.ply.gz").write_bytes(gzip.compress(small_files.ply()))
+    scene, _ = read_world(tmp_path, 'Include "a.pbrt.gz"\nShape "plymesh" "string filename" "a.ply.gz"')
+    assert len(objects(scene, "mesh")) == 2
+    for data, message in (
+        (b"ply", "is damaged"),
+        (gzip.compress(TRIANGLE.encode())[:-9], "is damaged"),
+        (gzip.compress(bytes(5_000_000)), "100 times as large"),
+    ):
+        (tmp_path / "a.pbrt.gz").write_bytes(data)
+        with pytest.raises(SceneError, match=rf"a\.pbrt\.gz: .*({message})"):
+            read_world(tmp_path, 'Include "a.pbrt.gz"')
 
 
 def test_unknown_parameters_are_reported_once(tmp_path):

@@ -1,5 +1,6 @@
 """Opens and reads the files of a scene, records which they are, and checks that they are below the scene's folder."""
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -9,6 +10,7 @@ from typing import BinaryIO
 from isonoise import input_files
 from isonoise.errors import SceneError
 
+_MIN_DECOMPRESSED_BYTES, _MAX_COMPRESSION_RATIO = 1 << 20, 100
 _recorded: ContextVar[dict[Path, None] | None] = ContextVar("recorded", default=None)
 
 
@@ -43,6 +45,24 @@ def read_bytes(path: Path) -> bytes:
             return file.read(input_files.size_bytes(file))
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def read_decompressed(path: Path) -> bytes:
+    """Read a whole file, decompressed if its name ends in .gz. Raises SceneError if it cannot be read or is damaged."""
+    data = read_bytes(path)
+    if path.suffix.lower() != ".gz":
+        return data
+    import gzip
+    import zlib
+
+    limit = _MIN_DECOMPRESSED_BYTES + _MAX_COMPRESSION_RATIO * len(data)
+    try:
+        decompressed = gzip.GzipFile(fileobj=io.BytesIO(data)).read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise SceneError(f"{path}: its compressed data is damaged ({error})") from None
+    if len(decompressed) > limit:
+        raise SceneError(f"{path}: it is more than {_MAX_COMPRESSION_RATIO} times as large when decompressed")
+    return decompressed
 
 
 def scene_folder(path: Path, allow_outside: bool) -> Path | None:

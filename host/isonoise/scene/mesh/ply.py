@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from isonoise.scene.files import read_bytes
+from isonoise.scene.files import read_decompressed
 from isonoise.scene.mesh.mesh import Mesh, make_uvs, parse_numbers, validate_mesh
 from isonoise.scene.mesh.ply_attributes import attribute_values, find_attributes
 from isonoise.scene.mesh.polygons import triangulate
@@ -72,7 +72,7 @@ def read_ply_file(path: Path, flip_tex_coords: bool = False, cut_concave: bool =
     Raises SceneError if it is not a PLY mesh, is truncated, or has invalid vertex indices or numbers.
     """
     location = SourceLocation(str(path))
-    data = read_bytes(path)
+    data = read_decompressed(path)
     byte_order, elements, comments, start = _read_header(data, location)
     body = _Body(data, start, byte_order, location)
     mesh = faces = None

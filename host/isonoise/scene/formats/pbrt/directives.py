@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isonoise.scene.files import is_inside, outside_message, read_bytes
+from isonoise.scene.files import is_inside, outside_message, read_decompressed
 from isonoise.scene.formats.pbrt.parameters import TYPES, Parameters, Value, check_value
 from isonoise.scene.formats.pbrt.tokens import CLOSE, END, OPEN, STRING, WORD, Position, Source, Token, Tokenizer
 from isonoise.scene.parse.elements import path_exists
@@ -52,7 +52,7 @@ def read_directives(path: Path, folder: Path | None) -> Iterator[Directive]:
 
 
 def _read_source(path: Path) -> Source:
-    return Source(path, read_bytes(path).removeprefix(_BYTE_ORDER_MARK).decode("utf-8", errors="replace"))
+    return Source(path, read_decompressed(path).removeprefix(_BYTE_ORDER_MARK).decode("utf-8", errors="replace"))
 
 
 class _Parser:
@@ -74,8 +74,6 @@ class _Parser:
     def _included_file(self, directive: Directive, open_files: list[Path]) -> Path:
         name = directive.arguments[0]
         path = find_file(name, self._base, self._folder, directive.position)
-        if path.suffix.lower() == ".gz":
-            directive.position.raise_error(f"'{name}' is compressed: decompress it with gunzip, and change the name")
         self._include_count += 1
         if path.resolve() in open_files:
             directive.position.raise_error(f"'{name}' includes itself, directly or through other files")

@@ -135,14 +135,12 @@ class ShapeReader:
         name = parameters.text("filename")
         if name is None:
             parameters.position.raise_error('a plymesh needs "string filename"')
-        if name.lower().endswith(".gz"):
-            parameters.place("filename").raise_error(
-                f"'{name[:60]}' is compressed: decompress it with gunzip, and change the name in the scene"
-            )
         if "displacement" in parameters:
             self.report.limit("bump_map", "displacement of a mesh is ignored", name)
             parameters.ignore("displacement", "edgelength", "displacement.edgelength")
         path = find_file(name, self.base, self.folder, parameters.place("filename"))
+        if path.suffix.lower() == ".gz":
+            self.report.use("compression")
         mesh = read_ply(path, flip_tex_coords=True)
         mesh.attributes = {}  # pbrt has no vertex colours
         return mesh, 0

@@ -11,7 +11,7 @@ SUPPORT = {
     "curves": Support(PARTLY, "loopsubdiv: subdivided triangles; curve, hyperboloid and nurbs are left out"),
     "normals": Support(YES, "also of mirrored and reversed shapes"),
     "uvs": Support(YES, "pbrt's default coordinates where a mesh has none"),
-    "compression": Support(NO, "decompress .gz files with gunzip"),
+    "compression": Support(YES, "meshes and included files that end in .gz"),
     "scene_graph": Support(YES, "attributes, named coordinate systems, mirrored scenes"),
     "instances": Support(YES, "`shapegroup` and `instance`"),
     "animation": Support(NO, "everything is where it is at the start of the exposure"),
