@@ -16,6 +16,8 @@ SCALING_REASON = "Mitsuba's rays start 0.0001 off surfaces and miss what is near
 _MIN_SIZE = 0.5
 """Median size of meshes below which a scene is scaled up: there the offset is 2e-4 of the size or more."""
 
+_MIN_SCALED_SIZE = 1e-12  # smaller ones are damaged files
+
 
 def scale_up(description: dict, ids: dict[int, str]) -> tuple[dict, float]:
     """(scene, factor): lengths times a power of ten, so that meshes have a size of 10 to 100; else 1.
@@ -24,7 +26,7 @@ def scale_up(description: dict, ids: dict[int, str]) -> tuple[dict, float]:
     """
     sizes = [size for shape in description.values() if isinstance(shape, dict) and (size := _mesh_size(shape))]
     median = float(np.median(sizes)) if sizes else _MIN_SIZE
-    if not 0 < median < _MIN_SIZE:
+    if not _MIN_SCALED_SIZE < median < _MIN_SIZE:
         return description, 1.0
     factor = 10.0 ** (1 - math.floor(math.log10(median)))
     groups = {id(part): UNPLACED for part in _shape_groups(description)}

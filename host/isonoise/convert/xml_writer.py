@@ -250,8 +250,10 @@ def _format_matrix(matrix: np.ndarray) -> str:
     size = np.abs(linear)
     row_sizes, column_sizes = size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True)
     rounded[:3, :3] = np.where(size < _MIN_ENTRY * np.minimum(row_sizes, column_sizes), 0, linear.astype(np.float32))
-    determinant = np.linalg.det(linear)
-    if abs(np.linalg.det(rounded[:3, :3]) - determinant) > _MAX_CHANGE * abs(determinant):
+    with np.errstate(all="ignore"):  # of extreme transforms
+        determinant = np.linalg.det(linear)
+        change = np.linalg.det(rounded[:3, :3]) - determinant
+    if not abs(change) <= _MAX_CHANGE * abs(determinant):
         rows = [list(map(_format_double, row)) for row in matrix.tolist()]  # it is nearly singular
     else:
         rows = [list(map(_format_number, row)) for row in rounded]
