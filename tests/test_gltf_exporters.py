@@ -5,6 +5,7 @@ import pytest
 from gltf_files import TRIANGLE, Gltf, corners_of, one_mesh, only_mesh, pack_glb, read, read_file, shapes_of
 from gltf_material_files import COLOURS, MaterialFile, pbr
 
+import isonoise
 from isonoise.errors import SceneError
 
 
@@ -76,6 +77,20 @@ def test_meshes_without_primitives_are_left_out(tmp_path):
     file.node(mesh=0)
     file.node(mesh=file.mesh())
     only_mesh(file, tmp_path)
+
+
+def test_cameras_are_chosen_by_their_names_in_the_file(tmp_path):
+    """The name of the node, or else of the camera, or else a number."""
+    file = one_mesh()
+    for name in ("Front View.001", None, "Top"):
+        file.add("cameras", type="perspective", perspective={"yfov": 0.8, "znear": 0.1}, name=name)
+    for camera, name in enumerate(("Kamera ü", None, None)):
+        file.node(camera=camera, name=name, translation=[0, 0, camera + 1])
+    path = file.write(tmp_path)
+    for name, z in (("kamera ü", 1), ("camera_1", 2), ("Top", 3), ("1", 2)):
+        scene = isonoise.load(path, view=isonoise.View(camera=name))
+        (sensor,) = (one for one in scene.values() if isinstance(one, dict) and one["type"] == "perspective")
+        assert sensor["to_world"][2, 3] == z
 
 
 def test_animated_nodes_are_at_rest(tmp_path):

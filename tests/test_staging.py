@@ -274,7 +274,8 @@ def cameras() -> dict:
 
 
 @pytest.mark.parametrize(
-    ("camera", "position"), [(None, (0, 0, 9)), ("top", (0, 9, 0)), ("1", (0, 9, 0)), (0, (0, 0, 9))]
+    ("camera", "position"),
+    [(None, (0, 0, 9)), ("top", (0, 9, 0)), ("T.op", (0, 9, 0)), ("1", (0, 9, 0)), (0, (0, 0, 9))],
 )
 def test_a_camera_of_the_model_is_chosen_by_name_or_number(camera, position):
     scene = staged(View(camera=camera), **cameras())

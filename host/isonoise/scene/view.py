@@ -137,18 +137,29 @@ def _is_of_type(part, types) -> bool:
 
 
 def find_camera(sensors: Mapping[str, dict], choice: str | None) -> tuple[str, dict]:
-    """Name and dict of the camera that was chosen; without a choice, the first one."""
+    """Name and dict of the camera that was chosen; without a choice, the first one.
+
+    Case and punctuation of its name do not matter: readers of other formats change them, and may begin with "camera_".
+    """
     names = list(sensors)
     if choice is None and names:
         return names[0], sensors[names[0]]
     if choice in sensors:
         return choice, sensors[choice]
+    similar = [name for name in names if _letters(name) in (_letters(choice), "camera" + _letters(choice))]
+    if len(similar) == 1 and _letters(choice) and not choice.isdecimal():
+        return similar[0], sensors[similar[0]]
     if choice.isdecimal() and int(choice) < len(names):
         return names[int(choice)], sensors[names[int(choice)]]
     listed = ", ".join(f"{number} '{name}'" for number, name in enumerate(names))
     raise UserError(
         f"there is no camera '{choice}'; " + (f"the scene has: {listed}" if names else "the scene has none")
     )
+
+
+def _letters(name: str) -> str:
+    """The letters and digits of a name, in small letters."""
+    return "".join(letter for letter in name.lower() if letter.isascii() and letter.isalnum())
 
 
 def move_camera(sensor: Mapping, view: View) -> dict:

@@ -34,7 +34,8 @@ def _read(document: Document, report: ImportReport) -> dict:
     for one in placed:
         camera = document.referenced(one.node, "camera", "cameras")
         if camera is not None:
-            scene[unique_name(f"camera_{one.name}", name_counts)] = cameras.sensor(camera, one, report)
+            name = one.node.string("name", "") or camera.string("name", "") or str(report.counts.get("cameras", 0))
+            scene[unique_name(f"camera_{name}", name_counts)] = cameras.sensor(camera, one, report)
         emitter = lights.emitter(one, document, report) if one.is_visible else None
         if emitter is not None:
             scene[unique_name(f"light_{one.name}", name_counts)] = emitter
