@@ -30,24 +30,33 @@ INLINE float grid_neighbours(uint flags, float x, int size, int* first, int* sec
     return flags & TEXTURE_NEAREST ? 0.0f : position - lower;
 }
 
-// The value of a grid at a point of the world: interpolated, or that of the nearest cell.
-INLINE Vec3 grid_value(const HeterogeneousMedia* media, uint index, Vec3 point)
+// The value of a grid at a point of the world, and 0: interpolated, or that of the nearest cell. Not inlined into its
+// callers, and its loop is not unrolled: on GPUs they would need 60 registers more. Returns a Vec4 for the reason that
+// texture/texture.h states.
+NOINLINE Vec4 grid_value_vec4(const HeterogeneousMedia* media, uint index, Vec3 point)
 {
     __global const Grid* grid = media->grids + index;
     float m[12];
     load_matrix(grid->to_local, m);
     const Vec3 in_cube = transform_point(m, point);
-    int x[2], y[2], z[2];
-    const float u = grid_neighbours(grid->flags, in_cube.x, (int)grid->size[0], &x[0], &x[1]);
-    const float v = grid_neighbours(grid->flags, in_cube.y, (int)grid->size[1], &y[0], &y[1]);
-    const float w = grid_neighbours(grid->flags, in_cube.z, (int)grid->size[2], &z[0], &z[1]);
-    if (grid->flags & TEXTURE_NEAREST) return grid_cell(media, grid, x[0], y[0], z[0]);
+    int x0, x1, y0, y1, z0, z1;
+    const float u = grid_neighbours(grid->flags, in_cube.x, (int)grid->size[0], &x0, &x1);
+    const float v = grid_neighbours(grid->flags, in_cube.y, (int)grid->size[1], &y0, &y1);
+    const float w = grid_neighbours(grid->flags, in_cube.z, (int)grid->size[2], &z0, &z1);
+    if (grid->flags & TEXTURE_NEAREST) return vec4_from(grid_cell(media, grid, x0, y0, z0), 0.0f);
     Vec3 sum = splat3(0.0f);
-    for (uint k = 0u; k < 8u; ++k) {
-        const uint i = k & 1u, j = k >> 1u & 1u, l = k >> 2u;
-        const float weight = (i ? u : 1.0f - u) * (j ? v : 1.0f - v) * (l ? w : 1.0f - w);
-        sum = add3(sum, scale3(grid_cell(media, grid, x[i], y[j], z[l]), weight));
+    NO_UNROLL
+    for (uint k = 0u; k < 4u; ++k) {
+        const int y = k & 1u ? y1 : y0, z = k & 2u ? z1 : z0;
+        const float weight = (k & 1u ? v : 1.0f - v) * (k & 2u ? w : 1.0f - w);
+        sum = add3(sum, scale3(grid_cell(media, grid, x0, y, z), weight * (1.0f - u)));
+        sum = add3(sum, scale3(grid_cell(media, grid, x1, y, z), weight * u));
     }
-    return sum;
+    return vec4_from(sum, 0.0f);
+}
+
+INLINE Vec3 grid_value(const HeterogeneousMedia* media, uint index, Vec3 point)
+{
+    return xyz(grid_value_vec4(media, index, point));
 }
 #endif

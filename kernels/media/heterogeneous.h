@@ -40,6 +40,7 @@ INLINE int first_cell(float position, uint count)
 INLINE bool begin_cell_walk(CellWalk* walk, __global const HeterogeneousMedium* medium, Vec3 origin, Vec3 direction,
                             float* begin, float end)
 {
+    if (!(*begin < end)) return false;  // a ray of no length has no direction
     clip_to_axis(medium->lower[0], medium->upper[0], origin.x, direction.x, begin, &end);
     clip_to_axis(medium->lower[1], medium->upper[1], origin.y, direction.y, begin, &end);
     clip_to_axis(medium->lower[2], medium->upper[2], origin.z, direction.z, begin, &end);
