@@ -30,9 +30,9 @@ INLINE float grid_neighbours(uint flags, float x, int size, int* first, int* sec
     return flags & TEXTURE_NEAREST ? 0.0f : position - lower;
 }
 
-// The value of a grid at a point of the world, and 0: interpolated, or that of the nearest cell. Not inlined into its
-// callers, and its loop is not unrolled: on GPUs they would need 60 registers more. Returns a Vec4 for the reason that
-// texture/texture.h states.
+// The value of a grid at a point of the world, and 0: interpolated, or that of the nearest cell. Not inlined, and its
+// loop is not unrolled: callers on GPUs would need more registers. Returns a Vec4 for the reason that texture/texture.h
+// states.
 NOINLINE Vec4 grid_value_vec4(const HeterogeneousMedia* media, uint index, Vec3 point)
 {
     __global const Grid* grid = media->grids + index;

@@ -106,11 +106,10 @@ INLINE Vec2 cell_extinction(const HeterogeneousMedia* media, __global const Hete
 }
 
 // The extinction coefficient at walk->t, within the bounds of the cell, which rounding may violate.
-INLINE Vec3 extinction_at(const SceneView* scene, uint medium, const CellWalk* walk, Vec2 bounds)
+INLINE Vec3 extinction_at(const HeterogeneousMedia* media, Vec3 scale, uint grid, const CellWalk* walk, Vec2 bounds)
 {
     const Vec3 point = add3(walk->start, scale3(walk->direction, walk->t));
-    const Vec3 value = grid_value(&scene->heterogeneous, scene->heterogeneous.media[medium].sigma_t, point);
-    const Vec3 sigma = mul3(LOAD3(0, scene->media[medium].sigma_t), value);
+    const Vec3 sigma = mul3(scale, grid_value(media, grid, point));
     return vec3(MIN(MAX(sigma.x, bounds.x), bounds.y), MIN(MAX(sigma.y, bounds.x), bounds.y),
                 MIN(MAX(sigma.z, bounds.x), bounds.y));
 }
@@ -127,16 +126,18 @@ INLINE float sample_optical_depth(float u, float u_low)
 // the sum of the channels does not grow. Kutz et al., "Spectral and Decomposition Tracking for Rendering Heterogeneous
 // Volumes", 2017, section 5 (history-aware). `u`: acceptance, distance, distance (low bits), acceptance (low bits), of
 // the first collision; those of others come from `stream`.
-INLINE bool sample_heterogeneous_medium(const SceneView* scene, uint index, Vec3 origin, Vec3 direction, Vec4 u,
-                                        RandomStream* stream, float* distance, Vec3* weight)
+NOINLINE bool sample_heterogeneous_medium(const HeterogeneousMedia* media, __global const Medium* uniform_media,
+                                          uint index, Vec3 origin, Vec3 direction, Vec4 u, RandomStream* stream,
+                                          float* distance, Vec3* weight)
 {
-    __global const HeterogeneousMedium* medium = scene->heterogeneous.media + index;
+    __global const HeterogeneousMedium* medium = media->media + index;
+    const Vec3 scale = LOAD3(0, uniform_media[index].sigma_t);
     float begin = 0.0f;
     CellWalk walk;
     if (!begin_cell_walk(&walk, medium, origin, direction, &begin, *distance)) return false;
     float optical_depth = sample_optical_depth(u.y, u.z);
     for (;;) {
-        const Vec2 bounds = cell_extinction(&scene->heterogeneous, medium, &walk);
+        const Vec2 bounds = cell_extinction(media, medium, &walk);
         const Vec3 exits = cell_exits(&walk);
         const float end = cell_end(&walk, exits), cell_depth = bounds.y * (end - walk.t);
         if (!(optical_depth < cell_depth)) {
@@ -145,14 +146,14 @@ INLINE bool sample_heterogeneous_medium(const SceneView* scene, uint index, Vec3
             continue;
         }
         walk.t = MIN(walk.t + optical_depth / bounds.y, end);
-        const Vec3 share = div3(extinction_at(scene, index, &walk, bounds), splat3(bounds.y));
+        const Vec3 share = div3(extinction_at(media, scale, medium->sigma_t, &walk, bounds), splat3(bounds.y));
         const float probability = dot3(*weight, share) / (weight->x + weight->y + weight->z);
         if (probability >= 1.0f || u.x + 0x1p-24f * u.w < probability) {
             *distance = begin + walk.t;
-            *weight = mul3(*weight, div3(mul3(LOAD3(0, scene->media[index].albedo), share), splat3(probability)));
+            *weight = mul3(*weight, div3(mul3(LOAD3(0, uniform_media[index].albedo), share), splat3(probability)));
             if (medium->albedo != NONE) {
                 const Vec3 point = add3(walk.start, scale3(direction, walk.t));
-                *weight = mul3(*weight, grid_value(&scene->heterogeneous, medium->albedo, point));
+                *weight = mul3(*weight, grid_value(media, medium->albedo, point));
             }
             return true;
         }
@@ -166,18 +167,20 @@ INLINE bool sample_heterogeneous_medium(const SceneView* scene, uint index, Vec3
 // Estimates the transmittance of a part of a ray: exactly for the minimum of each cell, by ratio tracking for what is
 // above it. Novak et al., "Residual Ratio Tracking for Estimating Attenuation in Participating Media", 2014. Below 5 %,
 // Russian roulette ends the estimate.
-INLINE Vec3 heterogeneous_transmittance(const SceneView* scene, uint index, Vec3 origin, Vec3 direction, float begin,
-                                        float end, RandomStream* stream)
+NOINLINE Vec4 heterogeneous_transmittance(const HeterogeneousMedia* media, __global const Medium* uniform_media,
+                                          uint index, Vec3 origin, Vec3 direction, float begin, float end,
+                                          RandomStream* stream)
 {
-    __global const HeterogeneousMedium* medium = scene->heterogeneous.media + index;
+    __global const HeterogeneousMedium* medium = media->media + index;
+    const Vec3 scale = LOAD3(0, uniform_media[index].sigma_t);
     CellWalk walk;
     Vec3 transmittance = splat3(1.0f);
-    if (!begin_cell_walk(&walk, medium, origin, direction, &begin, end)) return transmittance;
+    if (!begin_cell_walk(&walk, medium, origin, direction, &begin, end)) return vec4_from(transmittance, 0.0f);
     float minimal_depth = 0.0f;  // optical depth of the minima
     Vec4 u = next_random(stream);
     float optical_depth = sample_optical_depth(u.y, u.z);
     for (;;) {
-        const Vec2 bounds = cell_extinction(&scene->heterogeneous, medium, &walk);
+        const Vec2 bounds = cell_extinction(media, medium, &walk);
         const Vec3 exits = cell_exits(&walk);
         const float cell_t = cell_end(&walk, exits), range = bounds.y - bounds.x;
         const float cell_depth = range * (cell_t - walk.t);
@@ -190,16 +193,16 @@ INLINE Vec3 heterogeneous_transmittance(const SceneView* scene, uint index, Vec3
         const float t = MIN(walk.t + optical_depth / range, cell_t);
         minimal_depth += bounds.x * (t - walk.t);
         walk.t = t;
-        const Vec3 above = sub3(extinction_at(scene, index, &walk, bounds), splat3(bounds.x));
+        const Vec3 above = sub3(extinction_at(media, scale, medium->sigma_t, &walk, bounds), splat3(bounds.x));
         transmittance = mul3(transmittance, sub3(splat3(1.0f), div3(above, splat3(range))));
         if (max_component3(transmittance) < 0.05f) {
-            if (u.x < 0.75f) return splat3(0.0f);
+            if (u.x < 0.75f) return vec4_from(splat3(0.0f), 0.0f);
             transmittance = scale3(transmittance, 4.0f);
         }
         u = next_random(stream);
         optical_depth = sample_optical_depth(u.y, u.z);
     }
-    return scale3(transmittance, exp(-minimal_depth));
+    return vec4_from(scale3(transmittance, exp(-minimal_depth)), 0.0f);
 }
 #endif
 #endif

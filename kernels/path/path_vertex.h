@@ -193,8 +193,8 @@ INLINE float sample_scatter_distance(const SceneView* scene, Path* p)
 #if FEATURE_HETEROGENEOUS
         if (scene->heterogeneous.media[p->medium].sigma_t != NONE) {
             RandomStream stream = random_stream(scene->seed, p->pixel, p->index, block);
-            p->in_volume = sample_heterogeneous_medium(scene, p->medium, p->origin, p->direction, u, &stream, &distance,
-                                                       &p->throughput);
+            p->in_volume = sample_heterogeneous_medium(&scene->heterogeneous, scene->media, p->medium, p->origin,
+                                                       p->direction, u, &stream, &distance, &p->throughput);
             return distance;
         }
 #endif

@@ -36,9 +36,10 @@ INLINE void attenuate_medium(ShadowState* shadow, const SceneView* scene, Vec3 o
 #if FEATURE_HETEROGENEOUS
     if (scene->heterogeneous.media[shadow->medium].sigma_t != NONE) {
         const Vec3 unit = scale3(direction, 1.0f / length);
-        shadow->attenuation =
-            mul3(shadow->attenuation, heterogeneous_transmittance(scene, shadow->medium, origin, unit, begin * length,
-                                                                  distance * length, &shadow->stream));
+        const Vec4 transmittance =
+            heterogeneous_transmittance(&scene->heterogeneous, scene->media, shadow->medium, origin, unit,
+                                        begin * length, distance * length, &shadow->stream);
+        shadow->attenuation = mul3(shadow->attenuation, xyz(transmittance));
         return;
     }
 #endif
