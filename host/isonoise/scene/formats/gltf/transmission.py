@@ -90,7 +90,9 @@ def interior_medium(context: SurfaceContext) -> dict | None:
     colour = np.clip(context.material.factors(part, "attenuationColor", 3, 1.0), _MIN_ATTENUATION, 1.0)
     if not is_solid_glass(context) or (colour == 1).all() or not 0 < distance < math.inf:
         return None
-    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(-np.log(colour) / distance)}
+    absorption = -np.log(colour) / distance
+    largest = float(absorption.max())  # Mitsuba 3 takes no rgb above 1
+    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(absorption / largest), "scale": largest}
 
 
 def _with_diffuse_transmission(context: SurfaceContext, base_colour: dict, changes: dict) -> dict:
