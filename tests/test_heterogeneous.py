@@ -8,6 +8,8 @@ from grid_reference import grid, ramp, value_at
 from media_scenes import NULL, PLAIN, lit_floor, one_ray, radiance, rgb, transform
 from shared_programs import share_programs
 
+import isonoise
+
 shared_programs = share_programs((*PLAIN, "HETEROGENEOUS"), (*PLAIN, "HETEROGENEOUS", "SOBOL"))
 
 BOX = transform(x=-2, y=-2, scale=(4.0, 4.0, 2.0))  # the unit cube becomes [-2, 2]^2 x [0, 2]
@@ -224,3 +226,17 @@ def test_many_interfaces_and_nested_media():
         shapes[f"slab {number}"] |= {"exterior": fog}
     seen, error = radiance(lit_floor(**FAR, **shapes), spp=2**14)
     assert seen == pytest.approx([math.exp(-depth - 0.3 * (1.9 - 12 * 0.08))] * 3, rel=5 * error + 1e-4)
+
+
+@pytest.mark.long
+def test_the_size_of_the_pool_changes_no_bit():
+    """Random numbers depend on seed, pixel, sample and vertex, not on the place of a path in the pool."""
+    scene = seen_through(smoke(grid(noise(3), BOX), 0.8, 0.3, scale=4.0), rr_depth=3, **FAR)
+    scene["sensor"]["film"] = scene["sensor"]["film"] | {"width": 24, "height": 16}
+    images = []
+    for pool_size in (1 << 11, 1 << 14):
+        renderer = isonoise.Renderer(scene, strategy="uniform:wave_spp=32", seed=5, pool_size=pool_size)
+        renderer.step()
+        images.append(renderer.statistics().rgb)
+    assert (images[0] == images[1]).all()
+    assert images[0].min() > 0
