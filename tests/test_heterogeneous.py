@@ -232,7 +232,7 @@ def test_many_interfaces_and_nested_media():
 def test_the_size_of_the_pool_changes_no_bit():
     """Random numbers depend on seed, pixel, sample and vertex, not on the place of a path in the pool."""
     scene = seen_through(smoke(grid(noise(3), BOX), 0.8, 0.3, scale=4.0), rr_depth=3, **FAR)
-    scene["sensor"]["film"] = scene["sensor"]["film"] | {"width": 24, "height": 16}
+    scene["sensor"] = DOWN | {"film": DOWN["film"] | {"width": 24, "height": 16}}
     images = []
     for pool_size in (1 << 11, 1 << 14):
         renderer = isonoise.Renderer(scene, strategy="uniform:wave_spp=32", seed=5, pool_size=pool_size)
