@@ -10,6 +10,7 @@ from shared_programs import share_programs
 
 import isonoise
 
+pytestmark = pytest.mark.long  # they compile programs of their own
 shared_programs = share_programs((*PLAIN, "HETEROGENEOUS"), (*PLAIN, "HETEROGENEOUS", "SOBOL"))
 
 BOX = transform(x=-2, y=-2, scale=(4.0, 4.0, 2.0))  # the unit cube becomes [-2, 2]^2 x [0, 2]
@@ -62,7 +63,6 @@ RAMPS = {  # sigma_t, wrap_mode and filter, scale
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", RAMPS)
 def test_transmittance_of_ramps(name):
     """Of shadow rays and of camera rays: exp(-integral) in float64, to five standard errors. Those of the channels are
@@ -79,19 +79,10 @@ def test_transmittance_of_ramps(name):
     assert (np.abs(seen - expected) <= 5 * np.sqrt(expected * (3 - expected) / 2**16) + 3e-5).all()
 
 
-def test_light_through_a_ramp():
-    """One of the cases above, with few samples."""
-    expected = transmittance(ramp(0, 1)[..., None], (0.5, 0.5, 0.05), (0.5, 0.5, 0.95), 1.8)
-    seen, error = radiance(under_lamp(smoke(grid(ramp(0, 1), BOX))), spp=512)
-    assert error < 0.02
-    assert seen == pytest.approx(np.broadcast_to(expected, 3), rel=5 * error)
-
-
 def noise(channels: int = 1, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).random((9, 8, 10, channels)).astype(np.float32) ** 2
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("wrap", ["clamp", "repeat", "mirror"])
 @pytest.mark.parametrize("filter_type", ["trilinear", "nearest"])
 def test_transmittance_of_slanted_rays_through_turned_grids(wrap, filter_type):
@@ -117,7 +108,6 @@ def test_transmittance_of_slanted_rays_through_turned_grids(wrap, filter_type):
         assert seen == pytest.approx(expected, rel=15 * error + 1e-4)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["grey", "forwards", "coloured", "dense", "a gap"])
 def test_white_furnace(name):
     """Media without absorption are invisible in front of a constant sky. Five standard errors; 15 for colours."""
@@ -142,7 +132,6 @@ CONSTANTS = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", CONSTANTS)
 def test_constant_volumes_are_homogeneous_media(name):
     """With an albedo of one colour, and with a grid of the same; lit by a lamp and the sky."""
@@ -157,7 +146,6 @@ def test_constant_volumes_are_homogeneous_media(name):
         assert seen == pytest.approx(expected, rel=15 * math.hypot(error, expected_error))
 
 
-@pytest.mark.long
 def test_albedo_of_a_grid_is_read_where_the_path_scatters():
     """Thin medium, one bounce: in-scattered light is the integral of sigma_s over the ray, to first order."""
     albedo = ramp(0, 1)
@@ -170,7 +158,6 @@ def test_albedo_of_a_grid_is_read_where_the_path_scatters():
     assert error < 0.02
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("thickness", [1e3, 1e4, 1e6])
 def test_extremely_dense_media(thickness):
     """Finite numbers, and no light through them. A dense cell beside empty ones leaves the rest of the volume empty."""
@@ -187,7 +174,6 @@ def test_extremely_dense_media(thickness):
     assert radiance(under_lamp(solid | {"albedo": 0.0}), spp=256)[0].max() == 0
 
 
-@pytest.mark.long
 def test_the_camera_inside_and_a_scene_far_away():
     """A camera in the middle of the volume sees half of it; far from the origin, the same picture."""
     values = ramp(0, 1)[..., None]
@@ -204,7 +190,6 @@ def test_the_camera_inside_and_a_scene_far_away():
         assert seen == pytest.approx(np.broadcast_to(expected, 3), rel=5 * error)
 
 
-@pytest.mark.long
 def test_many_interfaces_and_nested_media():
     """Slabs of a grid inside a fog, with other slabs of nothing: each part of the ray counts once."""
     values = ramp(0, 2)[..., None]
@@ -228,7 +213,6 @@ def test_many_interfaces_and_nested_media():
     assert seen == pytest.approx([math.exp(-depth - 0.3 * (1.9 - 12 * 0.08))] * 3, rel=5 * error + 1e-4)
 
 
-@pytest.mark.long
 def test_the_size_of_the_pool_changes_no_bit():
     """Random numbers depend on seed, pixel, sample and vertex, not on the place of a path in the pool."""
     scene = seen_through(smoke(grid(noise(3), BOX), 0.8, 0.3, scale=4.0), rr_depth=3, **FAR)
