@@ -286,6 +286,13 @@ def test_missing_files_are_reported(tmp_path):
         read_material(tmp_path / "in", "map_Kd ../a.png")
 
 
+def test_comments_after_names_and_names_of_no_material(tmp_path):
+    text = f"mtllib a.mtl # of a\n{QUAD}usemtl m #1 # red\n{FACE}usemtl None\n{FACE}usemtl (null)\n{FACE}"
+    scene, losses = read(tmp_path, text, "newmtl m #1\nKd 0.125 0 0\n")
+    assert losses == []
+    assert scene["part_0"]["bsdf"]["bsdf"]["reflectance"]["value"] == [0.125, 0, 0]
+
+
 def test_several_libraries_and_names_with_blanks(tmp_path):
     (tmp_path / "my b.mtl").write_text("newmtl Material #25\nKd 0.125 0 0\n")
     for statement in ("mtllib a.mtl my b.mtl", "mtllib a.mtl\nmtllib C:\\work\\My b.mtl"):

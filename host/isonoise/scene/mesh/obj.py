@@ -25,6 +25,8 @@ _CORNER_FORMS = (
     (2, True, (0, 2)),  # 1//3
 )
 _CORNER_HINT = "the corners of a face are whole numbers: 'f 1 2 3' or 'f 1/1/1 2/2/2 3/3/3'"
+_COMMENT = re.compile(rb"\s#\s.*")
+"""After a name, which may contain a '#'."""
 _COUNTED = (
     *(("objects", b"o ", b"o"), ("groups", b"g ", b"g"), ("lines", b"l ", b"l"), ("points", b"p ", b"p")),
     *(("curves", b"cu", b"curv"), ("curves", b"cu", b"curv2"), ("surfaces", b"su", b"surf")),
@@ -234,7 +236,7 @@ class _Lines:
         """(line number, first word, rest) of each line with this key."""
         for line in self.lines_with_key(key):
             word, *rest = self.bytes[self.starts[line] : self.ends[line]].tobytes().split(None, 1)
-            yield line, word, decode(rest[0].strip()) if rest else ""
+            yield line, word, decode(_COMMENT.sub(b"", rest[0]).strip()) if rest else ""
 
 
 def decode(text: bytes) -> str:

@@ -20,6 +20,7 @@ _COUNTED_FEATURES = {
     **dict.fromkeys(("curves", "surfaces"), "curves"),
 }
 _DEFAULT = Material("")
+_NO_MATERIAL = ("", "None", "(null)")  # names that programs write for faces without a material
 
 
 def read(path: Path, folder: Path | None, report: ImportReport) -> dict:
@@ -78,7 +79,7 @@ def _read_libraries(path: Path, obj: ObjFile, folder: Path | None, report: Impor
                 report.limit("includes", "there is no such file: its materials are grey", name)
     for index in np.unique(obj.face_material):
         name = obj.materials[index]
-        if name and name not in materials and not is_missing:
+        if name not in (*_NO_MATERIAL, *materials) and not is_missing:
             report.limit("diffuse", "no MTL file defines it: it is grey", f"material '{name}'")
     return materials
 
