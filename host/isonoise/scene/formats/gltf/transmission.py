@@ -13,6 +13,7 @@ from isonoise.scene.formats.mesh_shape import rgb
 
 _PBR = "pbrMetallicRoughness"
 _MIN_ATTENUATION = 1e-6  # a colour of 0 stands for this transmittance
+_MAX_ABSORPTION = 1e12  # opaque at any size that 32-bit floats resolve
 _MAX_SMOOTH_ROUGHNESS = 0.03  # alpha below 0.001, the smallest of the principled BSDF
 
 
@@ -90,7 +91,7 @@ def interior_medium(context: SurfaceContext) -> dict | None:
     colour = np.clip(context.material.factors(part, "attenuationColor", 3, 1.0), _MIN_ATTENUATION, 1.0)
     if not is_solid_glass(context) or (colour == 1).all() or not 0 < distance < math.inf:
         return None
-    absorption = -np.log(colour) / distance
+    absorption = np.minimum(-np.log(colour) / distance, _MAX_ABSORPTION)
     largest = float(absorption.max())  # Mitsuba 3 takes no rgb above 1
     return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(absorption / largest), "scale": largest}
 
