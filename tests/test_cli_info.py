@@ -18,6 +18,7 @@ def test_info_on_a_scene(capsys):
     labels = [line.split()[0] for line in out.splitlines() if line and line[0] != " "]
     assert labels[:4] == ["file", "cameras", "image", "camera"]
     assert "256x256" in out
+    assert "1 parallelogram\n" in out
     assert "DIELECTRIC" not in out
     assert main(["info", "cornell", "--features"]) == 0
     present, absent = capsys.readouterr().out.split("left out")

@@ -2,6 +2,7 @@
 
 import argparse
 import shutil
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -181,5 +182,6 @@ def _describe_media(scene: CompiledScene) -> str:
 
 
 def _counts(names: dict[int, str], kinds: np.ndarray) -> str:
-    counts = zip(*np.unique(kinds, return_counts=True), strict=True)
-    return ", ".join(f"{number:,} {names[kind]}" for kind, number in counts) or "none"
+    """How many objects have each name, which several kinds may share."""
+    counts = Counter(names[kind] for kind in np.sort(kinds).tolist())
+    return ", ".join(f"{n:,} {name.removesuffix('s') if n == 1 else name}" for name, n in counts.items()) or "none"
