@@ -61,12 +61,21 @@ def lamp_over_smoke() -> dict:
     return scene | {"smoke": {"type": "sphere", "radius": 0.9, "bsdf": {"type": "null"}, "interior": medium}}
 
 
+def projections_over_floor() -> dict:
+    """The tiny scene of other tests, lit by projected images too."""
+    texture = {"type": "checkerboard"}
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    down[2, 3] = 2.0
+    projector = {"type": "projector", "irradiance": texture, "to_world": down, "fov": 30.0}
+    return lamp_over_floor() | {"projector": projector, "spot": {"type": "spot", "texture": texture, "to_world": down}}
+
+
 # Together they cover every feature, in the kernels with one path per work-item and, where they exist, with many.
 # The large pool is for work-items that trace several rays, and for more than one block of paths.
 CASES = {
-    **{f"file {seed}": Case(seed) for seed in (1, 31, 50, 51, 90, 98)},
-    **{f"file {seed}, many": Case(seed, many=True) for seed in (1, 20, 51, 75)},
-    "file 50, many": Case(50, many=True, pool=600, spp=10),
+    **{f"file {seed}": Case(seed) for seed in (23, 50, 54, 74, 97, 103, 104, 117)},
+    **{f"file {seed}, many": Case(seed, many=True) for seed in (24, 34, 39, 50, 72, 97, 126, 127)},
+    "large pool, many": Case(50, many=True, pool=600, spp=10),
     "file 31": Case(31, "pooled"),
     "cornell": Case("cornell", "relative-median", spp=1),
     "cornell, many": Case("cornell", "pooled", many=True, spp=1),
@@ -74,6 +83,8 @@ CASES = {
     "bright-spots": Case("bright-spots", "dammertz"),
     "bright-spots, many": Case("bright-spots", many=True),
     "smoke": Case(lamp_over_smoke(), spp=4),
+    "projections": Case(projections_over_floor()),
+    "projections, many": Case(projections_over_floor(), many=True),
     "lamp": Case(filtered_lamp(), "relative-median:batch=1", pool=600, spp=10),
     "lamp, many": Case(filtered_lamp(), "relative-median", many=True, pool=600, spp=10),
 }

@@ -166,6 +166,7 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
         "extinction_bounds": len(scene.heterogeneous.extinction_bounds),
         "lights": lights,
         "light_cdf": lights,
+        "projections": len(scene.projections),
         "environment": 1,
         "environment_texels": sky.texels.shape[0] * sky.texels.shape[1],
         "environment_rows": len(sky.rows),

@@ -2,7 +2,7 @@
 #pragma once
 #include "light/light_sample.h"
 
-#if FEATURE_NEXT_EVENT && HAS_SPOT_FALLOFF
+#if FEATURE_NEXT_EVENT && (FEATURE_SPOT_LIGHTS || FEATURE_TEXTURED_SPOT_LIGHTS)
 // Factor on the intensity along `direction`: falls linearly with the angle, as in Mitsuba 3. The angle is computed from
 // the chord, which is exact for narrow spots too.
 INLINE float spot_falloff(const Light* light, Vec3 direction)

@@ -250,7 +250,6 @@ def light_macros() -> dict[str, int | str]:
         "HAS_MESH_LIGHTS": _any_feature(lambda kind: kind.is_mesh),
         "HAS_NON_MESH_LIGHTS": _any_feature(lambda kind: not kind.is_mesh),
         "HAS_PROJECTIONS": _any_feature(lambda kind: kind.project is not None),
-        "HAS_SPOT_FALLOFF": _any_feature(lambda kind: kind.plugin == "spot"),
         "LIGHT_MESH": bits_where(lambda kind: kind.is_mesh),
     }
 
