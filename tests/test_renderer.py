@@ -1,7 +1,9 @@
 """The renderer: what the statistics depend on, exact budgets, and the scale of the lights."""
 
+import gc
 import itertools
 import re
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -161,3 +163,16 @@ def test_light_scaled_by_another_factor_changes_only_roundings(adaptive):
     assert scaled.mean[same] == pytest.approx(factor * adaptive.mean[same], rel=1e-5)
     assert scaled.median[same] == pytest.approx(factor * adaptive.median[same], rel=1e-5)
     assert scaled.variance[same] == pytest.approx(factor**2 * adaptive.variance[same], rel=1e-4)
+
+
+def test_a_dropped_renderer_frees_its_buffers_at_once():
+    """Nothing refers to it in a circle: until Python looks for circles, renders in a loop would fill the memory."""
+    renderer = Renderer(lamp_over_floor(), on_compile=lambda *progress: None)
+    renderer.step()
+    wavefront = weakref.ref(renderer._wavefront)
+    gc.disable()
+    try:
+        del renderer
+        assert wavefront() is None
+    finally:
+        gc.enable()

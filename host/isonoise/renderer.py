@@ -195,7 +195,7 @@ class Renderer:
                 is_adaptive=self.strategy.is_adaptive,
                 on_compile=report,
             )
-            self._wavefront.warm_up()
+            self._wavefront.warm_up(report)
             check_driver(self._wavefront, needs)
         self._planner = WavePlanner(self.strategy, (self.scene.height, self.scene.width))
         self._wave: _WaveInProgress | None = None

@@ -36,7 +36,7 @@ class Stages:
     items_per_work_item : of kernels whose work-items process more than one
     compiled_items : compile the kernels now, on all cores, for launches over that many items, which `warm_up` makes.
         None: the driver compiles them when it likes.
-    on_compile : called before each program or kernel is compiled
+    on_compile : called before each program is compiled. It is not kept: it may hold the object that holds the stages.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Stages:
         for files in programs(row.file for row in table.values()):
             own = {**constants, **file_constants.get(files[0], {})}
             texts[tuple(files)] = stage_source(files, structs, own, features, generated_headers())
-        self._compiled_items, self._on_compile = compiled_items, on_compile
+        self._compiled_items = compiled_items
         if compiled_items is not None:
             precompile(device, [self._job(table, *item, compiled_items) for item in texts.items()], on_compile)
         self.texts: tuple[tuple[str, tuple[str, ...]], ...] = tuple(texts.values())
@@ -91,7 +91,7 @@ class Stages:
         per_work_item = per_work_item or self._items_per_work_item.get(kernel, 1)
         self.device.launch(self._kernels[kernel], items, arguments, per_work_item, self._local_size(kernel))
 
-    def warm_up(self) -> None:
+    def warm_up(self, on_compile: OnCompile = lambda name, done, total: None) -> None:
         """Launch every kernel on nothing, because some drivers compile only now, for a local and a global size.
 
         PoCL compiles a kernel separately for global sizes below 2^16. What it compiles for larger ones also runs small
@@ -99,7 +99,7 @@ class Stages:
         """
         for items in (self._compiled_items, 1):
             for number, name in enumerate(self):
-                self._on_compile(name, number, len(self._kernels))
+                on_compile(name, number, len(self._kernels))
                 self.launch(name, items, **NO_WORK)
         self.device.finish()
         self.device.reset_profile()

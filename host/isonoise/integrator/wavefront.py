@@ -180,9 +180,9 @@ class Wavefront:
             **{name: self.device.buffer(size, _BUFFER_LABELS.get(name, "the paths")) for name, size in sizes.items()},
         }
 
-    def warm_up(self) -> None:
+    def warm_up(self, on_compile: OnCompile = lambda name, done, total: None) -> None:
         """Launch every kernel on nothing, because some drivers compile only now."""
-        self._stages.warm_up()
+        self._stages.warm_up(on_compile)
 
     def trace(
         self,
