@@ -17,7 +17,6 @@ from isonoise.errors import UserError
 from isonoise.film.files import check_no_input, check_writable, write_atomically
 from isonoise.scene.files import record_files
 from isonoise.scene.load import load_scene
-from isonoise.scene.vocabulary import plugins_of
 
 if TYPE_CHECKING:
     from isonoise.scene.formats.report import ImportReport
@@ -57,6 +56,11 @@ def convert(
     output : path
         The XML file.
 
+    Returns
+    -------
+    ConvertedScene
+        What was written, the factor on lengths, and what the source lost.
+
     Raises
     ------
     SceneError
@@ -73,8 +77,7 @@ def convert(
     with record_files() as inputs, _temporary_folder(path.parent) as temporary:
         scene = load_scene(source, parameters, allow_outside, view, size)
         files = SceneFiles(temporary, folder.name)
-        description = _resized(scene.description, size) if size else scene.description
-        ids, scale = dict(scene.ids), 1.0
+        description, ids, scale = scene.description, dict(scene.ids), 1.0
         if scene.report:
             description, scale = scale_up(description, ids)
         comment = _comment(source, scene.report, scale)
@@ -87,17 +90,6 @@ def convert(
 
         write_atomically(path, write)
     return ConvertedScene([folder / name for name in files.names], scale, scene.report)
-
-
-def _resized(description: dict, size: tuple[int, int]) -> dict:
-    """The description with films of this size, without crop windows, as `compile_scene` takes it."""
-    film = {"type": "hdrfilm", "width": size[0], "height": size[1]}
-    result = dict(description)
-    for key, sensor in description.items():
-        if isinstance(sensor, dict) and sensor["type"] in plugins_of("sensor"):
-            kept = {name: value for name, value in sensor.get("film", {}).items() if name in ("rfilter", "exposure")}
-            result[key] = sensor | {"film": film | kept}
-    return result
 
 
 def _comment(source: str | os.PathLike | Mapping, report: "ImportReport | None", scale: float) -> list[str]:

@@ -14,6 +14,7 @@ from isonoise.scene import transforms
 from isonoise.scene.files import open_regular_file
 from isonoise.scene.image.image import Image
 from isonoise.scene.parse.elements import SourceLocation
+from isonoise.scene.unique_names import UniqueNames
 from isonoise.scene.volume.grid_file import VolumeGrid, check_grid, write_vol
 
 _MAX_NAME_CHARS = 60
@@ -33,7 +34,7 @@ class SceneFiles:
     def __init__(self, folder: Path, prefix: str):
         self.folder, self.prefix = folder, prefix
         self.names: list[str] = []
-        self._used_names: set[str] = set()  # in lower case: some file systems do not distinguish it
+        self._unique_names = UniqueNames(ignore_case=True)
         self._name_of_source: dict[Path, str] = {}
         self._name_of_content: dict[bytes, str] = {}
         self._image_names: dict[int, tuple[Image, str]] = {}  # by id(), with the image, so that it stays alive
@@ -90,12 +91,7 @@ class SceneFiles:
 
     def _new_name(self, name: str, suffix: str) -> str:
         """An unused file name that every file system accepts."""
-        stem = plain_name(name)[:_MAX_NAME_CHARS]
-        unused, number = stem + suffix, 1
-        while unused.lower() in self._used_names:
-            number += 1
-            unused = f"{stem}_{number}{suffix}"
-        self._used_names.add(unused.lower())
+        unused = self._unique_names.add(plain_name(name)[:_MAX_NAME_CHARS], suffix)
         self.names.append(unused)
         return unused
 

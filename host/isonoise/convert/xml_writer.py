@@ -16,6 +16,7 @@ from isonoise.convert.scene_files import SceneFiles, plain_name
 from isonoise.errors import SceneError
 from isonoise.scene.parse.elements import SourceLocation
 from isonoise.scene.parse.parameter_values import check_value
+from isonoise.scene.unique_names import UniqueNames
 from isonoise.scene.vocabulary import plugins_of
 from isonoise.scene.vocabulary.plugin import Parameter, Plugin
 
@@ -69,7 +70,7 @@ class _Writer:
         self.file, self.files, self.ids, self.description = file, files, ids, description
         self.use_counts: Counter[int] = Counter()  # by id() of objects
         self.id_of_written: dict[int, str] = {}  # by id() of the objects at the top that may be referenced
-        self.used_ids: set[str] = set()
+        self.unique_ids = UniqueNames()
         self.last_kind = ""
 
     def write_all(self) -> None:
@@ -111,9 +112,9 @@ class _Writer:
             self.last_kind = kind
         id_ = ""
         if kind in _SHARED_KINDS or value["type"] == "shapegroup":
-            self.id_of_written[id(value)] = id_ = self.new_id(name)
+            self.id_of_written[id(value)] = id_ = self.unique_ids.add(plain_name(name))
         elif self.ids.get(id(value), kind) != kind:
-            id_ = self.new_id(name)
+            id_ = self.unique_ids.add(plain_name(name))
         self.write_object(kind, name, value, 1, id_=id_)
 
     def write_shared(self, kind: str, key: str, value: dict, parent: str) -> None:
@@ -126,15 +127,6 @@ class _Writer:
         is_used_again = self.use_counts[id(value)] > 1 and kind in _SHARED_KINDS
         if is_used_again or value["type"] == "shapegroup":
             self.write_top(kind, name, value)
-
-    def new_id(self, wanted: str) -> str:
-        stem = unused = plain_name(wanted)
-        number = 1
-        while unused in self.used_ids:
-            number += 1
-            unused = f"{stem}_{number}"
-        self.used_ids.add(unused)
-        return unused
 
     def write_object(self, kind: str, name: str, value: dict, depth: int, role: str = "", id_: str = "") -> None:
         """Write an object with all that it contains. `name` is for its files, `role` its name in its parent."""

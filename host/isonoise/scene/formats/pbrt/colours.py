@@ -14,6 +14,7 @@ from isonoise.scene.formats.pbrt.directives import find_file
 from isonoise.scene.formats.pbrt.parameters import Value
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.material.presets import conductors
+from isonoise.scene.parse.elements import path_exists
 from isonoise.scene.spectra import MITSUBA_LUMINANCE, spectrum_to_rgb, xyz_to_rgb
 
 _GLASSES = {  # refractive index at 587.6 nm (Schott); pbrt's names F5, F10, F11 are SF5, SF10, SF11
@@ -54,6 +55,7 @@ COLOUR_SPACES = ("srgb", "rec2020", "dci-p3", "aces2065-1")
 _SECOND_RADIATION_CONSTANT = 1.438777e7  # hc / k, nm K
 _MIN_KELVIN, _MAX_KELVIN = 100.0, 1e6
 _MAX_SPECTRUM_NUMBERS = 1 << 20
+_ROUNDING = 1e-3  # of reflectances: white of another colour space is not exactly 1
 
 
 class Colours:
@@ -66,7 +68,7 @@ class Colours:
     def reflectance(self, value: Value) -> np.ndarray:
         """Linear RGB (3,) within [0, 1]."""
         rgb = self._rgb(value, "reflectance")
-        if rgb.min() < 0 or rgb.max() > 1:
+        if rgb.min() < -_ROUNDING or rgb.max() > 1 + _ROUNDING:
             self._report.limit(
                 "spectra", "a reflectance outside 0 to 1 is clamped", f"{value.name} ({value.position.place})"
             )
@@ -155,7 +157,7 @@ class Colours:
 
     def _file_numbers(self, value: Value) -> np.ndarray:
         name = value.values[0]
-        if not (name.endswith(".spd") or "/" in name or (self._base / name).is_file()):
+        if not (name.endswith(".spd") or "/" in name or path_exists(self._base / name)):
             value.position.raise_unknown("unknown spectrum", name, _NAMED)
         path = find_file(name, self._base, self._folder, value.position)
         lines = read_bytes(path).decode("utf-8", errors="replace").splitlines()

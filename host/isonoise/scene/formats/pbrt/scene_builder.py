@@ -1,5 +1,6 @@
 """Runs the directives of a pbrt file and collects the scene. Called by `read.py`."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from isonoise.scene.formats.pbrt.shape_dicts import make_shapes
 from isonoise.scene.formats.pbrt.shapes import ShapeReader
 from isonoise.scene.formats.pbrt.textures import Textures
 from isonoise.scene.formats.report import ImportReport
+from isonoise.scene.unique_names import UniqueNames
 
 _BEFORE_WORLD = ("Camera", "Film", "Integrator", "SurfaceIntegrator", "PixelFilter", "Sampler")
 _IN_WORLD = ("Shape", "LightSource", "AreaLightSource", "ObjectBegin", "ObjectEnd", "ObjectInstance")
@@ -42,6 +44,7 @@ class SceneBuilder:
         self._object: dict | None = None  # the one between ObjectBegin and ObjectEnd
         self._shapes: dict[str, dict] = {}
         self._environment_key = ""
+        self._unique_keys = UniqueNames()
         self._in_world = False
         self._has_volumes = False
 
@@ -59,7 +62,7 @@ class SceneBuilder:
         elif name.endswith(("Begin", "End")) and name not in ("WorldBegin", "WorldEnd"):
             self._run_block(directive)
         elif name not in _IGNORED:
-            getattr(self, "_run_" + _SNAKE_CASE[name])(directive)
+            _HANDLERS[name](self, directive)
 
     def finish(self) -> dict:
         """The scene dict."""
@@ -228,7 +231,7 @@ class SceneBuilder:
         self._has_volumes |= any(shape["bsdf"] is NULL or shape["bsdf"]["type"] == "mask" for shape in shapes)
         target = self._shapes if self._object is None else self._object
         for shape in shapes:
-            target[self._key(kind, directive, target)] = shape | media
+            target[self._key(kind, directive)] = shape | media
 
     def _interface(self, directive: Directive) -> dict:
         """The inner and outer medium of a shape, where they differ."""
@@ -263,15 +266,9 @@ class SceneBuilder:
             instance = {"type": "instance", "group": group, "to_world": self._state.current.to_world}
             self._shapes[self._key("instance", directive)] = instance
 
-    def _key(self, kind: str, directive: Directive, target: dict | None = None) -> str:
+    def _key(self, kind: str, directive: Directive) -> str:
         """A key that is not yet used; errors and converted files show it."""
-        base = key = f"{kind}_line_{directive.position.line}"
-        target = self._shapes if target is None else target
-        number = 1
-        while key in target:
-            number += 1
-            key = f"{base}_{number}"
-        return key
+        return self._unique_keys.add(f"{kind}_line_{directive.position.line}")
 
     def _report_unused(self, parameters: Parameters, what: str) -> None:
         for value in parameters.unused():
@@ -279,32 +276,26 @@ class SceneBuilder:
             self._report.limit("extensions", problem, value.position.place)
 
 
-def _to_snake_case(name: str) -> str:
-    return "".join("_" + letter.lower() if letter.isupper() else letter for letter in name).lstrip("_")
-
-
-_SNAKE_CASE = {
-    name: _to_snake_case(name)
-    for name in (
-        "WorldBegin",
-        "Identity",
-        "Transform",
-        "CoordinateSystem",
-        "CoordSysTransform",
-        "ActiveTransform",
-        "ReverseOrientation",
-        "Attribute",
-        "ColorSpace",
-        "Option",
-        "Texture",
-        "Material",
-        "MakeNamedMaterial",
-        "NamedMaterial",
-        "MakeNamedMedium",
-        "MediumInterface",
-        "AreaLightSource",
-        "LightSource",
-        "Shape",
-        "ObjectInstance",
-    )
+_HANDLERS: dict[str, Callable[[SceneBuilder, Directive], None]] = {
+    "WorldBegin": SceneBuilder._run_world_begin,
+    "Identity": SceneBuilder._run_identity,
+    "Transform": SceneBuilder._run_transform,
+    "CoordinateSystem": SceneBuilder._run_coordinate_system,
+    "CoordSysTransform": SceneBuilder._run_coord_sys_transform,
+    "ActiveTransform": SceneBuilder._run_active_transform,
+    "ReverseOrientation": SceneBuilder._run_reverse_orientation,
+    "Attribute": SceneBuilder._run_attribute,
+    "ColorSpace": SceneBuilder._run_color_space,
+    "Option": SceneBuilder._run_option,
+    "Texture": SceneBuilder._run_texture,
+    "Material": SceneBuilder._run_material,
+    "MakeNamedMaterial": SceneBuilder._run_make_named_material,
+    "NamedMaterial": SceneBuilder._run_named_material,
+    "MakeNamedMedium": SceneBuilder._run_make_named_medium,
+    "MediumInterface": SceneBuilder._run_medium_interface,
+    "AreaLightSource": SceneBuilder._run_area_light_source,
+    "LightSource": SceneBuilder._run_light_source,
+    "Shape": SceneBuilder._run_shape,
+    "ObjectInstance": SceneBuilder._run_object_instance,
 }
+"""By directive; blocks, transforms and what precedes WorldBegin are not among them."""

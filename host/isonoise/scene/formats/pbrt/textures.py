@@ -266,11 +266,11 @@ class Textures:
             parameters.position.raise_error('an imagemap needs "string filename"')
         image = self.read_image(parameters, "filename")
         self._report.use("textures")
-        raw = parameters.text("encoding", "sRGB") if "encoding" in parameters else None
-        if raw is None:
-            raw = "sRGB" if parameters.boolean("gamma", True) else "linear"
+        encoding = parameters.text("encoding")
+        if encoding is None:
+            encoding = "sRGB" if parameters.boolean("gamma", True) else "linear"
         parameters.ignore("maxanisotropy", "trilinear")
-        image, is_raw = self._decode(image, raw, type_, parameters)
+        image, is_raw = self._decode(image, encoding, type_, parameters)
         texture = ImageTexture(image, is_raw, self._sampling(parameters))
         scale = parameters.number("scale", 1.0)
         if parameters.boolean("invert", False):
@@ -285,7 +285,7 @@ class Textures:
         alpha = self._bitmaps.alpha(image)
         if type_ == FLOAT and alpha is not None and _is_transparent(alpha):
             return alpha, True
-        name, *numbers = encoding.split()
+        name, *numbers = encoding.split() or [""]
         raw = name == "linear"
         if name not in ("sRGB", "linear", "gamma") or len(numbers) != (name == "gamma"):
             parameters.place("encoding").raise_error(
