@@ -34,6 +34,14 @@ def test_point_lights(tmp_path):
     assert value(made["intensity"]) == pytest.approx([200 / (4 * math.pi)] * 3)
 
 
+def test_scale_of_the_film_of_pbrt_v3_scales_lights(tmp_path):
+    """Its exposure time does not."""
+    options = 'Film "image" "float scale" 3 "float maxsampleluminance" 9\nCamera "perspective" "float shutterclose" 0.5'
+    scene, report = read_world(tmp_path, 'LightSource "point" "rgb I" [1 2 3]', options)
+    assert only(scene, "point")["intensity"]["value"] == pytest.approx([3, 6, 9])
+    assert "'maxsampleluminance' is ignored" in report.warnings()[0]
+
+
 def test_exposure_scales_lights(tmp_path):
     """pbrt-v4's imaging ratio: exposure time times ISO / 100."""
     options = 'Film "rgb" "float iso" 400 Camera "perspective" "float shutteropen" 0.5 "float shutterclose" 0.75'

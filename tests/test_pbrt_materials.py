@@ -136,6 +136,7 @@ LOSSES = {
     'Material "matte" "float sigma" 20': "'sigma' (Oren and Nayar's rough diffuse surface) is ignored",
     'Material "plastic"': "become a coat over a base",
     'Material "uber" "rgb Kr" [0.5 0.5 0.5]': "'Kr' of the material uber is ignored",
+    'Material "disney" "rgb scatterdistance" [2 0 0]': "'scatterdistance' of the material disney is ignored",
     'Material "diffuse" "float colour" 1': "the parameter 'colour' of the material 'diffuse' is unknown",
 }
 
@@ -149,6 +150,25 @@ def test_losses_are_reported(tmp_path, text):
     bsdf, report = material(tmp_path, text)
     assert any(LOSSES[text] in warning for warning in report.warnings()), report.warnings()
     load(bsdf)
+
+
+def test_subsurface_materials_have_the_colour_of_their_medium(tmp_path):
+    """A preset's name counts, and coefficients may exceed 1."""
+    ketchup = 'Material "subsurface" "string name" "Ketchup"'
+    by_name, report = material(tmp_path, ketchup)
+    coefficients = '"rgb sigma_s" [0.18 0.07 0.03] "rgb sigma_a" [0.061 0.97 1.45]'
+    by_coefficients, _ = material(tmp_path, f'Material "subsurface" {coefficients}')
+    assert by_name == by_coefficients != material(tmp_path, 'Material "subsurface"')[0]
+    assert len(report.warnings()) == 1
+
+
+def test_index_of_uber_is_that_of_its_coat(tmp_path):
+    assert material(tmp_path, 'Material "uber" "float eta" 1.3')[0]["bsdf"]["int_ior"] == 1.3
+
+
+def test_white_of_another_colour_space_is_not_reported(tmp_path):
+    _, report = material(tmp_path, 'Material "diffuse" "rgb reflectance" [1 1 1]', 'ColorSpace "rec2020"')
+    assert not report.warnings()
 
 
 def load(bsdf: dict) -> dict:
@@ -223,6 +243,14 @@ def test_images_are_flipped_scaled_and_inverted(tmp_path):
     raw = texture("linear")
     assert raw["raw"] is True
     assert raw["filter_type"] == "nearest"
+
+
+@pytest.mark.parametrize("encoding", ["", "gamma", "gamma x", "srgb"])
+def test_unknown_encodings_are_errors(tmp_path, encoding):
+    (tmp_path / "a.png").write_bytes(small_files.image_file("PNG"))
+    texture = f'Texture "t" "spectrum" "imagemap" "string filename" "a.png" "string encoding" "{encoding}"'
+    with pytest.raises(SceneError, match="gamma"):
+        read_world(tmp_path, texture)
 
 
 def test_images_below_a_coat_stay_images_of_bytes(tmp_path):

@@ -79,6 +79,7 @@ ERRORS = [
     ('WorldBegin Texture "t" "float" "imagemap"', "1:12", '"string filename"'),
     ('WorldBegin MediumInterface "fog" ""\n' + TRIANGLE, "2:1", "no medium named 'fog'"),
     ('WorldBegin Attribute "shapes" "float radius" 1', "1:12", "did you mean 'shape'?"),
+    (f'WorldBegin Material "diffuse" "spectrum reflectance" "{"a" * 300}"', "1:31", "unknown spectrum 'aaa"),
     ('ColorSpace "adobe"', "1:1", "unknown colour space 'adobe'"),
     ('Camera "perspective" "float fov" 180 WorldBegin', "1:22", "below 180 degrees"),
     ('Scale 1 1 0 Camera "perspective" WorldBegin', "1:13", "cannot be inverted"),
@@ -91,6 +92,13 @@ def test_errors_name_file_line_and_column(tmp_path, text, place, message):
         read_text(tmp_path, text)
     assert str(error.value).startswith(f"{tmp_path / 'scene.pbrt'}:{place}: "), error.value
     assert message in str(error.value)
+
+
+def test_shapes_on_one_line_have_keys_of_their_own(tmp_path):
+    """The time to find a key does not grow with the number of shapes on the line."""
+    scene, _ = read_text(tmp_path, "WorldBegin " + TRIANGLE.strip() * 3)
+    names = [f"trianglemesh_line_1{number}" for number in ("", "_2", "_3")]
+    assert [name for name in scene if name.startswith("trianglemesh")] == names
 
 
 def test_a_byte_order_mark_is_skipped(tmp_path):

@@ -56,10 +56,15 @@ class CameraSettings:
         return self.settings.get(directive, Setting(default_type, parameters))
 
 
-def exposure(camera: Parameters, film: Parameters) -> float:
-    """The factor of pbrt-v4's film on radiance: exposure time times ISO / 100 (PixelSensor::Create)."""
+def exposure(camera: Parameters, film: Setting) -> float:
+    """The factor of the film on radiance.
+
+    pbrt-v4: exposure time times ISO / 100 (PixelSensor::Create). pbrt-v3, whose film is `image`: `scale`.
+    """
+    if film.type == "image":
+        return max(film.parameters.number("scale", 1.0), 0.0)
     seconds = camera.number("shutterclose", 1.0) - camera.number("shutteropen", 0.0)
-    speed = film.number("iso", 100.0)
+    speed = film.parameters.number("iso", 100.0)
     return seconds * speed / 100.0 if seconds > 0 and speed > 0 else 1.0
 
 
@@ -186,10 +191,11 @@ def make_film(settings: CameraSettings, empty: Parameters) -> dict:
     sensor = parameters.text("sensor", "cie1931")
     if sensor != "cie1931" or parameters.number("whitebalance", 0.0):
         report.limit("film", f"the response of the sensor '{sensor}' and its white balance are ignored")
-    if parameters.number("maxcomponentvalue", math.inf) < math.inf and "maxcomponentvalue" in parameters:
-        report.limit("film", "'maxcomponentvalue' is ignored: bright samples are not clamped")
+    for name in ("maxcomponentvalue", "maxsampleluminance"):
+        if parameters.number(name, None) is not None:
+            report.limit("film", f"'{name}' is ignored: bright samples are not clamped", parameters.place(name).place)
     parameters.ignore("filename", "diagonal", "savefp16", "iso", "scale", "coordinatesystem", "nbuckets", "lambdamin")
-    parameters.ignore("lambdamax", "maxsampleluminance")
+    parameters.ignore("lambdamax")
     return made
 
 
@@ -270,8 +276,9 @@ def make_integrator(settings: CameraSettings, empty: Parameters, has_volumes: bo
     if setting.type in ("ambientocclusion", "ao", "function", "randomwalk"):
         report.limit("film", f"the integrator '{setting.type}' is replaced by path tracing")
     depth = parameters.integer("maxdepth", _DEFAULT_MAX_DEPTH)
-    if setting.type == "whitted":
-        report.limit("film", "the integrator 'whitted' is replaced by 'direct'")
+    if setting.type in _DIRECT:
+        problem = f"the integrator '{setting.type}' is replaced by 'direct': mirrors and glass show only lights"
+        report.limit("film", problem, parameters.position.place)
     if parameters.boolean("regularize", False):
         report.limit("film", "'regularize' is ignored: rough reflections of reflections stay sharp")
     parameters.ignore(*(value.name for value in parameters.unused()))

@@ -36,8 +36,8 @@ def matte(parameters: Parameters, context: MaterialContext) -> dict:
     return two_sided({"type": "diffuse", "reflectance": context.textures.to_colour(reflectance)})
 
 
-def legacy_plastic(parameters: Parameters, context: MaterialContext) -> dict:
-    """`plastic` and `substrate`: a diffuse base below a coat of index 1.5."""
+def legacy_plastic(parameters: Parameters, context: MaterialContext, index: float = 1.5) -> dict:
+    """`plastic` and `substrate`: a diffuse base below a coat of this index of refraction."""
     context.report.use("diffuse")
     context.report.use("specular")
     specular = context.textures.mean(context.textures.colour(parameters, "Ks", 0.25))
@@ -47,7 +47,7 @@ def legacy_plastic(parameters: Parameters, context: MaterialContext) -> dict:
         return two_sided({"type": "diffuse", "reflectance": context.textures.to_colour(base)})
     place = parameters.position.place
     context.report.limit("specular", "pbrt-v3's diffuse and glossy layers become a coat over a base", place)
-    return plastic(base, 1.5, alphas, place, context)
+    return plastic(base, index, alphas, place, context)
 
 
 def legacy_metal(parameters: Parameters, context: MaterialContext) -> dict:
@@ -65,7 +65,7 @@ def mirror(parameters: Parameters, context: MaterialContext) -> dict:
 def glass(parameters: Parameters, context: MaterialContext) -> dict:
     """`glass`."""
     context.report.use("transmission")
-    index = eta(parameters, "eta" if "eta" in parameters else "index", 1.5, context)
+    index = _index(parameters, context)
     roughness = context.roughness(_glass_alphas(parameters, context)) if index != 1 else {}
     factors = {}
     for name, factor in (("Kr", "specular_reflectance"), ("Kt", "specular_transmittance")):
@@ -73,6 +73,10 @@ def glass(parameters: Parameters, context: MaterialContext) -> dict:
             factors[factor] = context.textures.to_colour(context.textures.colour(parameters, name, 1.0))
     kind = "roughdielectric" if roughness else "dielectric"
     return {"type": kind, "int_ior": index, "ext_ior": 1.0, **factors, **roughness}
+
+
+def _index(parameters: Parameters, context: MaterialContext) -> float:
+    return eta(parameters, "eta" if "eta" in parameters else "index", 1.5, context)
 
 
 def _glass_alphas(parameters: Parameters, context: MaterialContext):
@@ -92,8 +96,7 @@ def uber(parameters: Parameters, context: MaterialContext) -> dict:
     for name in ("Kr", "Kt"):
         if name in parameters and context.textures.mean(context.textures.colour(parameters, name, 0.0)).any():
             context.report.limit("specular", f"'{name}' of the material uber is ignored", place)
-    parameters.ignore("eta", "index")
-    inner = legacy_plastic(parameters, context)
+    inner = legacy_plastic(parameters, context, _index(parameters, context))
     opacity = context.textures.colour(parameters, "opacity", 1.0)
     if isinstance(opacity, np.ndarray) and (opacity == 1).all():
         return inner
@@ -131,7 +134,10 @@ def disney(parameters: Parameters, context: MaterialContext) -> dict:
         bsdf[renamed.get(name, name)] = min(max(number, 0.0), 1.0) if isinstance(number, float) else number
     if parameters.boolean("thin", False):
         context.report.limit("transmission", "'thin' of the material disney is ignored", parameters.position.place)
-    parameters.ignore("scatterdistance", "flatness", "difftrans")
+    if context.textures.mean(context.unbounded(parameters, "scatterdistance", np.zeros(3))).any():
+        problem = "'scatterdistance' of the material disney is ignored: the surface is diffuse"
+        context.report.limit("measured_materials", problem, parameters.position.place)
+    parameters.ignore("flatness", "difftrans")  # only thin surfaces have them
     context.report.use("diffuse")
     is_opaque = bsdf["spec_trans"] == 0
     return two_sided(bsdf) if is_opaque else bsdf

@@ -34,7 +34,7 @@ _TO_ENVMAP = np.array(  # from the space of Mitsuba's `envmap` to that of pbrt-v
 
 
 class Lights:
-    """Makes the emitters of a scene, all times `exposure`, the imaging ratio of pbrt-v4's sensor."""
+    """Makes the emitters of a scene, all times `exposure`, the film's factor on radiance."""
 
     def __init__(self, colours: Colours, textures: Textures, report: ImportReport):
         self._colours, self._textures, self._report = colours, textures, report

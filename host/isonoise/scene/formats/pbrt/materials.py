@@ -12,6 +12,7 @@ import numpy as np
 from isonoise.scene.formats.mesh_shape import rgb
 from isonoise.scene.formats.pbrt.coats import coat_transmittance
 from isonoise.scene.formats.pbrt.colours import Colours
+from isonoise.scene.formats.pbrt.media import PRESETS
 from isonoise.scene.formats.pbrt.parameters import SPECTRUM_TYPES, Parameters
 from isonoise.scene.formats.pbrt.textures import Texture, Textures
 from isonoise.scene.formats.report import ImportReport
@@ -39,6 +40,13 @@ class MaterialContext:
             problem = f"a texture of '{name}' is replaced by its mean"
             self.report.limit(feature, problem, parameters.place(name).place)
         return float(self.textures.mean(texture).mean())
+
+    def unbounded(self, parameters: Parameters, name: str, default: np.ndarray) -> Texture:
+        """A colour that may exceed 1, such as eta, k or a coefficient of a medium: a constant or a texture."""
+        if parameters.has_type(name, "texture"):
+            return self.textures.colour(parameters, name, 1.0)
+        value = parameters.find(name, "float", *SPECTRUM_TYPES)
+        return default if value is None else self.colours.unbounded(value)
 
     def alphas(
         self, parameters: Parameters, remap: Callable[[np.ndarray], np.ndarray], default: float = 0.0, prefix: str = ""
@@ -161,14 +169,8 @@ def _eta_and_k(parameters: Parameters, context: MaterialContext, prefix: str) ->
         reflectance = context.textures.colour(parameters, f"{prefix}reflectance", 0.0)
         return np.ones(3), context.textures.map("k of reflectance", _k_of_reflectance, reflectance)
     copper = conductors()["Cu"]
-    values = []
-    for name, default in zip(("eta", "k"), copper, strict=True):
-        if parameters.has_type(prefix + name, "texture"):
-            values.append(context.textures.colour(parameters, prefix + name, 1.0))
-            continue
-        value = parameters.find(prefix + name, "float", *SPECTRUM_TYPES)
-        values.append(default if value is None else context.colours.unbounded(value))
-    return values[0], values[1]
+    eta_, k = (context.unbounded(parameters, prefix + name, copper[i]) for i, name in enumerate(("eta", "k")))
+    return eta_, k
 
 
 def _k_of_reflectance(reflectance: np.ndarray) -> np.ndarray:
@@ -267,14 +269,12 @@ def subsurface(parameters: Parameters, context: MaterialContext) -> dict:
         name = "reflectance" if "reflectance" in parameters else "Kd"
         reflectance = context.textures.colour(parameters, name, 0.5)
     else:
-        means = [
-            context.textures.mean(context.textures.colour(parameters, name, 0.0)) if name in parameters else default
-            for name, default in (
-                ("sigma_a", np.array([0.0011, 0.0024, 0.014])),
-                ("sigma_s", np.array([2.55, 3.21, 3.77])),
-            )
-        ]
-        albedo = means[1] / np.maximum(means[0] + means[1], 1e-20)
+        preset = PRESETS.get(parameters.text("name", ""), PRESETS["Wholemilk"])
+        scattering, absorption = (
+            context.textures.mean(context.unbounded(parameters, name, np.array(preset[i])))
+            for i, name in enumerate(("sigma_s", "sigma_a"))
+        )
+        albedo = scattering / np.maximum(scattering + absorption, 1e-20)
         root = np.sqrt(3 * (1 - albedo))
         internal = (1 + _INTERNAL_REFLECTION) / (1 - _INTERNAL_REFLECTION)
         reflectance = 0.5 * albedo * (1 + np.exp(-4 / 3 * internal * root)) * np.exp(-root)

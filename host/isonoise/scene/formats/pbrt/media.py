@@ -9,8 +9,7 @@ from isonoise.scene.formats.pbrt.parameters import SPECTRUM_TYPES, Parameters
 from isonoise.scene.formats.report import ImportReport
 
 _MEDIA = ("homogeneous", "uniformgrid", "rgbgrid", "cloud", "nanovdb", "heterogeneous")
-_PRESETS = {  # reduced scattering and absorption, 1 / mm; H. W. Jensen et al., "A Practical Model for Subsurface
-    # Light Transport", SIGGRAPH 2001
+PRESETS = {
     "Apple": ((2.29, 2.39, 1.97), (0.0030, 0.0034, 0.046)),
     "Chicken1": ((0.15, 0.21, 0.38), (0.015, 0.077, 0.19)),
     "Chicken2": ((0.19, 0.25, 0.32), (0.018, 0.088, 0.20)),
@@ -24,6 +23,8 @@ _PRESETS = {  # reduced scattering and absorption, 1 / mm; H. W. Jensen et al., 
     "Spectralon": ((11.6, 20.4, 14.9), (0.0, 0.0, 0.0)),
     "Wholemilk": ((2.55, 3.21, 3.77), (0.0011, 0.0024, 0.014)),
 }
+"""Reduced scattering and absorption coefficients, 1 / mm, by pbrt's names. H. W. Jensen et al., "A Practical Model for
+Subsurface Light Transport", SIGGRAPH 2001."""
 _MAX_ANISOTROPY = 0.9999
 _MAX_GRID_CELLS = 1 << 28
 
@@ -68,10 +69,10 @@ def _phase(parameters: Parameters) -> dict:
 def _coefficients(parameters: Parameters, colours: Colours, report: ImportReport) -> tuple[np.ndarray, np.ndarray]:
     """Absorption and scattering coefficients of a homogeneous medium, (3,) each."""
     name = parameters.text("preset", "")
-    if name and name not in _PRESETS:
+    if name and name not in PRESETS:
         report.limit("media", "an unknown preset of a medium is replaced by whole milk", name)
-    scattering, absorption = _PRESETS.get(name, _PRESETS["Wholemilk"])
-    if name in _PRESETS:
+    scattering, absorption = PRESETS.get(name, PRESETS["Wholemilk"])
+    if name in PRESETS:
         parameters.ignore("sigma_a", "sigma_s")
         return np.array(absorption), np.array(scattering)
     values = [parameters.find(other, "float", *SPECTRUM_TYPES) for other in ("sigma_a", "sigma_s")]

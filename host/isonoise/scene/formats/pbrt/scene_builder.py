@@ -121,8 +121,8 @@ class SceneBuilder:
         self._state.change(to_world=np.eye(4), active_transforms="All")
         self._state.coordinate_systems["world"] = np.eye(4)
         empty = Parameters((), directive.position)
-        camera, film = (self._camera.get(name, "", empty).parameters for name in ("Camera", "Film"))
-        self._lights.exposure = cameras.exposure(camera, film)
+        camera, film = (self._camera.get(name, "", empty) for name in ("Camera", "Film"))
+        self._lights.exposure = cameras.exposure(camera.parameters, film)
 
     def _run_identity(self, directive: Directive) -> None:
         self._state.set_transform(np.eye(4))
