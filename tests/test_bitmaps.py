@@ -152,6 +152,9 @@ def test_clamping_of_one_axis_is_limited():
     assert not Bitmaps().is_exact(IMAGE, sampling, ((0, 100), (0, 1)))
     assert Bitmaps().is_exact(IMAGE, sampling, ((0, 1), (0, 100)))
     assert max(Bitmaps().texture(IMAGE, True, sampling, ((0, 1e9), (0, 1)))["bitmap"].pixels.shape) < 40
+    huge = sampling._replace(to_uv=((1e300, -1e300, 0.0), (1e300, 1e300, 0.0)))
+    with np.errstate(all="ignore"):
+        assert not Bitmaps().is_exact(IMAGE, huge, ((-1e30, 1e30), (-1e30, 1e30)))
 
 
 @pytest.mark.parametrize(("cutoff", "factor"), [(0.5, 1.0), (0.25, 0.7), (1.0, 1.0), (0.0, 0.5), (2.0, 1.0)])

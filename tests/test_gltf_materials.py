@@ -134,6 +134,9 @@ def test_opacity(tmp_path):
     cut = MaterialFile(material | {"alphaMode": "MASK", "alphaCutoff": 0.2}, RGBA).bsdf(tmp_path)
     opacity = np.clip(cut["opacity"]["bitmap"].linear(), 0, 1)
     np.testing.assert_array_equal(opacity, ALPHA / 510 >= 0.2)
+    hidden = MaterialFile(material | {"alphaMode": "MASK", "alphaCutoff": 1e40}, RGBA).bsdf(tmp_path)
+    assert np.isfinite(hidden["opacity"]["bitmap"].pixels).all()
+    assert hidden["opacity"]["bitmap"].pixels.max() < 0
     constant = pbr(baseColorFactor=[1, 1, 1, 0.4])
     assert MaterialFile(constant | {"alphaMode": "BLEND"}).bsdf(tmp_path)["opacity"] == 0.4
     assert MaterialFile(constant | {"alphaMode": "MASK"}).bsdf(tmp_path)["opacity"] == 0.0
@@ -145,6 +148,8 @@ def test_opacity(tmp_path):
     np.testing.assert_array_equal(faded["attributes"]["vertex_alpha"], alphas[:, 3:])
     with pytest.raises(SceneError, match=r"materials\[0\].alphaMode: it has to be one of OPAQUE, MASK, BLEND"):
         read_file(MaterialFile({"alphaMode": "SOLID"}), tmp_path)
+    with pytest.raises(SceneError, match=r"alphaCutoff: it has to be a finite number, got 'x'"):
+        read_file(MaterialFile({"alphaMode": "MASK", "alphaCutoff": "x"}), tmp_path)
 
 
 def test_emission(tmp_path):

@@ -16,6 +16,7 @@ REPEAT, MIRROR, CLAMP = "repeat", "mirror", "clamp"
 BILINEAR, NEAREST = "bilinear", "nearest"
 UNIT_BOUNDS = ((0.0, 1.0), (0.0, 1.0))
 _THRESHOLD_GAIN = 65536.0  # opacity per unit of alpha: one step of an 8-bit alpha is 257 times the ramp
+_MAX_BEYOND = 1e6  # outside the image, in its size: keeps products with the size in the range of integers
 _MAX_PADDING = 2.0  # columns or rows added for a mixed wrap mode, as a multiple of the image's
 
 
@@ -220,7 +221,8 @@ class Bitmaps:
 def _padding(size: int, bounds) -> int:
     """Texels to add at each end, so that clamped coordinates within `bounds` stay inside the image."""
     beyond = max(-bounds[0], bounds[1] - 1.0, 0.0)
-    return int(np.ceil(min(beyond, 1e6) * size)) + 1
+    beyond = beyond if beyond < _MAX_BEYOND else _MAX_BEYOND  # also where huge transforms gave NaN
+    return int(np.ceil(beyond * size)) + 1
 
 
 def _pad(image: Image, width, mode: str) -> Image:

@@ -75,7 +75,8 @@ class JsonObject:
         if value is default:
             return value
         if not (_is_finite(value) and low <= value <= high):
-            ends = {-math.inf: "", low: f" of at least {low:g}"}[low] + ("" if high == math.inf else f" up to {high:g}")
+            ends = "" if low == -math.inf else f" of at least {low:g}"
+            ends += "" if high == math.inf else f" up to {high:g}"
             self.fail(name, f"it has to be a finite number{ends}, got {shorten(value)}")
         return float(value)
 

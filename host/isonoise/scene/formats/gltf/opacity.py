@@ -7,6 +7,7 @@ from isonoise.scene.formats.mesh_shape import rgb
 
 _PBR, _BASE = "pbrMetallicRoughness", "baseColorTexture"
 _MAX_RADIANCE = 1e30
+_MAX_CUTOFF = 2.0  # hides every alpha, like all above 1; huge ones would overflow in an image
 VERTEX_ALPHA = "vertex_alpha"
 
 
@@ -35,7 +36,7 @@ def _opacity(context: SurfaceContext) -> float | dict:
     opacity = context.parameters.number(texture, 3, factor)
     if _mode(context) == "BLEND":
         return opacity
-    cutoff = context.material.values.number("alphaCutoff", 0.5)
+    cutoff = min(max(context.material.values.number("alphaCutoff", 0.5), 0.0), _MAX_CUTOFF)
     if not isinstance(opacity, dict):
         return float(opacity >= cutoff)
     bitmaps = context.parameters.bitmaps

@@ -29,6 +29,7 @@ _NEAREST_FILTER = 9728
 _SOURCES = ("EXT_texture_webp",)  # extensions that name images which can be decoded
 _FOREIGN_SOURCES = {"KHR_texture_basisu": "KTX2", "MSFT_texture_dds": "DDS", "EXT_texture_avif": "AVIF"}
 _MAX_UV_SETS = 8
+_MAX_NORMAL_SCALE = 1e6  # normals are horizontal long before; products stay within 32-bit floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,8 @@ class MaterialTextures:
             self._report.use("texture_transform", info.place)
             uv_set = transform.integer("texCoord", uv_set, high=_MAX_UV_SETS)
             sampling = sampling._replace(to_uv=_transform_rows(transform))
-        return MaterialTexture(image, sampling, uv_set, info.place, info.number("scale", 1.0))
+        scale = min(max(info.number("scale", 1.0), -_MAX_NORMAL_SCALE), _MAX_NORMAL_SCALE)
+        return MaterialTexture(image, sampling, uv_set, info.place, scale)
 
     def _image(self, texture: JsonObject) -> Image | None:
         for extension in map(texture.extension, _SOURCES):
