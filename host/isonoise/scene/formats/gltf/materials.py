@@ -3,6 +3,7 @@
 Formats: glTF 2.0 section 3.9 and appendix B, and the extensions KHR_materials_*.
 """
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +74,7 @@ class Materials:
                 report.count(kind, len(document.all(kind)))
         self._materials: dict[int | None, Material] = {}
         self._surfaces: dict[tuple[int | None, PrimitiveInfo], Surface] = {}
+        self._surface_counts: Counter[int | None] = Counter()  # of each material
 
     def surface(self, index: int | None, primitive: PrimitiveInfo) -> Surface:
         """The surface of a primitive with the material of this index; None is the default material."""
@@ -87,10 +89,11 @@ class Materials:
         if key not in self._surfaces:
             surface = self._make_surface(material, primitive)
             if name := material.values.string("name", ""):  # another surface of this material gets another id
-                number = sum(other == index for other, _ in self._surfaces)
+                number = self._surface_counts[index]
                 variant = f"#{number}" if number else ""
                 surface = replace(surface, bsdf={**surface.bsdf, "id": f"material_{index}{variant}: {name}"})
             self._surfaces[key] = surface
+            self._surface_counts[index] += 1
         return self._surfaces[key]
 
     def _read(self, index: int | None) -> Material:
