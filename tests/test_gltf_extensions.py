@@ -132,6 +132,8 @@ def test_sheen(tmp_path):
     product = bsdf["weight"]["bitmap"].linear() * inside(bsdf["bsdf_1"], "twosided")["base_color"]["bitmap"].linear()
     expected = linear(COLOURS) * [0.5, 0.25, 0]
     np.testing.assert_allclose(product / product.max(), expected / expected.max(), atol=1e-6)
+    rough = extended("sheen", sheen | {"sheenRoughnessTexture": {"index": 0}})
+    assert "the mean of the texture of its roughness" in warnings_of(MaterialFile(rough, RGBA), tmp_path)
 
 
 def test_anisotropy(tmp_path):
@@ -143,6 +145,8 @@ def test_anisotropy(tmp_path):
     assert principled["roughness"] ** 2 / aspect == pytest.approx(0.49 + 0.51 * 0.25)
     strong = extended("anisotropy", {"anisotropyStrength": 1}, pbr(roughnessFactor=0.1))
     assert "at least a tenth" in warnings_of(MaterialFile(strong), tmp_path)
+    tiny = extended("anisotropy", {"anisotropyStrength": 1e-200}, pbr(roughnessFactor=0.0))
+    assert "anisotropic" not in inside(MaterialFile(tiny).bsdf(tmp_path), "twosided")
 
 
 def test_unlit(tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from gltf_files import read_file, shapes_of
-from gltf_material_files import MaterialFile
+from gltf_material_files import MaterialFile, warnings_of
 
 from isonoise.scene.spectra import srgb_to_linear
 
@@ -43,6 +43,13 @@ def test_textures(tmp_path):
     np.testing.assert_allclose(bsdf["metallic"]["bitmap"].linear(raw=True)[..., 0], [[1, 0]] * 4, atol=2e-3)
     roughness = bsdf["roughness"]["bitmap"].linear(raw=True)[..., 0]
     np.testing.assert_allclose(roughness, [[0, 0.8], [1, 0.6]] * 2, atol=1e-6)
+
+
+def test_textures_with_other_coordinates_are_reported(tmp_path):
+    values = {"diffuseTexture": {"index": 0}, "specularGlossinessTexture": {"index": 1, "texCoord": 1}}
+    image = np.full((2, 2, 3), 128, np.uint8)
+    file = MaterialFile({"extensions": {EXTENSION: values}}, image, image)
+    assert "the coordinates of one" in warnings_of(file, tmp_path)
 
 
 def test_a_metallic_roughness_model_goes_first(tmp_path):

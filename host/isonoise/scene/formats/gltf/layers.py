@@ -101,6 +101,8 @@ def _anisotropy(context: SurfaceContext, roughness: float | dict) -> dict:
         return {}
     alpha = roughness * roughness
     along = alpha + (1.0 - alpha) * strength * strength
+    if not along > alpha:  # a strength that rounding loses; both may be 0
+        return {}
     if alpha < 0.1 * along:
         context.limit("anisotropy", "alpha across is at least a tenth of alpha along the highlight")
         alpha = 0.1 * along
@@ -115,6 +117,7 @@ def add_sheen(context: SurfaceContext, base: dict) -> dict:
         return base
     roughness = context.number(part, "sheenRoughnessFactor", 0.0, "sheenRoughnessTexture", 3)
     if isinstance(roughness, dict):
+        context.limit("sheen", "the mean of the texture of its roughness is used")
         roughness = float(bitmaps.mean(roughness["bitmap"], raw=True)[0])
     albedo = float(np.interp(roughness, np.linspace(0.0, 1.0, len(_SHEEN_ALBEDO)), _SHEEN_ALBEDO))
     texture = context.texture("sheenColorTexture")

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from isonoise.scene.formats.bitmaps import Sampling
 from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.gltf.surface import Material
 from isonoise.scene.formats.gltf.textures import MaterialTexture, MaterialTextures
@@ -35,8 +36,9 @@ def as_metallic_roughness(material: Material, textures: MaterialTextures, report
     if diffuse_texture is None and specular_texture is None:
         base, metallic = _convert(diffuse[:3], specular)
         return _with_model(material, [*base, diffuse[3]], float(metallic), 1.0 - glossiness)
-    if diffuse_texture and specular_texture and diffuse_texture.sampling != specular_texture.sampling:
-        report.limit("texture_transform", "its two textures are read with the sampler of one", material.place)
+    if diffuse_texture and specular_texture and _coordinates(diffuse_texture) != _coordinates(specular_texture):
+        problem = "its two textures are read with the sampler and the coordinates of one"
+        report.limit("texture_transform", problem, material.place)
     base, packed = textures.bitmaps.once(
         ("specular-glossiness", material.place),
         lambda: _convert_images(diffuse_texture, specular_texture, diffuse[:3], specular, glossiness),
@@ -47,6 +49,10 @@ def as_metallic_roughness(material: Material, textures: MaterialTextures, report
     return replace(
         converted, textures=material.textures | {name: replace(source, image=image) for name, image in images.items()}
     )
+
+
+def _coordinates(texture: MaterialTexture) -> tuple[Sampling, int]:
+    return texture.sampling, texture.uv_set
 
 
 def _with_model(material: Material, colour: list[float], metallic: float, roughness: float) -> Material:
