@@ -301,6 +301,23 @@ def test_several_libraries_and_names_with_blanks(tmp_path):
         assert scene["part_0"]["bsdf"]["bsdf"]["reflectance"]["value"] == [0.125, 0, 0]
 
 
+def test_long_lines_take_linear_time(tmp_path):
+    """Of 500 kB each: quadratic time would be minutes."""
+    words = "-a b " * 100_000
+    _, losses = read(tmp_path, f"mtllib {words}a.mtl\n{QUAD}usemtl m\n{FACE}", f"newmtl m\nmap_Kd {words}\n")
+    assert "there is no such file" in losses[0]
+
+
+def test_names_with_unusual_characters(tmp_path):
+    """A next-line character, which Latin-1 files have in the place of an ellipsis, ends no line."""
+    (tmp_path / "b.mtl").write_bytes(b"newmtl m\x85n\nKd 0.125 0 0\n")
+    (tmp_path / "b.obj").write_bytes(f"mtllib b.mtl\n{QUAD}usemtl m\x85n\n{FACE}".encode("latin-1"))
+    report = ImportReport("b.obj", SUPPORT)
+    scene = obj_format.read(tmp_path / "b.obj", tmp_path.resolve(), report)
+    assert report.warnings() == []
+    assert scene["part_0"]["bsdf"]["bsdf"]["reflectance"]["value"] == [0.125, 0, 0]
+
+
 def test_vertex_colours_are_srgb_times_kd(tmp_path):
     quad = "v 0 0 0 1 0.5 0\nv 1 0 0 0 1 0\nv 1 1 0 0 0 1\n"
     scene, losses = read(tmp_path, f"mtllib a.mtl\n{quad}usemtl m\nf 1 2 3\n", "newmtl m\nKd 0.5 1 1\n")

@@ -48,7 +48,7 @@ class Materials:
             bsdf = self._glass(material)
         else:
             bsdf = self._opaque(material, diffuse)
-        bsdf = self._with_relief(material, bsdf, uv_length)
+        bsdf = self._with_shading_normals(material, bsdf, uv_length)
         bsdf = bsdf if is_glass else {"type": "twosided", "bsdf": bsdf}
         return bsdf if is_glass and not _is_pbr(material) else self._with_opacity(material, bsdf)
 
@@ -68,7 +68,7 @@ class Materials:
         if values.max() > 1:
             self.report.limit("diffuse", "a reflectance above 1 is taken as 1", material.name)
         # Blender writes Kd for viewers that do not show textures; others multiply, except for a Kd of 0
-        return np.ones(3) if has_map and (material.is_of_blender or not values.any()) else np.minimum(values, 1.0)
+        return np.ones(3) if has_map and (material.is_from_blender or not values.any()) else np.minimum(values, 1.0)
 
     def _diffuse(self, material: Material, factor: float = 1.0) -> dict:
         """Kd times its texture and a factor."""
@@ -90,7 +90,7 @@ class Materials:
 
     def _is_glass(self, material: Material) -> bool:
         """Whether a material refracts. Programs write `illum 4` with Ni 1, or a texture, for opaque materials too."""
-        if _illum(material) not in _TRANSPARENT or material.is_of_blender:
+        if _illum(material) not in _TRANSPARENT or material.is_from_blender:
             return False
         return _ior(material) != 1 and not {"kd", "d"} & set(material.maps)
 
@@ -145,11 +145,11 @@ class Materials:
         )
         return {"type": "blendbsdf", "weight": ks / total, "first": parts[0], "second": parts[1]}
 
-    def _alpha(self, material: Material):
+    def _alpha(self, material: Material) -> float:
         """The roughness of a Blinn-Phong exponent: alpha² = 2 / (Ns + 2) (Walter et al. 2007)."""
         self.report.use("roughness")
         exponent = material.numbers.get("ns", [10.0])[0]
-        return _alpha_of_exponent(exponent)
+        return float(_alpha_of_exponent(exponent))
 
     def _textured_roughness(self, material: Material, diffuse: dict, specular: np.ndarray) -> dict:
         """A coat whose exponent is a texture: `principled`, whose reflection has no colour."""
@@ -172,8 +172,8 @@ class Materials:
         """The PBR extension, or what Blender wrote."""
         numbers, maps, textures = material.numbers, material.maps, self.textures
         bsdf = {"type": "principled", "base_color": diffuse}
-        bsdf["roughness"] = self._scaled_number(material, "pr", _blender_roughness(material))
-        bsdf["metallic"] = self._scaled_number(material, "pm", _blender_metallic(material))
+        bsdf["roughness"] = self._scaled_number(material, "pr", _default_roughness(material))
+        bsdf["metallic"] = self._scaled_number(material, "pm", _default_metallic(material))
         for packed, channels in (("rma", (0, 1)), ("orm", (1, 2))):  # roughness and metalness are channels of one image
             if packed in maps:
                 for name, channel in zip(("roughness", "metallic"), channels, strict=True):
@@ -195,13 +195,13 @@ class Materials:
         if self._is_glass(material):
             self.report.use("transmission")
             bsdf["spec_trans"] = 1.0
-        if material.is_of_blender and "ks" in numbers and "pr" not in numbers:
+        if material.is_from_blender and "ks" in numbers and "pr" not in numbers:
             bsdf["specular"] = float(np.clip(np.mean(numbers["ks"]), 0.0, 1.0))
         else:
             bsdf["eta"] = _ior(material) if _ior(material) > 1 else _DEFAULT_IOR
         return bsdf
 
-    def _scaled_number(self, material: Material, key: str, default: float):
+    def _scaled_number(self, material: Material, key: str, default: float) -> float | dict:
         """A number of the PBR extension times its texture."""
         feature = {"pr": "roughness", "pm": "metal", "ps": "sheen", "pc": "clearcoat"}[key]
         if key in material.numbers or key in material.maps:
@@ -212,7 +212,7 @@ class Materials:
         texture = self.textures.number(material.maps.get(key), f"times {factor}", convert)
         return texture or value
 
-    def _with_relief(self, material: Material, bsdf: dict, uv_length: float) -> dict:
+    def _with_shading_normals(self, material: Material, bsdf: dict, uv_length: float) -> dict:
         """The bsdf with the normal map, or else the bump map, of a material."""
         normals, bump = material.maps.get("norm"), material.maps.get("bump")
         if bump is None and "disp" in material.maps:
@@ -273,26 +273,26 @@ def _opacity(material: Material) -> float:
 
 def _is_pbr(material: Material) -> bool:
     keys = {"pr", "pm", "ps", "pc", "rma", "orm"}
-    return material.is_of_blender or bool(keys & (set(material.numbers) | set(material.maps)))
+    return material.is_from_blender or bool(keys & (set(material.numbers) | set(material.maps)))
 
 
 def _alpha_of_exponent(exponent):
     return np.clip(np.sqrt(2.0 / (np.asarray(exponent) + 2.0)), 1e-3, 1.0)
 
 
-def _blender_roughness(material: Material) -> float:
+def _default_roughness(material: Material) -> float:
     """The roughness, where there is no Pr. Blender writes Ns = 1000 (1 - roughness)²."""
     exponent = material.numbers.get("ns")
     if exponent is None:
         return 0.5
-    if material.is_of_blender:
+    if material.is_from_blender:
         return 1.0 - math.sqrt(min(exponent[0] / _MAX_BLENDER_EXPONENT, 1.0))
     return math.sqrt(_alpha_of_exponent(exponent[0]))
 
 
-def _blender_metallic(material: Material) -> float:
+def _default_metallic(material: Material) -> float:
     """The metalness, where there is no Pm. Blender writes it as Ka, with illum 3 or 6."""
-    if material.is_of_blender and _illum(material) in (3, 6):
+    if material.is_from_blender and _illum(material) in (3, 6):
         return min(max(material.numbers.get("ka", [0.0])), 1.0)
     return 0.0
 

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ _MAPS = {
 }
 """Statements with an image, in small letters -> name of the map."""
 _COMMENT = re.compile(r"\s#\s.*")
+_NEWLINE = re.compile(r"\r\n|\r|\n")  # `splitlines` also splits at characters that names may have
 _WORD = re.compile(r"\S+\s*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _MAX_NUMBER = 1e18
@@ -56,7 +58,7 @@ class Material:
     numbers: dict[str, list[float]] = field(default_factory=dict)
     maps: dict[str, TextureMap] = field(default_factory=dict)
     has_spectra: bool = False  # colours in files of their own
-    is_of_blender: bool = False  # written by Blender 3.1 or newer, which says how it converts its materials
+    is_from_blender: bool = False  # written by Blender 3.1 or newer, which says how it converts its materials
 
 
 def read_mtl(path: Path) -> dict[str, Material]:
@@ -64,13 +66,13 @@ def read_mtl(path: Path) -> dict[str, Material]:
     materials: dict[str, Material] = {}
     current = Material("")
     text = decode(read_bytes(path)).removeprefix("\ufeff")
-    is_of_blender = re.match(r"# Blender \d+\.\d+\S* MTL", text) is not None
-    for number, line in enumerate(text.splitlines(), 1):
+    is_from_blender = re.match(r"# Blender \d+\.\d+\S* MTL", text) is not None
+    for number, line in enumerate(_NEWLINE.split(text), 1):
         word, _, rest = line.strip().replace("\t", " ").partition(" ")
         key, rest = word.lower(), rest.strip()
         location = SourceLocation(str(path), number, word[:40])
         if key == "newmtl":
-            current = materials[rest] = Material(rest, is_of_blender=is_of_blender)
+            current = materials[rest] = Material(rest, is_from_blender=is_from_blender)
         elif key in _COUNTS:
             _read_numbers(current, key, rest.partition("#")[0].strip(), location)
         elif key in _MAPS and (texture := _parse_map(rest, location)):
@@ -105,20 +107,22 @@ def _parse_numbers(words: list[str]) -> list[float] | None:
 def _parse_map(text: str, location: SourceLocation) -> TextureMap | None:
     """The options and the file name, which may contain blanks; None without a file name."""
     options: dict[str, list[str]] = {}
-    while text.startswith("-"):
-        option, *words = _take_option(text)
+    position = 0
+    while text.startswith("-", position):
+        option, *words = _take_option(text, position)
         options[option[1:].strip().lower()] = [word.strip() for word in words]
-        text = text[len(option) + sum(map(len, words)) :]
-    file = _COMMENT.sub("", text).strip().strip('"')
+        position += len(option) + sum(map(len, words))
+    file = _COMMENT.sub("", text[position:]).strip().strip('"')
     return TextureMap(file, options, location) if file else None
 
 
-def _take_option(text: str) -> Iterator[str]:
-    """The option at the beginning of a text and its words, each with the blanks after it."""
-    option, *words = _WORD.findall(text)
+def _take_option(text: str, position: int) -> Iterator[str]:
+    """The option at a position of a text and its words, each with the blanks after it."""
+    words = (match.group() for match in _WORD.finditer(text, position))
+    option = next(words)
     yield option
     least, most = _OPTION_SIZES.get(option[1:].strip().lower(), (1, 1))
-    for number, word in enumerate(words[:most]):
+    for number, word in enumerate(islice(words, most)):
         if number >= least and not _NUMBER.fullmatch(word.strip()):
             return
         yield word

@@ -41,10 +41,11 @@ def _find_in_any_case(path: Path) -> Path | None:
 
 def split_names(text: str) -> list[str]:
     """The file names of an `mtllib` statement: blanks separate names, but names may contain blanks too."""
-    names, name = [], ""
+    names, words = [], []
     for word in text.split(" "):
-        name = f"{name} {word}" if name else word
-        if name.strip().strip('"').lower().endswith(".mtl"):
-            names.append(name.strip())
-            name = ""
-    return [*names, name.strip()] if name.strip() else names
+        words.append(word)
+        if word.strip().strip('"').lower().endswith(".mtl"):
+            names.append(" ".join(words).strip())
+            words = []
+    rest = " ".join(words).strip()
+    return [*names, rest] if rest else names

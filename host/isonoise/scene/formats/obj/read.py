@@ -79,7 +79,7 @@ def _read_libraries(path: Path, obj: ObjFile, folder: Path | None, report: Impor
                 report.limit("includes", "there is no such file: its materials are grey", name)
     for index in np.unique(obj.face_material):
         name = obj.materials[index]
-        if name not in (*_NO_MATERIAL, *materials) and not is_missing:
+        if name not in _NO_MATERIAL and name not in materials and not is_missing:
             report.limit("diffuse", "no MTL file defines it: it is grey", f"material '{name}'")
     return materials
 

@@ -103,7 +103,7 @@ class Textures:
         image = self.image(texture)
         if image is None or image.pixels.shape[2] != 3:
             return False
-        mean = image.linear(raw=True).mean(axis=(0, 1))
+        mean = self.bitmaps.mean(image, raw=True)
         return bool((np.abs(mean - _NORMAL_MAP_MEAN) < _MAX_NORMAL_MAP_DEVIATION).all())
 
 
