@@ -43,7 +43,7 @@ def test_report_names_what_is_exact_and_what_is_not():
     support = {"triangles": Support(YES), "tangents": Support(PARTLY, "computed"), "curves": Support(NO, "left out")}
     report = ImportReport("a.glb", support)
     report.count("triangles", 2000)
-    for noun in ("meshes", "copies of meshes", "lights"):
+    for noun in ("meshes", "copies of meshes", "lights", "bilinear patches"):
         report.count(noun)
     report.count("meshes")
     for feature in ("triangles", "tangents", "curves"):
@@ -52,7 +52,7 @@ def test_report_names_what_is_exact_and_what_is_not():
     report.limit("tangents", "bent", "mesh 'b'")
     curves, tangents = "curves and subdivision surfaces: left out", "tangents of mesh 'a' and 1 more: bent"
     assert report.rows() == [
-        ("found", "2,000 triangles, 2 meshes, 1 copy of meshes, 1 light"),
+        ("found", "2,000 triangles, 2 meshes, 1 copy of meshes, 1 light, 1 bilinear patch"),
         ("mapped", "triangles"),
         ("not exact", curves),
         ("", tangents),

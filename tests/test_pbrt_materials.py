@@ -166,6 +166,12 @@ def test_index_of_uber_is_that_of_its_coat(tmp_path):
     assert material(tmp_path, 'Material "uber" "float eta" 1.3')[0]["bsdf"]["int_ior"] == 1.3
 
 
+def test_constant_heights_are_not_reported(tmp_path):
+    bsdf, report = material(tmp_path, 'Material "diffuse" "texture displacement" "t"', 'Texture "t" "float" "constant"')
+    assert bsdf["bsdf"]["type"] == "diffuse"
+    assert not report.warnings()
+
+
 def test_white_of_another_colour_space_is_not_reported(tmp_path):
     _, report = material(tmp_path, 'Material "diffuse" "rgb reflectance" [1 1 1]', 'ColorSpace "rec2020"')
     assert not report.warnings()

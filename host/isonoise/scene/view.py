@@ -30,8 +30,8 @@ class View:
     look_at : tuple or None
         A point (x, y, z) to which the camera turns; or two, its position and the point to which it turns.
     up : (x, y, z) or None
-        Direction that is up in the image. Of a model, also the direction in which it stands; else y, of an STL file z.
-        None: with `look_at` the axis that is nearest to the camera's own.
+        Direction that is up in the image, and in which a model stands. None: models stand along y, those of STL files
+        along z, and `look_at` keeps up the coordinate axis that is nearest to the camera's own up.
     env : str or None
         An image in latitude-longitude format that takes the place of the environment. Its upper edge is `up`, else y.
 

@@ -37,6 +37,7 @@ class Extent(NamedTuple):
 
     @property
     def center(self) -> np.ndarray:
+        """(3,): the middle of the box around the model."""
         return self.low + 0.5 * (self.high - self.low)
 
     @property

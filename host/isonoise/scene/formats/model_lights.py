@@ -21,9 +21,8 @@ def brightness_by_own_lights(scene: Mapping, extent: Extent, to_camera: np.ndarr
     A point or spot light is metered at points of the model and their median is taken, as if the sphere were lit from
     all sides; of an emissive surface its power, spread over a sphere of the model's size.
     """
-    emitters = [part for part in scene.values() if isinstance(part, Mapping)]
     level = 0.0
-    for part in emitters:
+    for part in filter(_is_object, scene.values()):
         if part.get("type") == "directional":
             direction = np.asarray(part.get("direction", _axis(part)), float)
             cosine = -(direction @ to_camera) / np.linalg.norm(direction)
@@ -38,8 +37,12 @@ def brightness_by_own_lights(scene: Mapping, extent: Extent, to_camera: np.ndarr
 
 def has_lamp(scene: Mapping) -> bool:
     """Whether a surface is so bright that it is meant to light others."""
-    emitters = [part["emitter"] for part in scene.values() if isinstance(part, Mapping) and "emitter" in part]
-    return any(_luminance(emitter.get("radiance", 1.0)) > _MIN_LAMP * WHITE for emitter in emitters)
+    shapes = [part for part in filter(_is_object, scene.values()) if "emitter" in part]
+    return any(_luminance(shape["emitter"].get("radiance", 1.0), shape) > _MIN_LAMP * WHITE for shape in shapes)
+
+
+def _is_object(part) -> bool:
+    return isinstance(part, Mapping)
 
 
 def _axis(part: Mapping) -> np.ndarray:

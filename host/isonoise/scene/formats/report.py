@@ -65,7 +65,7 @@ def _noun(plural: str, number: int) -> str:
     if number == 1:
         ending, singular = next(
             pair
-            for pair in (("ies", "y"), ("shes", "sh"), ("media", "medium"), ("s", ""), ("", ""))
+            for pair in (("ies", "y"), ("ches", "ch"), ("shes", "sh"), ("media", "medium"), ("s", ""), ("", ""))
             if word.endswith(pair[0])
         )
         word = word.removesuffix(ending) + singular

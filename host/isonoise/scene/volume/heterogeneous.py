@@ -71,7 +71,7 @@ class HeterogeneousMediaBuilder:
         self._bounds: list[np.ndarray] = []
         self._record_by_extinction: dict[tuple[int, float], np.ndarray] = {}  # by grid and scale
         self._medium_by_id: dict[int, tuple[dict, np.ndarray]] = {}  # holds the dict, too
-        self._value_count = 0
+        self._value_count = self._cell_count = 0
 
     def medium_record(self, medium: dict) -> np.ndarray:
         """(1,) structs.HETEROGENEOUS_MEDIUM of a medium of the description; a new file is read."""
@@ -139,10 +139,11 @@ class HeterogeneousMediaBuilder:
             list(_value_ranges(int(size[a]), int(counts[a]), lower[a], upper[a], nearest, wrap)) for a in range(3)
         ]
         bounds = cell_bounds(grid.values, *ranges).reshape(-1, 2) * factor
-        record["first_cell"] = sum(len(each) for each in self._bounds)
+        record["first_cell"] = self._cell_count
         record["cells"] = counts
         record["to_cells"] = (scale(counts / (upper - lower)) @ translate(-lower) @ to_local)[:3].ravel()
         self._bounds.append(np.asarray(bounds, np.float32))
+        self._cell_count += len(bounds)
 
     def _add_grid(self, volume: dict, kind: str) -> tuple[int, _Grid]:
         """The index of the record of a volume, and its grid."""

@@ -97,7 +97,7 @@ def _perspective(settings: CameraSettings, camera: Setting, film: dict) -> dict:
     half_fov = parameters.number("halffov", None)
     fov = 2 * half_fov if half_fov is not None and half_fov > 0 else fov
     if not 1e-4 <= fov < 180:
-        parameters.place("fov").raise_error(f"fov has to be at least 0.0001 and below 180 degrees, got {fov:g}")
+        parameters.position_of("fov").raise_error(f"fov has to be at least 0.0001 and below 180 degrees, got {fov:g}")
     rotation, scale = _split_scale(settings.to_world, parameters)
     screen = _screen(parameters, film, settings.report)
     tangent = math.tan(math.radians(fov) / 2)
@@ -154,12 +154,14 @@ def _screen(parameters: Parameters, film: dict, report: ImportReport) -> Screen:
     """The window of the image, in which the shorter side goes from -1 to 1."""
     aspect = parameters.number("frameaspectratio", film["width"] / film["height"])
     if not 1e-4 < aspect < 1e4:
-        parameters.place("frameaspectratio").raise_error("frameaspectratio has to be 0.0001 to 10000")
+        parameters.position_of("frameaspectratio").raise_error("frameaspectratio has to be 0.0001 to 10000")
     half_width, half_height, center = max(aspect, 1.0), max(1.0 / aspect, 1.0), (0.0, 0.0)
     window = parameters.array("screenwindow", ("float", "integer"))
     if window is not None:
         if len(window) != 4 or not (window[0] < window[1] and window[2] < window[3]):
-            parameters.place("screenwindow").raise_error("screenwindow is xmin xmax ymin ymax, with min below max")
+            parameters.position_of("screenwindow").raise_error(
+                "screenwindow is xmin xmax ymin ymax, with min below max"
+            )
         half_width, half_height = 0.5 * (window[1] - window[0]), 0.5 * (window[3] - window[2])
         center = (0.5 * float(window[0] + window[1]), 0.5 * float(window[2] + window[3]))
     return Screen(float(half_width), float(half_height), center)
@@ -183,7 +185,7 @@ def make_film(settings: CameraSettings, empty: Parameters) -> dict:
     width = parameters.integer("xresolution", 640 if is_legacy else 1280)
     height = parameters.integer("yresolution", 480 if is_legacy else 720)
     if not (1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE and width * height <= MAX_PIXELS):
-        parameters.place("xresolution").raise_error(
+        parameters.position_of("xresolution").raise_error(
             f"the image has {width} x {height} pixels; it may have 1 to {MAX_PIXELS:,} and sides up to {_MAX_SIDE}"
         )
     made = {"type": "hdrfilm", "width": width, "height": height, "rfilter": _filter(settings, empty, is_legacy)}
@@ -193,7 +195,9 @@ def make_film(settings: CameraSettings, empty: Parameters) -> dict:
         report.limit("film", f"the response of the sensor '{sensor}' and its white balance are ignored")
     for name in ("maxcomponentvalue", "maxsampleluminance"):
         if parameters.number(name, None) is not None:
-            report.limit("film", f"'{name}' is ignored: bright samples are not clamped", parameters.place(name).place)
+            report.limit(
+                "film", f"'{name}' is ignored: bright samples are not clamped", parameters.position_of(name).place
+            )
     parameters.ignore("filename", "diagonal", "savefp16", "iso", "scale", "coordinatesystem", "nbuckets", "lambdamin")
     parameters.ignore("lambdamax")
     return made
@@ -205,7 +209,7 @@ def _crop(parameters: Parameters, width: int, height: int) -> dict:
     pixels = parameters.array("pixelbounds", ("integer",))
     for name, window in (("cropwindow", fractions), ("pixelbounds", pixels)):
         if window is not None and len(window) != 4:
-            parameters.place(name).raise_error(f"{name} needs four numbers")
+            parameters.position_of(name).raise_error(f"{name} needs four numbers")
     if fractions is None and pixels is None:
         return {}
     if fractions is not None:

@@ -10,11 +10,11 @@ import numpy as np
 from isonoise.scene.formats.pbrt.materials import (
     MaterialContext,
     eta,
-    leaf,
     measured,
     metal,
     plastic,
     subsurface,
+    thin_sheet,
     two_sided,
 )
 from isonoise.scene.formats.pbrt.parameters import Parameters
@@ -115,7 +115,7 @@ def translucent(parameters: Parameters, context: MaterialContext) -> dict:
         context.textures.map("product", lambda a, b: a * b, base, context.textures.colour(parameters, name, 0.5))
         for name in ("reflect", "transmit")
     ]
-    return leaf(*parts, 1.0, place, context)
+    return thin_sheet(*parts, 1.0, place, context)
 
 
 def disney(parameters: Parameters, context: MaterialContext) -> dict:

@@ -170,7 +170,7 @@ class Lights:
         is_square = image.pixels.shape[0] == image.pixels.shape[1]
         if name == "filename" and not is_square:
             problem = "the image is not square, so it is read as latitude and longitude, as in pbrt-v3"
-            self._report.limit("environment", problem, parameters.place(name).place)
+            self._report.limit("environment", problem, parameters.position_of(name).place)
         if name == "mapname" or not is_square:
             return self._envmap(image, factor, to_world @ _TO_ENVMAP, parameters)
         if illuminance is not None and illuminance > 0:
@@ -195,7 +195,7 @@ class Lights:
         image, name = self._light_image(parameters)
         fov = parameters.number("fov", 90.0)
         if not 0.01 <= fov <= 179:
-            parameters.place("fov").raise_error(f"fov has to be 0.01 to 179 degrees, got {fov:g}")
+            parameters.position_of("fov").raise_error(f"fov has to be 0.01 to 179 degrees, got {fov:g}")
         pixels = np.broadcast_to(image.linear(), (*image.pixels.shape[:2], 3))
         pixels = pixels[::-1] if name == "mapname" else pixels  # pbrt-v3 shows the first row at the bottom
         made = projector(pixels * self._intensity_of_image(parameters), fov, _rigid(to_world))
@@ -236,7 +236,7 @@ class Lights:
 
     def _check_pixels(self, image: Image, parameters: Parameters, name: str) -> None:
         if not np.isfinite(image.pixels).all():
-            parameters.place(name).raise_error("the image of a light has pixels that are not finite numbers")
+            parameters.position_of(name).raise_error("the image of a light has pixels that are not finite numbers")
 
 
 def _rigid(to_world: np.ndarray) -> np.ndarray:

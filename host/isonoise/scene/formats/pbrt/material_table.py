@@ -1,5 +1,7 @@
 """The named and unnamed materials of a scene; each becomes one BSDF. Called by `scene_builder.py`."""
 
+import numpy as np
+
 from isonoise.scene.formats.pbrt.legacy_materials import LEGACY_MATERIALS
 from isonoise.scene.formats.pbrt.materials import MATERIALS, NULL, MaterialContext, two_sided
 from isonoise.scene.formats.pbrt.parameters import Parameters
@@ -38,7 +40,7 @@ class MaterialTable:
         if function is None:
             choices = (*MATERIALS, *LEGACY_MATERIALS, "mix", "interface")
             parameters.position.raise_unknown("unknown material", type_, choices)
-        return self._with_relief(function(parameters, self._context), parameters)
+        return self._with_bump_or_normal_map(function(parameters, self._context), parameters)
 
     def _mix(self, parameters: Parameters) -> dict:
         """pbrt-v4: `amount` is the share of the second of `materials`; pbrt-v3: of `namedmaterial1`."""
@@ -53,7 +55,7 @@ class MaterialTable:
             names = parameters.texts("materials")
             amount = textures.number(parameters, "amount", 0.5)
         if len(names) != 2:
-            parameters.place("materials").raise_error("a mix needs the names of two materials")
+            parameters.position_of("materials").raise_error("a mix needs the names of two materials")
         first, second = (self.find(name, parameters.position) for name in names)
         depth = 1 + max(self._mix_depth.get(id(bsdf), 0) for bsdf in (first, second))
         if depth > _MAX_MIX_DEPTH:
@@ -64,27 +66,27 @@ class MaterialTable:
         self._mix_depth[id(mix)] = depth
         return mix
 
-    def _with_relief(self, bsdf: dict, parameters: Parameters) -> dict:
+    def _with_bump_or_normal_map(self, bsdf: dict, parameters: Parameters) -> dict:
         """The BSDF with the material's bump or normal map; it is put inside a two-sided one."""
         textures, report = self._context.textures, self._context.report
         place = parameters.position.place
-        relief = None
+        wrapper = None
         if "normalmap" in parameters:
             report.use("normal_map")
-            relief = {"type": "normalmap", "normalmap": textures.normal_map(parameters, "normalmap")}
+            wrapper = {"type": "normalmap", "normalmap": textures.normal_map(parameters, "normalmap")}
         name = "displacement" if "displacement" in parameters else "bumpmap"
         height = textures.number(parameters, name, None)
-        if height is not None:
+        if height is not None and not isinstance(height, np.ndarray):  # a constant height changes nothing
             texture = textures.to_number(height)
-            if relief is not None:
+            if wrapper is not None:
                 report.limit("bump_map", "a material has a normal map too, which is used", place)
-            elif not isinstance(texture, dict) or texture["type"] != "bitmap":
+            elif texture["type"] != "bitmap":
                 report.limit("bump_map", "only images are bump maps", place)
             else:
                 report.use("bump_map")
-                relief = {"type": "bumpmap", "texture": texture}
-        if relief is None:
+                wrapper = {"type": "bumpmap", "texture": texture}
+        if wrapper is None:
             return bsdf
         if bsdf["type"] == "twosided":
-            return two_sided({**relief, "bsdf": bsdf["bsdf"]})
-        return {**relief, "bsdf": bsdf}
+            return two_sided({**wrapper, "bsdf": bsdf["bsdf"]})
+        return {**wrapper, "bsdf": bsdf}

@@ -38,7 +38,7 @@ class MaterialContext:
         texture = self.textures.number(parameters, name, default)
         if not isinstance(texture, np.ndarray):
             problem = f"a texture of '{name}' is replaced by its mean"
-            self.report.limit(feature, problem, parameters.place(name).place)
+            self.report.limit(feature, problem, parameters.position_of(name).place)
         return float(self.textures.mean(texture).mean())
 
     def unbounded(self, parameters: Parameters, name: str, default: np.ndarray) -> Texture:
@@ -227,10 +227,10 @@ def diffuse_transmission(parameters: Parameters, context: MaterialContext) -> di
     parameters.ignore("remaproughness")
     reflected = context.textures.colour(parameters, "reflectance", 0.25)
     transmitted = context.textures.colour(parameters, "transmittance", 0.25)
-    return leaf(reflected, transmitted, scale, parameters.position.place, context)
+    return thin_sheet(reflected, transmitted, scale, parameters.position.place, context)
 
 
-def leaf(reflected: Texture, transmitted: Texture, scale: float, place: str, context: MaterialContext) -> dict:
+def thin_sheet(reflected: Texture, transmitted: Texture, scale: float, place: str, context: MaterialContext) -> dict:
     """A thin sheet that reflects and transmits diffusely."""
     sum_ = context.textures.map(f"sum {scale}", lambda a, b: np.clip(scale * (a + b), 0, 1), reflected, transmitted)
     means = [context.textures.mean(part) for part in (reflected, transmitted)]
@@ -294,7 +294,7 @@ def eta(parameters: Parameters, name: str, default: float, context: MaterialCont
     else:
         index = context.colours.refractive_index(parameters.find(name, "float", *SPECTRUM_TYPES))
     if not 1e-3 <= index <= 1e3:
-        parameters.place(name).raise_error(f"'{name}' has to be 0.001 to 1000, got {index:g}")
+        parameters.position_of(name).raise_error(f"'{name}' has to be 0.001 to 1000, got {index:g}")
     return index
 
 

@@ -33,7 +33,7 @@ def make_medium(parameters: Parameters, to_world: np.ndarray, colours: Colours, 
     """The medium of a directive `MakeNamedMedium`; None if it is left out."""
     kind = parameters.text("type", "homogeneous")
     if kind not in _MEDIA:
-        parameters.place("type").raise_unknown("unknown medium", kind, _MEDIA)
+        parameters.position_of("type").raise_unknown("unknown medium", kind, _MEDIA)
     report.use("media")
     report.count("media")
     place = parameters.position.place
@@ -50,7 +50,7 @@ def make_medium(parameters: Parameters, to_world: np.ndarray, colours: Colours, 
     phase = _phase(parameters)
     scale = parameters.number("scale", 1.0)
     if scale < 0:
-        parameters.place("scale").raise_error("'scale' of a medium cannot be negative")
+        parameters.position_of("scale").raise_error("'scale' of a medium cannot be negative")
     if kind != "homogeneous":
         return _grid(parameters, to_world, colours) | {"scale": scale, "phase": phase}
     sigma_a, sigma_s = _coefficients(parameters, colours, report)
@@ -62,7 +62,7 @@ def make_medium(parameters: Parameters, to_world: np.ndarray, colours: Colours, 
 def _phase(parameters: Parameters) -> dict:
     g = parameters.number("g", 0.0)
     if abs(g) > 1:
-        parameters.place("g").raise_error(f"g has to be -1 to 1, got {g:g}")
+        parameters.position_of("g").raise_error(f"g has to be -1 to 1, got {g:g}")
     return {"type": "hg", "g": min(max(g, -_MAX_ANISOTROPY), _MAX_ANISOTROPY)} if g else {"type": "isotropic"}
 
 
@@ -95,15 +95,15 @@ def _grid(parameters: Parameters, to_world: np.ndarray, colours: Colours) -> dic
         parameters.position.raise_error('the medium needs "float density"')
     shape = tuple(parameters.integer(name, 1) for name in ("nz", "ny", "nx"))
     if min(shape) < 1 or np.prod(shape, dtype=float) > _MAX_GRID_CELLS or len(density) != np.prod(shape):
-        parameters.place("density").raise_error(
+        parameters.position_of("density").raise_error(
             f"'density' has {len(density)} values for a grid of {shape[2]} x {shape[1]} x {shape[0]}"
         )
     if density.min() < 0:
-        parameters.place("density").raise_error("a density cannot be negative")
+        parameters.position_of("density").raise_error("a density cannot be negative")
     low = parameters.vector("p0", (0.0, 0.0, 0.0))
     high = parameters.vector("p1", (1.0, 1.0, 1.0))
     if not (high > low).all():
-        parameters.place("p1").raise_error("p1 has to exceed p0 along all axes")
+        parameters.position_of("p1").raise_error("p1 has to exceed p0 along all axes")
     values = [parameters.find(name, "float", *SPECTRUM_TYPES) for name in ("sigma_a", "sigma_s")]
     sigma_a, sigma_s = (np.ones(3) if value is None else colours.unbounded(value) for value in values)
     collisions = _collisions(sigma_a, sigma_s)

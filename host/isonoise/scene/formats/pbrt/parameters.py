@@ -100,7 +100,7 @@ class Parameters:
         """Whether a parameter exists and has one of the types."""
         return name in self._values and self._values[name].type in types
 
-    def place(self, name: str) -> Position:
+    def position_of(self, name: str) -> Position:
         """Where a parameter is, or the directive if it is absent."""
         return self._values[name].position if name in self._values else self.position
 

@@ -62,7 +62,9 @@ def _opacity(parameters: Parameters, state: GraphicsState, textures: Textures, l
     """The value of a mask; 1: there is none."""
     alpha = textures.number(parameters, "alpha", None)
     if "shadowalpha" in parameters and alpha is None:
-        report.limit("opacity", "'shadowalpha' is ignored: shadows are opaque", parameters.place("shadowalpha").place)
+        report.limit(
+            "opacity", "'shadowalpha' is ignored: shadows are opaque", parameters.position_of("shadowalpha").place
+        )
     parameters.ignore("shadowalpha")
     if alpha is None:
         return 1

@@ -113,11 +113,11 @@ class ShapeReader:
         uvs = parameters.array(name, _UVS)
         if uvs is not None and uvs.ndim == 1:
             if len(uvs) % 2:
-                parameters.place(name).raise_error(f"'{name}' needs two numbers for each vertex")
+                parameters.position_of(name).raise_error(f"'{name}' needs two numbers for each vertex")
             uvs = uvs.reshape(-1, 2)
         for array, array_name in ((normals, "N"), (uvs, name)):
             if array is not None and len(array) != len(points):
-                parameters.place(array_name).raise_error(
+                parameters.position_of(array_name).raise_error(
                     f"'{array_name}' has {len(array)} values for {len(points)} vertices"
                 )
         if normals is not None:
@@ -138,7 +138,7 @@ class ShapeReader:
         if "displacement" in parameters:
             self.report.limit("bump_map", "displacement of a mesh is ignored", name)
             parameters.ignore("displacement", "edgelength", "displacement.edgelength")
-        path = find_file(name, self.base, self.folder, parameters.place("filename"))
+        path = find_file(name, self.base, self.folder, parameters.position_of("filename"))
         if path.suffix.lower() == ".gz":
             self.report.use("compression")
         mesh = read_ply(path, flip_tex_coords=True)
@@ -181,7 +181,9 @@ class ShapeReader:
         corners = _faces(indices, 4, len(points), parameters)
         parameters.ignore("faceIndices")
         if "emissionfilename" in parameters:
-            self.report.limit("emission", "'emissionfilename' is ignored", parameters.place("emissionfilename").place)
+            self.report.limit(
+                "emission", "'emissionfilename' is ignored", parameters.position_of("emissionfilename").place
+            )
             parameters.ignore("emissionfilename")
         self.report.count("bilinear patches", len(corners))
         corner_uvs = uvs[corners] if len(uvs) else np.tile(_flipped(_UNIT_CORNERS), (len(corners), 1, 1))
@@ -229,9 +231,11 @@ def _faces(indices: np.ndarray | None, corners: int, vertices: int, parameters: 
     if indices is None:
         parameters.position.raise_error('the shape needs "integer indices"')
     if len(indices) % corners:
-        parameters.place("indices").raise_error(f"the number of indices has to be a multiple of {corners}")
+        parameters.position_of("indices").raise_error(f"the number of indices has to be a multiple of {corners}")
     if indices.min() < 0 or indices.max() >= vertices:
-        parameters.place("indices").raise_error(f"an index is outside 0 to {vertices - 1}, the vertices that exist")
+        parameters.position_of("indices").raise_error(
+            f"an index is outside 0 to {vertices - 1}, the vertices that exist"
+        )
     return indices.astype(np.int64).reshape(-1, corners)
 
 

@@ -23,7 +23,9 @@ class Quadric:
         self.kind = kind
         self.radius = parameters.number("radius", 1.0)
         if not 0 < self.radius < 1e18:
-            parameters.place("radius").raise_error(f"the radius has to be above 0 and below 1e18, got {self.radius:g}")
+            parameters.position_of("radius").raise_error(
+                f"the radius has to be above 0 and below 1e18, got {self.radius:g}"
+            )
         self.phi_max = math.radians(min(max(parameters.number("phimax", _FULL_TURN_DEGREES), 0.0), _FULL_TURN_DEGREES))
         self.height = parameters.number("height", 1.0 if kind == "cone" else 0.0) if kind in ("disk", "cone") else 0.0
         self.inner_radius = parameters.number("innerradius", 0.0) if kind == "disk" else 0.0

@@ -143,7 +143,7 @@ class Textures:
 
     def read_image(self, parameters: Parameters, name: str) -> Image:
         """The image that a parameter names."""
-        path = find_file(parameters.text(name), self._base, self._folder, parameters.place(name))
+        path = find_file(parameters.text(name), self._base, self._folder, parameters.position_of(name))
         return self._bitmaps.read(path)
 
     def normal_map(self, parameters: Parameters, name: str) -> dict:
@@ -288,7 +288,7 @@ class Textures:
         name, *numbers = encoding.split() or [""]
         raw = name == "linear"
         if name not in ("sRGB", "linear", "gamma") or len(numbers) != (name == "gamma"):
-            parameters.place("encoding").raise_error(
+            parameters.position_of("encoding").raise_error(
                 f"the encoding is 'sRGB', 'linear' or 'gamma' with a number, got '{encoding[:40]}'"
             )
         if name == "gamma" and image.pixels.dtype != np.float32:
@@ -303,7 +303,7 @@ class Textures:
     def _sampling(self, parameters: Parameters) -> Sampling:
         wrap = parameters.text("wrap", "repeat")
         if wrap not in ("repeat", "clamp", "black", "octahedralsphere"):
-            parameters.place("wrap").raise_error(f"unknown wrap mode '{wrap[:40]}': use repeat, clamp or black")
+            parameters.position_of("wrap").raise_error(f"unknown wrap mode '{wrap[:40]}': use repeat, clamp or black")
         if wrap in ("black", "octahedralsphere"):
             self._report.limit("texture_sampler", f"wrap '{wrap}' is replaced by 'clamp'", parameters.position.place)
         (u_scale, u_delta), (v_scale, v_delta) = self._uv_map(parameters)
@@ -349,5 +349,5 @@ def _to_exponent(text: str, parameters: Parameters) -> float:
     except ValueError:
         exponent = 0.0
     if not 0.01 <= exponent <= 100:
-        parameters.place("encoding").raise_error(f"gamma has to be 0.01 to 100, got '{text[:40]}'")
+        parameters.position_of("encoding").raise_error(f"gamma has to be 0.01 to 100, got '{text[:40]}'")
     return exponent
