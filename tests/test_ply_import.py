@@ -85,6 +85,8 @@ def test_textures_with_coordinates_of_vertices_or_corners(tmp_path):
     np.testing.assert_array_equal(mesh["bsdf"]["bsdf"]["reflectance"]["bitmap"].pixels, pixels)
     np.testing.assert_array_equal(mesh["texcoords"], [[0, 1], [1, 1], [1, 0], [0, 0]])
     assert losses == []
+    windows = ply_text("float s;float t", vertices, ["4 0 1 2 3"], comment="TextureFile C:\\models\\A b.PNG")
+    np.testing.assert_array_equal(read(tmp_path, windows)[0]["bsdf"]["bsdf"]["reflectance"]["bitmap"].pixels, pixels)
     corners = ["3 0 1 2 6 0 0 1 0 1 1", "3 0 2 3 6 0 0 1 1 0 0.5"]
     text = ply_text("", SQUARE, corners, "list uchar float texcoord", "TextureFile a b.png")
     mesh, losses = read(tmp_path, text)

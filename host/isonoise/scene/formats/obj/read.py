@@ -6,9 +6,9 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.formats.mesh_shape import mesh_shape
+from isonoise.scene.formats.named_files import find_file
 from isonoise.scene.formats.obj.materials import Materials
 from isonoise.scene.formats.obj.mtl import Material, read_mtl
-from isonoise.scene.formats.obj.named_files import find_file, split_names
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.mesh.mesh import Mesh
 from isonoise.scene.mesh.obj import ObjFile, read_obj
@@ -70,7 +70,7 @@ def _read_libraries(path: Path, obj: ObjFile, folder: Path | None, report: Impor
     is_missing = False
     for text in statements:
         whole = find_file(path, text, folder)
-        for name in [text] if whole else split_names(text)[:_MAX_MTL_FILES]:
+        for name in [text] if whole else _split_names(text)[:_MAX_MTL_FILES]:
             report.use("includes")
             if file := whole or find_file(path, name, folder):
                 materials |= read_mtl(file)
@@ -82,6 +82,18 @@ def _read_libraries(path: Path, obj: ObjFile, folder: Path | None, report: Impor
         if name not in _NO_MATERIAL and name not in materials and not is_missing:
             report.limit("diffuse", "no MTL file defines it: it is grey", f"material '{name}'")
     return materials
+
+
+def _split_names(text: str) -> list[str]:
+    """The file names of an `mtllib` statement: blanks separate names, but names may contain blanks too."""
+    names, words = [], []
+    for word in text.split(" "):
+        words.append(word)
+        if word.strip().strip('"').lower().endswith(".mtl"):
+            names.append(" ".join(words).strip())
+            words = []
+    rest = " ".join(words).strip()
+    return [*names, rest] if rest else names
 
 
 def _split(keys: np.ndarray) -> list[tuple[int, np.ndarray]]:

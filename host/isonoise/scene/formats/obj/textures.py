@@ -7,8 +7,8 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.formats.bitmaps import CLAMP, REPEAT, Bitmaps, Sampling
+from isonoise.scene.formats.named_files import find_file
 from isonoise.scene.formats.obj.mtl import TextureMap
-from isonoise.scene.formats.obj.named_files import find_file
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.image.image import Image
 from isonoise.scene.spectra import MITSUBA_LUMINANCE

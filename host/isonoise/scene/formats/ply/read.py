@@ -5,13 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.files import is_inside, outside_message
 from isonoise.scene.formats.bitmaps import Bitmaps
 from isonoise.scene.formats.mesh_shape import mesh_shape
+from isonoise.scene.formats.named_files import find_file
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.mesh.mesh import Mesh
 from isonoise.scene.mesh.ply import PlyFile, read_ply_file
-from isonoise.scene.parse.elements import path_exists
 from isonoise.scene.spectra import srgb_to_linear
 
 _TEXTURE_COMMENT = "texturefile"  # MeshLab's and others' convention
@@ -69,12 +68,10 @@ def _texture(path: Path, ply: PlyFile, folder: Path | None, report: ImportReport
         return None
     if len(names) > 1:
         report.limit("textures", "only the first texture is used", names[1])
-    file = path.parent / names[0].strip('"')
-    if not path_exists(file):
+    file = find_file(path, names[0], folder)
+    if file is None:
         report.limit("textures", "there is no such file", names[0])
         return None
-    if not is_inside(file, folder):
-        raise SceneError(f"{path}: {outside_message(file, folder)}")
     bitmaps = Bitmaps()
     try:
         return bitmaps.texture(bitmaps.read(file))

@@ -1,4 +1,4 @@
-"""Finds the files that OBJ and MTL files name. Called by `read.py` and `textures.py`."""
+"""Finds the files that OBJ, MTL and PLY files name. Called by the readers of these formats."""
 
 from pathlib import Path
 
@@ -37,15 +37,3 @@ def _find_in_any_case(path: Path) -> Path | None:
     except (OSError, ValueError):
         return None
     return next((path.parent / name for name in names if _is_file(path.parent / name)), None)
-
-
-def split_names(text: str) -> list[str]:
-    """The file names of an `mtllib` statement: blanks separate names, but names may contain blanks too."""
-    names, words = [], []
-    for word in text.split(" "):
-        words.append(word)
-        if word.strip().strip('"').lower().endswith(".mtl"):
-            names.append(" ".join(words).strip())
-            words = []
-    rest = " ".join(words).strip()
-    return [*names, rest] if rest else names
