@@ -120,6 +120,14 @@ def test_extensions(tmp_path):
         read_file(file, tmp_path)
 
 
+def test_features_without_losses_are_reported(tmp_path):
+    file = Gltf(extensionsUsed=["KHR_mesh_quantization"])
+    file.node(mesh=file.mesh(attributes={"TANGENT": np.tile(np.array([[1, 0, 0, 1]], "f4"), (3, 1))}))
+    _, report = read(file.write(tmp_path, "a.gltf"))
+    assert {"compression", "includes", "tangents"} <= report.used.keys()
+    assert report.warnings() == []
+
+
 # Accessors
 
 

@@ -85,6 +85,8 @@ def check_extensions(document: Document, report: ImportReport) -> None:
     used = dict.fromkeys(document.root.strings("extensionsUsed"))
     if "KHR_materials_variants" in used:
         report.use("material_variants")
+    if "KHR_mesh_quantization" in used:
+        report.use("compression")
     known = _READ | _WITHOUT_EFFECT | _WITH_FALLBACK
     unknown = [name[:80] for name in used if name not in known]
     if unknown:

@@ -12,8 +12,7 @@ from isonoise.scene.mesh.mesh import make_uvs
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _LINES_AND_POINTS = {0: "points", 1: "lines", 2: "a line loop", 3: "a line strip"}
-_MAX_SETS = 8
-"""Of texture coordinates, and of joints and weights."""
+_MAX_UV_SETS = 8
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,8 @@ def read_geometry(primitive: JsonObject, accessors: Accessors, report: ImportRep
     if not len(faces):
         return None
     report.use("triangles" if mode == _TRIANGLES else "strips_fans", primitive.place)
+    if "TANGENT" in attributes:
+        report.use("tangents", primitive.place)
     normals = read_vertex_values(attributes, "NORMAL", len(vertices), accessors, "VEC3")
     if normals is not None:
         report.use("normals", primitive.place)
@@ -89,7 +90,7 @@ def read_vertex_values(
 def _read_uv_sets(attributes: JsonObject, count: int, accessors: Accessors, report: ImportReport) -> list[np.ndarray]:
     """TEXCOORD_0, TEXCOORD_1, ... as far as they are numbered without a gap."""
     sets: list[np.ndarray] = []
-    while len(sets) < _MAX_SETS:
+    while len(sets) < _MAX_UV_SETS:
         values = read_vertex_values(attributes, f"TEXCOORD_{len(sets)}", count, accessors, "VEC2")
         if values is None:
             break

@@ -23,6 +23,8 @@ def read(path: Path, folder: Path | None, report: ImportReport) -> dict:
 
 def _read(document: Document, report: ImportReport) -> dict:
     check_extensions(document, report)
+    if any("uri" in one for kind in ("buffers", "images") for one in document.all(kind)):
+        report.use("includes")
     matrices = world_transforms(document)
     placed = placed_nodes(document, matrices, report)
     shapes = Shapes(document, Accessors(document), Materials(document, report), report)
