@@ -164,6 +164,13 @@ class Bitmaps:
 
         Mitsuba 3 has one wrap mode for both axes. Where the axes differ, the image is extended by mirrored or repeated
         columns or rows, enough for a mesh whose texture coordinates are within `uv_bounds`: see `is_exact`.
+
+        Parameters
+        ----------
+        image : the same object gives the same texture
+        raw : integers are only scaled to [0, 1], not decoded from sRGB
+        sampling : wrap modes, filter and the map from the mesh's coordinates
+        uv_bounds : ((u low, u high), (v low, v high)) of the mesh's coordinates
         """
         if sampling.wrap_u == sampling.wrap_v:
             return self._texture(image, raw, sampling)

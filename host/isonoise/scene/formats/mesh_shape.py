@@ -6,7 +6,15 @@ from isonoise.scene.mesh.mesh import Mesh
 
 
 def mesh_shape(mesh: Mesh, bsdf: Mapping, face_normals: bool = False, to_world=None) -> dict:
-    """A shape of type `mesh` with everything that the mesh has."""
+    """A shape of type `mesh` with everything that the mesh has.
+
+    Parameters
+    ----------
+    mesh : v = 0 of its texture coordinates is the top row of an image
+    bsdf : its dict, shared by all shapes that get the same object
+    face_normals : shade flat, whether or not there are vertex normals
+    to_world : (4, 4); None: the vertices are in world space
+    """
     shape = {
         "type": "mesh",
         "vertices": mesh.vertices,

@@ -43,8 +43,22 @@ def find_format(path: Path) -> Format | None:
 def read_scene(path: Path, format_: Format, folder: Path | None) -> tuple[dict, ImportReport]:
     """Read a file of a format.
 
-    Returns a scene dict for `read_dict`, in which a camera, lights or an integrator may be missing, and a report. Files
-    that it names have to be inside `folder`, unless that is None. Raises SceneError where it is invalid.
+    Parameters
+    ----------
+    path : the file
+    format_ : what `find_format` returned for it
+    folder : files that it names have to be inside; None: they may be anywhere
+
+    Returns
+    -------
+    tuple of dict and ImportReport
+        A scene dict for `read_dict`, in which a camera, lights or an integrator may be missing, and what of the file is
+        in it.
+
+    Raises
+    ------
+    SceneError
+        The file is invalid, or cannot be read.
     """
     report = ImportReport(path.name, format_.support)
     reader = import_module(f"isonoise.scene.formats.{format_.package}.read")

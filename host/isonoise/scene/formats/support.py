@@ -1,6 +1,6 @@
 """What a format's features are, and how far each is supported. Every format has a table of `Support` by feature.
 
-`ImportReport` takes its words from these tables; scenes/formats.md is made from them by `registry.py`.
+`ImportReport` takes its words from these tables; `tables.py` makes scenes/formats.md from them.
 """
 
 from typing import NamedTuple

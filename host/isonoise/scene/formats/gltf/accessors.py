@@ -1,4 +1,4 @@
-"""Reads the accessors of a glTF file as arrays. Called by `primitives.py`, `deform.py` and `instancing.py`."""
+"""Reads the accessors of a glTF file as arrays. Called by `primitives.py`, `deform.py` and `nodes.py`."""
 
 import numpy as np
 

@@ -18,7 +18,10 @@ from isonoise.scene.parse.elements import path_exists
 
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", b"JSON", b"BIN\0"
 _MAX_URI_CHARS = 1000  # of a file name
-_KINDS = "accessors animations buffers bufferViews cameras images materials meshes nodes samplers scenes skins textures"
+_KINDS = (
+    *("accessors", "animations", "buffers", "bufferViews", "cameras", "images", "materials", "meshes", "nodes"),
+    *("samplers", "scenes", "skins", "textures"),
+)
 
 
 class Document:
@@ -38,7 +41,7 @@ class Document:
             raise SceneError(f"{path}: it is not a glTF file: its JSON is no object")
         self.root = JsonObject(str(path), "", content)
         _check_version(self.root)
-        self._tables = {kind: self.root.objects(kind) for kind in _KINDS.split()}
+        self._tables = {kind: self.root.objects(kind) for kind in _KINDS}
         self._buffers: dict[int, memoryview] = {}
 
     def all(self, kind: str) -> list[JsonObject]:

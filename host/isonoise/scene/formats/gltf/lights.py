@@ -16,7 +16,7 @@ from isonoise.scene.formats.mesh_shape import rgb
 from isonoise.scene.formats.report import ImportReport
 
 _EXTENSION = "KHR_lights_punctual"
-_MAX_INTENSITY = 1e30
+_MAX_INTENSITY, _MAX_CHANNEL = 1e30, 1e6  # products stay within 32-bit floats
 _MAX_CUTOFF_DEGREES = 89.99
 _MIN_TRANSITION = 1e-6  # radians between inner and outer cone: less is a hard edge
 
@@ -36,7 +36,7 @@ def emitter(placed: PlacedNode, document: Document, report: ImportReport) -> dic
     report.use(f"{kind}_lights", placed.name)
     report.count("lights")
     intensity = light.number("intensity", 1.0, 0.0, _MAX_INTENSITY)
-    channels = [min(channel, 1e6) * intensity for channel in light.numbers("color", 3, (1.0,) * 3)]
+    channels = [min(channel, _MAX_CHANNEL) * intensity for channel in light.numbers("color", 3, (1.0,) * 3)]
     if not max(channels) > 0:
         return None
     if kind != "directional" and "range" in light:

@@ -9,6 +9,7 @@ _PBR, _BASE = "pbrMetallicRoughness", "baseColorTexture"
 _MAX_RADIANCE = 1e30
 _MAX_CUTOFF = 2.0  # hides every alpha, like all above 1; huge ones would overflow in an image
 VERTEX_ALPHA = "vertex_alpha"
+"""Name of the attribute with the alpha of COLOR_0."""
 
 
 def add_opacity(context: SurfaceContext, bsdf: dict) -> dict:

@@ -13,6 +13,7 @@ from isonoise.scene.formats.gltf.document import Document
 from isonoise.scene.formats.gltf.json_objects import JsonObject
 from isonoise.scene.formats.gltf.materials import Materials
 from isonoise.scene.formats.gltf.nodes import PlacedNode, instance_transforms
+from isonoise.scene.formats.gltf.opacity import VERTEX_ALPHA
 from isonoise.scene.formats.gltf.primitives import Geometry, has_mirrored_uvs, is_closed, read_geometry
 from isonoise.scene.formats.gltf.surface import PrimitiveInfo, Surface, describe_vertex_colours
 from isonoise.scene.formats.mesh_shape import mesh_shape
@@ -73,7 +74,7 @@ class Shapes:
 
     def _add_copies(self, copies: _Copies) -> None:
         matrices = np.concatenate(copies.matrices)
-        primitives = [one for one in self._primitives(copies) if one is not None]
+        primitives = list(self._primitives(copies))
         triangles = sum(len(geometry.faces) for geometry, *_ in primitives)
         self.report.count("triangles", triangles * len(matrices))
         if len(matrices) > 1:
@@ -107,7 +108,7 @@ class Shapes:
             instance = {"type": "instance", "to_world": matrix, "shape": {"type": "ref", "id": identifier}}
             self.shapes[self._unique_name(f"instance_{name}")] = instance
 
-    def _primitives(self, copies: _Copies) -> Iterator[tuple[Geometry, int | None, PrimitiveInfo] | None]:
+    def _primitives(self, copies: _Copies) -> Iterator[tuple[Geometry, int | None, PrimitiveInfo]]:
         """Geometry, material and description of each primitive with triangles."""
         for primitive in copies.mesh.objects("primitives"):
             geometry = read_geometry(primitive, self.accessors, self.report)
@@ -154,7 +155,7 @@ class Shapes:
                 colours = np.float32(surface.vertex_colour_factor) * baked.colours.astype(np.float32)
                 mesh.attributes["vertex_color"] = colours
             if baked.alphas is not None:
-                mesh.attributes["vertex_alpha"] = baked.alphas.astype(np.float32)
+                mesh.attributes[VERTEX_ALPHA] = baked.alphas.astype(np.float32)
         shape = mesh_shape(mesh, surface.bsdf, face_normals=geometry.normals is None)
         if surface.emission is not None:
             shape["emitter"] = surface.emission

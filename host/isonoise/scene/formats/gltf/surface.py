@@ -39,7 +39,7 @@ class PrimitiveInfo:
     vertex_colours: VertexColours | None = None  # of the attribute vertex_color, linear
     has_vertex_alpha: bool = False  # an attribute vertex_alpha
     has_mirrored_uvs: bool = False  # see `primitives.py`: t = n x s points down in the image
-    has_tangents: bool = False
+    has_tangents: bool = False  # in the file; they belong to its coordinates before texture transforms
     uv_bounds: tuple = ()  # of each set: ((u low, u high), (v low, v high))
 
 

@@ -27,7 +27,7 @@ from isonoise.scene.image.image import Image, decode_image
 _WRAP_MODES = {33071: CLAMP, 33648: MIRROR, 10497: REPEAT}
 _NEAREST_FILTER = 9728
 _SOURCES = ("EXT_texture_webp",)  # extensions that name images which can be decoded
-_FOREIGN_SOURCES = {"KHR_texture_basisu": "KTX2", "MSFT_texture_dds": "DDS", "EXT_texture_avif": "AVIF"}
+_UNSUPPORTED_SOURCES = {"KHR_texture_basisu": "KTX2", "MSFT_texture_dds": "DDS", "EXT_texture_avif": "AVIF"}
 _MAX_UV_SETS = 8
 _MAX_NORMAL_SCALE = 1e6  # normals are horizontal long before; products stay within 32-bit floats
 
@@ -77,8 +77,8 @@ class MaterialTextures:
         source = self._document.referenced(texture, "source", "images")
         if source:
             return self._decode(source)
-        foreign = [title for name, title in _FOREIGN_SOURCES.items() if texture.extension(name)]
-        problem = f"its image is {foreign[0]}, which is not supported: convert it to PNG" if foreign else "has no image"
+        title = next((title for name, title in _UNSUPPORTED_SOURCES.items() if texture.extension(name)), "")
+        problem = f"its image is {title}, which is not supported: convert it to PNG" if title else "it has no image"
         self._report.limit("textures", problem, texture.place)
         return None
 
