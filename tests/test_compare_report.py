@@ -126,6 +126,7 @@ def test_errors_over_those_of_independent_samples(tmp_path):
     assert "Over independent samples" in summary_text(folder)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("in_tmp_path")
 def test_several_numbers_of_samples_share_references_and_have_common_tables(capsys):
     pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")

@@ -158,7 +158,10 @@ def test_the_check_compiles_nothing_and_changes_nothing(calls, monkeypatch, scen
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("name", ["cornell", "penumbra", "bright-spots", "glass-roof"])
+@pytest.mark.parametrize(
+    "name",
+    ["cornell", *(pytest.param(name, marks=pytest.mark.long) for name in ("penumbra", "bright-spots", "glass-roof"))],
+)
 def test_check_scenes_suit_the_built_in_scenes(name, monkeypatch):
     traced = []
     trace = Wavefront.trace

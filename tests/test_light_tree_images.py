@@ -33,6 +33,7 @@ def scene_with_lights(count: int) -> dict:
     return scene | mixed_lights(count, seed=9)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_lane")
 def test_images_with_and_without_the_tree_agree(monkeypatch):
     """z-values of the means of blocks of pixels, and of the image mean, over independent renders."""
