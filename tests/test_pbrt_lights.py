@@ -34,6 +34,13 @@ def test_point_lights(tmp_path):
     assert value(made["intensity"]) == pytest.approx([200 / (4 * math.pi)] * 3)
 
 
+def test_narrow_spots_have_their_power(tmp_path):
+    """The cosines of such angles round to 1; the solid angle is pi a^2."""
+    text = 'LightSource "spot" "float coneangle" 1e-5 "float conedeltaangle" 0 "float power" 2'
+    intensity = value(light(tmp_path, text, "spot")["intensity"])
+    assert intensity == pytest.approx([2 / (math.pi * math.radians(1e-5) ** 2)] * 3)
+
+
 def test_scale_of_the_film_of_pbrt_v3_scales_lights(tmp_path):
     """Its exposure time does not."""
     options = 'Film "image" "float scale" 3 "float maxsampleluminance" 9\nCamera "perspective" "float shutterclose" 0.5'

@@ -166,6 +166,12 @@ def test_index_of_uber_is_that_of_its_coat(tmp_path):
     assert material(tmp_path, 'Material "uber" "float eta" 1.3')[0]["bsdf"]["int_ior"] == 1.3
 
 
+def test_coats_of_extreme_index_have_a_transmittance():
+    """They let light pass along the normal only: on both ways, or from outside, as nearly for less extreme ones."""
+    assert coat_transmittance(0.1, 1000.0) == pytest.approx(math.exp(-0.2), rel=1e-6)
+    assert coat_transmittance(0.1, 0.001) == pytest.approx(coat_transmittance(0.1, 0.01), rel=0.03)
+
+
 def test_constant_heights_are_not_reported(tmp_path):
     bsdf, report = material(tmp_path, 'Material "diffuse" "texture displacement" "t"', 'Texture "t" "float" "constant"')
     assert bsdf["bsdf"]["type"] == "diffuse"

@@ -19,9 +19,14 @@ def coat_transmittance(thickness: float, eta: float) -> float:
     entering = cosine * (1 - dielectric_reflectance(cosine, eta))
     leaving = cosine * (1 - dielectric_reflectance(cosine, 1 / eta))
     refracted = np.sqrt(np.maximum(1 - (1 - cosine**2) / eta**2, 1e-12))
-    inwards = np.sum(entering * np.exp(-abs(thickness) / refracted)) / np.sum(entering)
-    outwards = np.sum(leaving * np.exp(-abs(thickness) / cosine)) / np.sum(leaving)
-    return float(inwards * outwards)
+    transmittance = 1.0
+    for weights, cosine_inside in ((entering, refracted), (leaving, cosine)):
+        total = np.sum(weights)
+        if total > 0:
+            transmittance *= np.sum(weights * np.exp(-abs(thickness) / cosine_inside)) / total
+        else:  # of an extreme index: only light along the normal passes
+            transmittance *= np.exp(-abs(thickness))
+    return float(transmittance)
 
 
 def dielectric_reflectance(cosine: np.ndarray, eta: float) -> np.ndarray:

@@ -27,6 +27,7 @@ from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 _LIGHTS = ("point", "spot", "distant", "infinite", "goniometric", "projection")
 _MAX_CUTOFF_DEGREES = 89.9  # Mitsuba's spot is narrower than a hemisphere
+_MIN_CONE_DEGREES = 1e-6
 _MIN_SOFT_EDGE = 1e-9  # difference of the cosines at its ends
 _TO_ENVMAP = np.array(  # from the space of Mitsuba's `envmap` to that of pbrt-v3's: z up, azimuth from +x
     [[0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -105,11 +106,13 @@ class Lights:
         cone = parameters.number("coneangle", 30.0)
         delta = parameters.number("conedeltaangle", 5.0)
         place = parameters.position.place
-        if not (0 < cone <= 180 and delta >= 0):
-            parameters.position.raise_error("coneangle has to be in (0, 180], conedeltaangle at least 0")
+        if not (_MIN_CONE_DEGREES <= cone <= 180 and delta >= 0):
+            problem = f"coneangle has to be {_MIN_CONE_DEGREES:g} to 180, conedeltaangle at least 0"
+            parameters.position.raise_error(problem)
         start = max(cone - delta, 0.0)
         cos_end, cos_start = math.cos(math.radians(cone)), math.cos(math.radians(start))
-        extent = 2 * math.pi * ((1 - cos_start) + (cos_start - cos_end) / 2)
+        # the middle of the solid angles of both cones, 2 pi (1 - cos a) = 4 pi sin(a / 2)^2
+        extent = 2 * math.pi * sum(math.sin(math.radians(angle) / 2) ** 2 for angle in (start, cone))
         if cone > _MAX_CUTOFF_DEGREES:
             self._report.limit("spot_lights", "a cone wider than a hemisphere is cut to one", place)
             cone = _MAX_CUTOFF_DEGREES
