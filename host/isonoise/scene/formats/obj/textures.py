@@ -94,6 +94,8 @@ class Textures:
         if (scale[:2] != 1).any() or offset[:2].any():
             self.report.use("texture_transform")
         wrap = CLAMP if texture.options.get("clamp") == ["on"] else REPEAT
+        if wrap == CLAMP:
+            self.report.use("texture_sampler")
         # v is 1 - v of the file: 1 - (scale v + offset) = scale (1 - v) + 1 - scale - offset
         rows = ((scale[0], 0.0, offset[0]), (0.0, scale[1], 1.0 - scale[1] - offset[1]))
         return Sampling(wrap, wrap, to_uv=tuple(tuple(map(float, row)) for row in rows))
