@@ -124,6 +124,12 @@ def test_vertex_colours_over_a_texture(tmp_path):
     assert "only their luminance varies" in warnings_of(random, tmp_path)
 
 
+def test_factors_out_of_range_are_limited(tmp_path):
+    material = pbr(baseColorTexture={"index": 0}, baseColorFactor=[1e300, -1, 0.5, 1])
+    base = inside(MaterialFile(material, COLOURS).bsdf(tmp_path), "twosided")["base_color"]
+    np.testing.assert_allclose(base["bitmap"].linear(), linear(COLOURS) * [1, 0, 0.5], rtol=1e-6)
+
+
 def test_opacity(tmp_path):
     material = pbr(baseColorTexture={"index": 0}, baseColorFactor=[1, 1, 1, 0.5])
     opaque = MaterialFile(material, RGBA).bsdf(tmp_path)

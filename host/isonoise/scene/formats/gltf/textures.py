@@ -123,12 +123,13 @@ class SurfaceTextures:
         self._uv_set, self._uv_set_count, self._uv_bounds = uv_set, uv_set_count, uv_bounds
 
     def colour(self, texture: MaterialTexture | None, factor, maximum: float = 1.0) -> dict:
-        """A colour: linear factors (3,) times a texture in sRGB, if there is one."""
+        """A colour: linear factors (3,), limited to [0, maximum], times a texture in sRGB, if there is one."""
+        factor = np.clip(factor, 0.0, maximum)
         if texture is None:
-            return rgb(np.clip(factor, 0.0, maximum))
+            return rgb(factor)
         constant = self._constant(texture, texture.image, raw=False)
         if constant is not None:
-            return rgb(np.clip(np.multiply(constant, factor), 0.0, maximum))
+            return rgb(np.minimum(constant * factor, maximum))
         return self.show(texture, self.bitmaps.scaled(texture.image, factor), raw=False)
 
     def times(self, colour: dict, factor: float) -> dict:
