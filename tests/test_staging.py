@@ -13,7 +13,7 @@ from isonoise.scene.formats.staging import stage
 from isonoise.scene.formats.studio import GROUND_REFLECTANCE, WHITE, meter, sphere_brightness, studio_image
 from isonoise.scene.image.image import Image
 from isonoise.scene.transforms import look_at, rotate, scale, translate
-from isonoise.scene.view import NO_VIEW, rotation_from_y
+from isonoise.scene.view import NO_VIEW, move_camera, rotation_from_y
 
 SIZES = ((200, 150), (400, 100), (100, 400), (64, 64))
 Y_UP, Z_UP = (0, 1, 0), (0, 0, 1)
@@ -294,6 +294,8 @@ def test_a_camera_of_the_model_is_chosen_by_name_or_number(camera, position):
         (View(camera=0), {"it": SPHERE}, "the scene has none"),
         (View(camera="top", fov=20), cameras(), "no angle of view"),
         (View(look_at=((1, 1, 1), (1, 1, 1))), {}, "two different points"),
+        (View(look_at=((0, 0, 0), (1e-300, 0, 0))), {}, "two different points"),
+        (View(camera="9" * 5000), cameras(), "there is no camera '999"),
         (View(look_at=((0, 5, 0), (0, 0, 0)), up=(0, 1, 0)), {}, "looks along --up"),
         (NO_VIEW, {"it": mesh([(1, 1, 1)] * 3)}, "no extent"),
         (NO_VIEW, {"it": mesh(np.array(SQUARE) * 1e308)}, "no extent"),
@@ -302,6 +304,15 @@ def test_a_camera_of_the_model_is_chosen_by_name_or_number(camera, position):
 def test_views_that_do_not_fit_the_model(view, shapes, message):
     with pytest.raises((SceneError, UserError), match=message):
         staged(view, **shapes)
+
+
+def test_views_accept_numbers_of_every_size_and_type():
+    assert View(fov=np.float32(30)).fov == 30
+    assert View(up=(0, 1e-300, 0)).up == (0, 1, 0)
+    with pytest.raises(UserError, match="is not one point"):
+        View(look_at=(1e39, 0, 0))
+    far = move_camera({"type": "perspective"}, View(look_at=((1e20, 0, 0), (0, 0, 0))))["to_world"]
+    assert far[:3, 2:].T.tolist() == [[-1, 0, 0], [1e20, 0, 0]]
 
 
 def test_a_rotation_from_y_is_a_rotation_and_takes_y_there():

@@ -7,11 +7,12 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from numbers import Real
 
 import numpy as np
 
 from isonoise.errors import UserError
-from isonoise.scene.transforms import look_at, scale
+from isonoise.scene.transforms import look_at, scale, translate
 from isonoise.scene.vocabulary import plugins_of
 
 _ENVIRONMENTS = ("constant", "envmap")
@@ -50,7 +51,7 @@ class View:
     def __post_init__(self):
         if self.camera is not None:
             object.__setattr__(self, "camera", str(self.camera))
-        if self.fov is not None and not (isinstance(self.fov, (int, float)) and 0 < self.fov < 180):
+        if self.fov is not None and not (isinstance(self.fov, Real) and 0 < self.fov < 180):
             raise UserError(
                 f"fov = {self.fov} is out of range: an angle of view is more than 0 and less than 180 degrees"
             )
@@ -63,7 +64,7 @@ class View:
             points = _points(self.up)
             if points is None or len(points) != 1 or not points.any():
                 raise UserError(f"up = {self.up} is not a direction x, y, z")
-            object.__setattr__(self, "up", tuple(points[0].tolist()))
+            object.__setattr__(self, "up", tuple((points[0] / np.abs(points).max()).tolist()))
         if self.env is not None:
             object.__setattr__(self, "env", os.fspath(self.env))
 
@@ -87,12 +88,13 @@ def view_of(options) -> View:
 
 
 def _points(value) -> np.ndarray | None:
-    """(n, 3) float64 finite, or None if it is something else."""
+    """(n, 3) float64 within the range of 32-bit floats, or None if it is something else."""
     try:
         points = np.atleast_2d(np.asarray(value, np.float64))
     except (TypeError, ValueError):
         return None
-    return points if points.ndim == 2 and points.shape[1] == 3 and np.isfinite(points).all() else None
+    is_valid = points.ndim == 2 and points.shape[1] == 3 and (np.abs(points) <= np.finfo(np.float32).max).all()
+    return points if is_valid else None
 
 
 def apply_view(description: dict, view: View, size: tuple[int, int] | None) -> dict:
@@ -149,8 +151,9 @@ def find_camera(sensors: Mapping[str, dict], choice: str | None) -> tuple[str, d
     similar = [name for name in names if _letters(name) in (_letters(choice), "camera" + _letters(choice))]
     if len(similar) == 1 and _letters(choice) and not choice.isdecimal():
         return similar[0], sensors[similar[0]]
-    if choice.isdecimal() and int(choice) < len(names):
-        return names[int(choice)], sensors[names[int(choice)]]
+    name_by_number = {str(number): name for number, name in enumerate(names)}
+    if choice in name_by_number:
+        return name_by_number[choice], sensors[name_by_number[choice]]
     listed = ", ".join(f"{number} '{name}'" for number, name in enumerate(names))
     raise UserError(
         f"there is no camera '{choice}'; " + (f"the scene has: {listed}" if names else "the scene has none")
@@ -186,15 +189,16 @@ def _moved(to_world: np.ndarray, view: View) -> np.ndarray:
     sizes = np.linalg.norm(to_world[:3, :3], axis=0)
     _, own_up, forward = (to_world[:3, :3] / sizes).T
     position = to_world[:3, 3] if view.position is None else view.position
-    target = position + forward if view.target is None else view.target
-    if np.array_equal(position, target):
+    to_target = forward if view.target is None else view.target - position
+    distance = np.linalg.norm(to_target)
+    if not distance > 0:
         raise UserError("the camera is at the point that it has to look at; give two different points to --look-at")
-    direction = (target - position) / np.linalg.norm(target - position)
+    direction = to_target / distance
     if view.up is not None and are_parallel(view.up, direction):
         raise UserError("the camera looks along --up; give another direction that is up in the image")
     ups = [view.up] if view.up is not None else [_nearest_axis(own_up), own_up, forward]
     up = next(up for up in ups if not are_parallel(up, direction))
-    return look_at(position, position + direction, up) @ scale(sizes.tolist())
+    return translate(position) @ look_at(np.zeros(3), direction, up) @ scale(sizes.tolist())
 
 
 def are_parallel(a, b) -> bool:
