@@ -306,6 +306,12 @@ def test_views_that_do_not_fit_the_model(view, shapes, message):
         staged(view, **shapes)
 
 
+@pytest.mark.parametrize("shape", [(1, 1, 3), (2, 1, 1), (1, 2000, 3), (2000, 1, 3), (513, 2, 3)])
+def test_images_of_every_shape_can_be_metered(shape):
+    """Those that are too small for an environment map are errors only later."""
+    assert 1 < meter(np.full(shape, 2.0), np.array([1.0, 0.0, 0.0]), None) < 4
+
+
 def test_views_accept_numbers_of_every_size_and_type():
     assert View(fov=np.float32(30)).fov == 30
     assert View(up=(0, 1e-300, 0)).up == (0, 1, 0)

@@ -20,7 +20,7 @@ def add_view(parser) -> None:
         "--look-at",
         metavar="[X,Y,Z:]X,Y,Z",
         type=argument_types.look_at,
-        help="turn the camera to a point; with two, put it at the first one before",
+        help="turn the camera to a point; of two points, the first one is its new position",
     )
     view.add_argument(
         "--up",

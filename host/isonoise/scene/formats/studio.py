@@ -72,8 +72,8 @@ def _inside(distance: np.ndarray, half_size: float) -> np.ndarray:
 
 def _solid_angles(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     """(height, 1) of a texel of each row, whose sum is that of the sphere; and the texels' polar angles."""
-    theta = np.pi * np.arange(height)[:, None] / (height - 1)
-    weights = np.sin(theta)
+    theta = np.pi * np.arange(height)[:, None] / max(height - 1, 1)
+    weights = np.sin(theta) if height > 2 else np.ones((height, 1))  # the only rows may be those of the poles
     return weights * (4 * np.pi / (weights.sum() * width)), theta
 
 
@@ -117,7 +117,7 @@ def meter(pixels: np.ndarray, to_camera: np.ndarray, ground_reflectance: float |
 
 def _reduced(radiance: np.ndarray) -> np.ndarray:
     """The image (height, width), averaged over square blocks if it is large."""
-    factor = -(-radiance.shape[0] // _MAX_METERED_HEIGHT)
+    factor = min(-(-radiance.shape[0] // _MAX_METERED_HEIGHT), radiance.shape[1])
     if factor == 1:
         return radiance
     height, width = (size // factor for size in radiance.shape)

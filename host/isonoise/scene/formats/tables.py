@@ -17,7 +17,7 @@ _INTRODUCTION = """# Formats
 What isonoise reads of each format besides Mitsuba 3 XML, whose plugins are listed in
 [supported elements](../host/docs/plugins.md). `isonoise formats` prints these tables. Everything becomes an object of
 Mitsuba 3's vocabulary, as `isonoise convert` writes it. If a file uses what is not supported, a render warns of it;
-`isonoise info FILE` lists what was found.
+`isonoise info FILE` lists what was found. A dash: the format does not have it.
 
 This page is generated from `host/isonoise/scene/formats/`: `python -m isonoise.scene.formats.tables scenes/formats.md`.
 """

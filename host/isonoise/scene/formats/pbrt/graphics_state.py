@@ -81,7 +81,8 @@ class StateStack:
         if target not in TARGETS:
             directive.position.raise_unknown("Attribute has no target", target, TARGETS)
         added = (*self.current.defaults.get(target, ()), *directive.parameters.unused())
-        self.change(defaults=self.current.defaults | {target: added})
+        by_name = {value.name: value for value in added}  # the last one of a name counts
+        self.change(defaults=self.current.defaults | {target: tuple(by_name.values())})
 
     def find_coordinate_system(self, directive: Directive) -> np.ndarray:
         """The transform that CoordinateSystem named."""

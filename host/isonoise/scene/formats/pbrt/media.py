@@ -42,7 +42,8 @@ def make_medium(parameters: Parameters, to_world: np.ndarray, colours: Colours, 
         parameters.ignore(*(value.name for value in parameters.unused()))
         return None
     for name in ("Le", "temperature"):
-        if name in parameters:
+        emission = parameters.find(name)
+        if emission is not None and (emission.is_texts or emission.values.any()):
             report.limit("media", "the emission of a medium is ignored", place)
     parameters.ignore(
         "Le", "Lescale", "Legrid", "temperature", "temperaturescale", "temperatureoffset", "temperaturecutoff"
