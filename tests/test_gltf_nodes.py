@@ -13,9 +13,9 @@ from isonoise.errors import SceneError
 
 
 def test_node_transforms(tmp_path):
-    """Parents before children; T R S; matrices by columns."""
+    """Parents before children; T R S; matrices by columns. JSON may write indices with a fraction of zero."""
     file = Gltf(scenes=[{"nodes": [0]}])
-    file.node(children=[1, 2], translation=[1, 2, 3], scale=[2, 3, 4])
+    file.node(children=[1, 2.0], translation=[1, 2, 3], scale=[2, 3, 4])
     half_turn = {"rotation": [0, 0, 1, 0], "translation": [10, 0, 0], "scale": [1, 5, 1]}
     file.node(mesh=file.mesh(), **half_turn)
     file.node(mesh=0, matrix=[0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 7, 8, 9, 1])

@@ -63,8 +63,7 @@ class JsonObject:
         value = self._value(name, default)
         if value is default:
             return value
-        is_whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
-        if not is_whole or isinstance(value, bool) or not low <= value <= high:
+        if not (_is_whole(value) and low <= value <= high):
             expected = f"a whole number from {low}" + (f" to {high}" if high < _MAX_INTEGER else "")
             self.fail(name, f"it has to be {expected}, got {shorten(value)}")
         return int(value)
@@ -94,9 +93,9 @@ class JsonObject:
         """Whole numbers from 0 on; none if the array is missing."""
         items = list(self._items(name))
         for place, value in items:
-            if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _MAX_INTEGER:
+            if not (_is_whole(value) and 0 <= value <= _MAX_INTEGER):
                 raise SceneError(f"{self.file}: {place}: it has to be a whole number from 0, got {shorten(value)}")
-        return [value for _, value in items]
+        return [int(value) for _, value in items]
 
     def strings(self, name: str) -> list[str]:
         """Strings; none if the array is missing."""
@@ -143,6 +142,10 @@ def shorten(value) -> str:
     """A value of the file for an error message."""
     text = " ".join(repr(value)[: 4 * _MAX_SHOWN_CHARS].split())
     return text if len(text) <= _MAX_SHOWN_CHARS else text[: _MAX_SHOWN_CHARS - 3] + "..."
+
+
+def _is_whole(value) -> bool:
+    return (isinstance(value, int) and not isinstance(value, bool)) or (isinstance(value, float) and value.is_integer())
 
 
 def _is_finite(value) -> bool:
