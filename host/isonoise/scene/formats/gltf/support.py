@@ -10,7 +10,9 @@ SUPPORT = {
     "uvs": Support(YES, "texture coordinates of the mesh"),
     "uv_sets": Support(PARTLY, "a mesh has one set: the one that its material needs"),
     "tangents": Support(PARTLY, "computed from the texture coordinates; those of the file are ignored"),
-    "vertex_colours": Support(YES, "COLOR_0 as `mesh_attribute` vertex_color, times the base colour"),
+    "vertex_colours": Support(
+        PARTLY, "COLOR_0 as `mesh_attribute` vertex_color, times the base colour; over a texture only their luminance"
+    ),
     "compression": Support(PARTLY, "KHR_mesh_quantization and sparse accessors; not Draco, not meshopt"),
     "scene_graph": Support(YES, "the default scene; cameras and lights keep their size under scale"),
     "instances": Support(YES, "copies of a mesh become instances if that saves 100,000 triangles"),
@@ -30,7 +32,11 @@ SUPPORT = {
     "emission": Support(
         PARTLY, "`area` with factor, texture and KHR_materials_emissive_strength, on the front of a surface only"
     ),
-    "opacity": Support(YES, "`mask`; the cutoff of alphaMode MASK is compared after interpolation of the texture"),
+    "opacity": Support(
+        PARTLY,
+        "`mask`; the cutoff of alphaMode MASK is compared after interpolation of the texture, and not with the "
+        "alpha of vertices",
+    ),
     "transmission": Support(
         PARTLY,
         "`thindielectric`, `principledthin` or, with a volume, `dielectric`, `principled`; diffuse transmission as "
@@ -40,10 +46,12 @@ SUPPORT = {
     "clearcoat": Support(
         PARTLY,
         "on opaque dielectrics a `blendbsdf` of two `principled`; on others and with normal maps a white lobe that is "
-        "right at normal incidence and too dark at grazing angles",
+        "right at normal incidence and too dark at grazing angles; left out on glass with a volume",
     ),
     "sheen": Support(
-        PARTLY, "`blendbsdf` with a cloth-like `principled`: the right mean albedo, too dark at grazing angles"
+        PARTLY,
+        "`blendbsdf` with a cloth-like `principled`: the right mean albedo, too dark at grazing angles; the mean of a "
+        "roughness texture",
     ),
     "anisotropy": Support(PARTLY, "`principled` anisotropic from the strength; no rotation, no texture"),
     "iridescence": Support(NO, "Mitsuba 3 has no thin films; the surface reflects without their colours"),
@@ -53,7 +61,11 @@ SUPPORT = {
     "textures": Support(YES, "`bitmap`: PNG, JPEG, WebP; factors are multiplied into the image"),
     "texture_transform": Support(YES, "`to_uv`"),
     "texture_sampler": Support(YES, "wrap_mode and filter_type; images are extended where the axes wrap differently"),
-    "normal_map": Support(YES, "`normalmap`; meshes are divided where the image is mirrored"),
+    "normal_map": Support(
+        PARTLY,
+        "`normalmap`; meshes are divided where the image is mirrored; left out if it needs another set of texture "
+        "coordinates than the rest",
+    ),
     "occlusion_map": Support(YES, "not used: light transport computes occlusion"),
     "cameras": Support(YES, "`perspective`, `orthographic`"),
     "point_lights": Support(PARTLY, "`point`, candela as W/sr (PNG previews expose themselves); without its range"),

@@ -18,14 +18,18 @@ SUPPORT = {
         YES, "Pm, map_Pm: `principled`; Ks far above Kd: `roughconductor`, with illum 3, 5, 8 `conductor`"
     ),
     "roughness": Support(YES, "Pr, map_Pr; Ns, map_Ns as alpha² = 2 / (Ns + 2)"),
-    "specular": Support(YES, "Ks, map_Ks: factor on the coat of `roughplastic`; illum 3: a mirror in a `blendbsdf`"),
+    "specular": Support(
+        PARTLY,
+        "Ks, map_Ks: factor on the coat of `roughplastic`; illum 3: a mirror in a `blendbsdf`; with map_Ns only the "
+        "mean",
+    ),
     "emission": Support(YES, "Ke, map_Ke: `area`, on the side of the normal"),
     "opacity": Support(YES, "d, Tr, map_d: `mask`"),
     "transmission": Support(PARTLY, "illum 4, 6, 7: `dielectric` with Ni; of Tf only the hue"),
-    "clearcoat": Support(YES, "Pc, Pcr, map_Pc: `principled`"),
+    "clearcoat": Support(PARTLY, "Pc, Pcr, map_Pc: `principled`; not map_Pcr"),
     "sheen": Support(YES, "Ps, map_Ps: `principled`"),
     "anisotropy": Support(PARTLY, "aniso: `principled`; its rotation anisor is left out"),
-    "textures": Support(YES, "with -imfchan and -mm; PNG, JPEG, BMP, TGA, OpenEXR, Radiance HDR"),
+    "textures": Support(PARTLY, "with -imfchan and -mm; not decal; PNG, JPEG, BMP, TGA, OpenEXR, Radiance HDR"),
     "texture_transform": Support(PARTLY, "-s, -o; not -t"),
     "texture_sampler": Support(YES, "repeated, or -clamp on"),
     "normal_map": Support(YES, "norm, or a map_Bump that contains normals: `normalmap`"),

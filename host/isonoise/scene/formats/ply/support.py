@@ -9,7 +9,7 @@ SUPPORT = {
     "lines_points": Support(NO, "edges are left out; a file without faces is an error: make a mesh of it"),
     "normals": Support(YES),
     "uvs": Support(YES, "per vertex, or per corner (texcoord)"),
-    "vertex_colours": Support(YES, "`mesh_attribute`: vertex colours, or else face colours"),
+    "vertex_colours": Support(PARTLY, "`mesh_attribute`: vertex colours, or else face colours; not with a texture"),
     "opacity": Support(NO, "the alpha of colours is left out"),
     "textures": Support(PARTLY, "the first comment TextureFile"),
 }
