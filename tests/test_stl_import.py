@@ -42,7 +42,8 @@ def read(folder: Path, data: bytes) -> tuple[dict, ImportReport]:
 def test_binary_and_ascii_files(tmp_path):
     """A binary file may begin with 'solid', an ASCII file may have several solids and capital letters."""
     text = ascii_text("a b", TRIANGLES[0]) + ascii_text("", TRIANGLES[1]).upper()
-    for data, solids in ((binary(), 1), (binary(header=b"solid x"), 1), (binary() + b"more", 1), (text.encode(), 2)):
+    solid = binary(header=b"solid x")
+    for data, solids in ((binary(), 1), (solid, 1), (binary() + b"more", 1), (solid + b"more", 1), (text.encode(), 2)):
         mesh, report = read(tmp_path, data)
         np.testing.assert_array_equal(mesh["vertices"][mesh["faces"]], TRIANGLES)
         assert mesh["face_normals"]

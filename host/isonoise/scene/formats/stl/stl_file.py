@@ -36,8 +36,11 @@ class StlFile:
 def read_stl(path: Path) -> StlFile:
     """Read a file. Raises SceneError if trimesh cannot read it, or it has no triangles or invalid numbers."""
     location, data = SourceLocation(str(path)), read_bytes(path)
-    end = _HEADER_BYTES + 4 + _FACET_BYTES * int.from_bytes(data[_HEADER_BYTES : _HEADER_BYTES + 4], "little")
-    if data.lstrip()[:5].lower() != b"solid":
+    count = data[_HEADER_BYTES : _HEADER_BYTES + 4]
+    end = _HEADER_BYTES + 4 + _FACET_BYTES * int.from_bytes(count, "little")
+    # binary files may begin with 'solid' too; text has no zero bytes, counts below 2^24 have one
+    is_ascii = data.lstrip()[:5].lower() == b"solid" and b"\0" not in count
+    if not is_ascii:
         if len(data) < end:
             location.raise_error("not a readable STL file: it is shorter than its header states")
         data = data[:end]  # trimesh refuses files that go on
@@ -47,7 +50,7 @@ def read_stl(path: Path) -> StlFile:
         reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         location.raise_error(f"not a readable STL file ({reason})")
     if not solids:
-        is_cut = data.lstrip()[:5].lower() == b"solid" and b"endsolid" not in data.lower()
+        is_cut = is_ascii and b"endsolid" not in data.lower()
         location.raise_error("it ends before 'endsolid'" if is_cut else "it has no triangles")
     corners = np.concatenate([np.asarray(solid.vertices, np.float64)[solid.faces] for solid in solids])
     if not np.isfinite(corners).all():
