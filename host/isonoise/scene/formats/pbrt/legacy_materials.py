@@ -52,7 +52,7 @@ def legacy_plastic(parameters: Parameters, context: MaterialContext, index: floa
 
 def legacy_metal(parameters: Parameters, context: MaterialContext) -> dict:
     """`metal`."""
-    return metal(parameters, context, "", context.alphas(parameters, legacy_alpha, 0.01))
+    return metal(parameters, context, context.alphas(parameters, legacy_alpha, 0.01))
 
 
 def mirror(parameters: Parameters, context: MaterialContext) -> dict:

@@ -142,18 +142,14 @@ def plastic(reflectance: Texture, index: float, alphas, place: str, context: Mat
 
 def conductor(parameters: Parameters, context: MaterialContext) -> dict:
     """`conductor`, by eta and k or by reflectance."""
-    return metal(parameters, context, "", context.alphas(parameters, square_root))
+    return metal(parameters, context, context.alphas(parameters, square_root))
 
 
-def metal(parameters: Parameters, context: MaterialContext, prefix: str, alphas, relative_to: float = 1.0) -> dict:
-    """A conductor in a medium of index `relative_to`."""
+def metal(parameters: Parameters, context: MaterialContext, alphas: tuple[Texture, Texture]) -> dict:
+    """A conductor with roughness `alphas` along u and v."""
     context.report.use("metal")
     roughness = context.roughness(alphas)
-    eta_, k = _eta_and_k(parameters, context, prefix)
-    if relative_to != 1:
-        eta_, k = (
-            context.textures.map(f"over {relative_to}", lambda values: values / relative_to, part) for part in (eta_, k)
-        )
+    eta_, k = _eta_and_k(parameters, context, "")
     return two_sided(
         {
             "type": "roughconductor" if roughness else "conductor",
