@@ -193,6 +193,13 @@ def test_opacity_becomes_a_mask(statements, opacity, tmp_path):
     assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", opacity, "twosided")
 
 
+def test_halos_are_reported(tmp_path):
+    shape, losses = read_material(tmp_path, "d -halo 0.25")
+    assert shape["bsdf"]["opacity"] == 0.25
+    assert "-halo is left out" in losses[0]
+    assert bsdf_of(tmp_path, "d -halo 1")["type"] == "diffuse"
+
+
 def test_opaque_by_either_meaning_of_tr(tmp_path):
     for statements in ("d 1\nTr 0", "Tr 1", "Tr 0", "d 1"):
         assert bsdf_of(tmp_path, statements)["type"] == "diffuse"

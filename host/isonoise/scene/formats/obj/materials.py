@@ -245,6 +245,8 @@ class Materials:
         if image is None and opacity >= 1:
             return bsdf
         self.report.use("opacity")
+        if material.has_halo:
+            self.report.limit("opacity", "-halo is left out: opacity is the same in all directions", material.name)
         return {"type": "mask", "opacity": image or opacity, "bsdf": bsdf}
 
 

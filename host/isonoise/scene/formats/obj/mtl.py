@@ -58,6 +58,7 @@ class Material:
     numbers: dict[str, list[float]] = field(default_factory=dict)
     maps: dict[str, TextureMap] = field(default_factory=dict)
     has_spectra: bool = False  # colours in files of their own
+    has_halo: bool = False  # d -halo: opacity that depends on the direction of view
     is_from_blender: bool = False  # written by Blender 3.1 or newer, which says how it converts its materials
 
 
@@ -85,7 +86,10 @@ def _read_numbers(material: Material, key: str, text: str, location: SourceLocat
     if _COUNTS[key] == 3 and text.startswith("spectral"):
         material.has_spectra = True
         return
-    words = [word for word in text.removeprefix("xyz ").split() if word != "-halo"]
+    words = text.removeprefix("xyz ").split()
+    if "-halo" in words:
+        material.has_halo = True
+        words.remove("-halo")
     values = _parse_numbers(words)
     allowed = (1, 3) if _COUNTS[key] == 3 else (1,)
     if values is None or len(values) not in allowed or min(values) < 0:

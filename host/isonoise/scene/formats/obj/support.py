@@ -24,7 +24,7 @@ SUPPORT = {
         "mean",
     ),
     "emission": Support(YES, "Ke, map_Ke: `area`, on the side of the normal"),
-    "opacity": Support(YES, "d, Tr, map_d: `mask`"),
+    "opacity": Support(PARTLY, "d, Tr, map_d: `mask`; not -halo"),
     "transmission": Support(PARTLY, "illum 4, 6, 7: `dielectric` with Ni; of Tf only the hue"),
     "clearcoat": Support(PARTLY, "Pc, Pcr, map_Pc: `principled`; not map_Pcr"),
     "sheen": Support(YES, "Ps, map_Ps: `principled`"),
