@@ -9,6 +9,7 @@ import numpy as np
 
 from isonoise.scene.formats.pbrt.materials import (
     MaterialContext,
+    diffuse,
     eta,
     measured,
     metal,
@@ -28,12 +29,7 @@ def legacy_alpha(roughness: np.ndarray) -> np.ndarray:
 
 def matte(parameters: Parameters, context: MaterialContext) -> dict:
     """`matte`."""
-    context.report.use("diffuse")
-    if context.number(parameters, "sigma", 0.0, "diffuse"):
-        problem = "'sigma' (Oren and Nayar's rough diffuse surface) is ignored"
-        context.report.limit("diffuse", problem, parameters.position.place)
-    reflectance = context.textures.colour(parameters, "Kd", 0.5)
-    return two_sided({"type": "diffuse", "reflectance": context.textures.to_colour(reflectance)})
+    return diffuse(parameters, context, "Kd")
 
 
 def legacy_plastic(parameters: Parameters, context: MaterialContext, index: float = 1.5) -> dict:

@@ -97,13 +97,13 @@ def two_sided(bsdf: dict) -> dict:
     return {"type": "twosided", "bsdf": bsdf}
 
 
-def diffuse(parameters: Parameters, context: MaterialContext) -> dict:
-    """`diffuse`."""
+def diffuse(parameters: Parameters, context: MaterialContext, name: str = "reflectance") -> dict:
+    """`diffuse`, whose colour has this name."""
     context.report.use("diffuse")
     if context.number(parameters, "sigma", 0.0, "diffuse"):
         problem = "'sigma' (Oren and Nayar's rough diffuse surface) is ignored"
         context.report.limit("diffuse", problem, parameters.position.place)
-    reflectance = context.textures.colour(parameters, "reflectance", 0.5)
+    reflectance = context.textures.colour(parameters, name, 0.5)
     return two_sided({"type": "diffuse", "reflectance": context.textures.to_colour(reflectance)})
 
 
