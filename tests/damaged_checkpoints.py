@@ -35,8 +35,8 @@ def render_state(seed: int = 0) -> State:
     count = random.integers(3, 9, (1, *SHAPE)).astype(np.uint32)
     rejected = np.zeros_like(count)
     rejected[0, 2, 2] = 1
-    allocation = random.integers(0, 4, SHAPE).astype(np.uint32)
-    samples, planned = int(count.sum() + rejected.sum()), int(allocation.sum())
+    remaining = random.integers(0, 4, SHAPE).astype(np.uint32)
+    samples, traced = int(count.sum() + rejected.sum()), 20
     rows = [
         {
             "elapsed_s": 0.5 * wave, "wave": wave, "kind": "uniform", "samples": wave, "spp": wave / 35,
@@ -49,7 +49,7 @@ def render_state(seed: int = 0) -> State:
         "renderer": {
             "samples": samples,
             "planner": {"waves_taken": 3, "unfinished_spp": None, "wave_index": 3, "max_pixel_samples": 20},
-            "wave": {"kind": "adaptive", "planned": planned, "traced": planned // 2, "seconds": 0.1},
+            "wave": {"kind": "adaptive", "planned": traced + int(remaining.sum()), "traced": traced, "seconds": 0.1},
         },
         "strategy": {"_last_samples": 12, "_weights": None},
         "loop": {
@@ -64,7 +64,7 @@ def render_state(seed: int = 0) -> State:
         "reduction/sums": random.random((10, *SHAPE), np.float32),
         "reduction/sample_block_sums": random.random((2, *SHAPE), np.float32),
         "strategy/_last_image": random.random((*SHAPE, 3), np.float32),
-        "wave/allocation": allocation,
+        "wave/remaining": remaining,
         "uniform/sums": random.random((3, *SHAPE)),
         "energy_loss/uniform": random.random((2, *SHAPE)),
     }

@@ -95,7 +95,7 @@ def set_value(*path_and_value):
 NAN, HUGE = float("nan"), 10**12
 RENDERER, LOOP, PLANNER = ("values", "renderer"), ("values", "loop"), ("values", "renderer", "planner")
 CRAFTED = {
-    "format": set_value("format", 2),
+    "format": set_value("format", 1),
     "no settings": set_value("settings", None),
     "list of values": set_value("values", []),
     "no array": set_value("arrays", "reduction/count", None),
@@ -130,7 +130,7 @@ CRAFTED = {
     "negative traced": set_value(*RENDERER, "wave", "traced", -1),
     "kind": set_value(*RENDERER, "wave", "kind", "other"),
     "seconds": set_value(*RENDERER, "wave", "seconds", NAN),
-    "unknown wave": set_value(*RENDERER, "wave", "allocation", 1),
+    "unknown wave": set_value(*RENDERER, "wave", "remaining", 1),
     "no rows": set_value(*LOOP, "rows", None),
     "row": set_value(*LOOP, "rows", 0, 5),
     "row of less": set_value(*LOOP, "rows", 0, "spp", None),
@@ -161,7 +161,7 @@ def test_crafted_checkpoints(name, tmp_path):
 def test_crafted_arrays(tmp_path):
     """Valid files whose arrays do not fit; each would be read beyond its end or count wrongly."""
     for name, array in {
-        "wave/allocation": np.full((5, 7), 2**31, np.uint32),
+        "wave/remaining": np.full((5, 7), 2**31, np.uint32),
         "reduction/count": np.full((1, 5, 7), 2**31, np.uint32),
         "reduction/sums": np.zeros((10, 5, 6), np.float32),
         "uniform/sums": np.zeros((3, 5, 7), np.float32),
@@ -185,7 +185,7 @@ def foreign_files() -> dict[str, bytes]:
     return {
         "empty": b"",
         "png": b"\x89PNG\r\n\x1a\n" + bytes(100),
-        "json": b'{"format": 1}',
+        "json": b'{"format": 2}',
         "pickle": pickle.dumps(_Payload()),
         "other npz": archive_bytes({"a.npy": b"\x93NUMPY"}),
         "npz with pickle": archive_bytes({"state.json": b"{}", "a.npy": object_array + pickle.dumps([_Payload()])}),

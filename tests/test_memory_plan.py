@@ -99,17 +99,21 @@ def test_a_device_of_its_own_memory_counts_no_host_arrays():
 def test_slices_cover_all_samples_once(slice_samples):
     random = np.random.default_rng(3)
     allocation = (random.integers(0, 9, 3 * 2**16) * (random.random(3 * 2**16) < 2e-3)).astype(np.uint32)
-    samples, pixels = SampleList(allocation), np.repeat(np.arange(allocation.size), allocation)
+    remaining = allocation.copy()
+    samples, pixels = SampleList(remaining), np.repeat(np.arange(allocation.size), allocation)
     assert samples.total == len(pixels)
-    begin, found = 0, []
-    while begin < samples.total:
-        pixel, offsets, number = samples.slice(begin, slice_samples)
+    found = []
+    while samples.total:
+        pixel, offsets, number = samples.first_slice(slice_samples)
         assert 0 < number <= slice_samples
         assert len(offsets) <= slice_samples
         ends = np.append(offsets[1:], number)
-        found.append(np.repeat(pixel + np.arange(len(offsets)), ends - offsets))
-        begin += number
+        taken = random.integers(1, number + 1)  # a slice may end early
+        found.append(np.repeat(pixel + np.arange(len(offsets)), ends - offsets)[:taken])
+        samples.remove_first(taken)
+        assert int(remaining.sum()) == samples.total
     assert np.array_equal(np.concatenate(found), pixels)
+    assert not remaining.any()
 
 
 def test_sizes_as_text():

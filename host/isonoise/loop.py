@@ -19,11 +19,12 @@ from isonoise.errors import UserError
 from isonoise.film.log import LogRow, row_from_values, row_values
 from isonoise.luminance import luminance
 from isonoise.outcome import Outcome
-from isonoise.renderer import Renderer, WaveRecord
-from isonoise.state.state import State
+from isonoise.renderer import Renderer
+from isonoise.state.state import State, copy_array
 from isonoise.statistics import Statistics
 from isonoise.stops import Stops
 from isonoise.strategies.measures import image_floor
+from isonoise.wave import WaveRecord
 
 LOG_QUANTILES = (0.5, 0.95, 0.99)
 """Quantiles of the stated error in the log."""
@@ -224,10 +225,7 @@ class RenderLoop:
         }
         arrays = {}
         if self._energy_loss.uniform is not None:
-            earlier = None if reuse is None else reuse.arrays.get("energy_loss/uniform")
-            uniform = np.empty_like(self._energy_loss.uniform) if earlier is None else earlier
-            uniform[:] = self._energy_loss.uniform
-            arrays["energy_loss/uniform"] = uniform
+            arrays["energy_loss/uniform"] = copy_array(self._energy_loss.uniform, "energy_loss/uniform", reuse)
         return replace(state, values=state.values | {"loop": values}, arrays=state.arrays | arrays)
 
     def _restore(self, state: State) -> None:

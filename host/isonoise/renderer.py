@@ -6,7 +6,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,45 +28,12 @@ from isonoise.scene.load import load
 from isonoise.scene.view import NO_VIEW, View
 from isonoise.signals import raise_if_received
 from isonoise.state.settings import check_settings, render_settings
-from isonoise.state.state import State, split_strategy_state, with_group
+from isonoise.state.state import State, copy_array, split_strategy_state, with_group
 from isonoise.statistics import Statistics, UniformSamples
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
 from isonoise.strategies.planner import WavePlanner
 from isonoise.strips import LARGE_IMAGE_PIXELS
-
-
-@dataclass(frozen=True)
-class WaveRecord:
-    """What one call of `Renderer.step` did.
-
-    Attributes
-    ----------
-    kind : str
-        'uniform' or 'adaptive'.
-    samples : int
-        Samples traced, rejected ones included.
-    planned : int
-        Samples in the allocation map; more than `samples` if the wave was stopped early.
-    seconds : float
-        Wall-clock time of the call.
-    """
-
-    kind: str
-    samples: int
-    planned: int
-    seconds: float
-
-
-_WAVE_VALUES = ("kind", "planned", "traced", "seconds")
-
-
-@dataclass
-class _WaveInProgress:
-    kind: str
-    allocation: np.ndarray  # all samples of the wave
-    planned: int
-    traced: int = 0  # the first ones in pixel order
-    seconds: float = 0.0
+from isonoise.wave import WAVE_VALUES, WaveInProgress, WaveRecord
 
 
 class Renderer:
@@ -198,7 +165,7 @@ class Renderer:
             self._wavefront.warm_up(report)
             check_driver(self._wavefront, needs)
         self._planner = WavePlanner(self.strategy, (self.scene.height, self.scene.width))
-        self._wave: _WaveInProgress | None = None
+        self._wave: WaveInProgress | None = None
         self.samples = 0
         self._statistics: Statistics | None = None  # None: out of date
         needs_uniform = self.strategy.needs.uniform
@@ -270,19 +237,20 @@ class Renderer:
         if self._uniform is not None and kind == "uniform":
             self._uniform.begin_wave(self.statistics())
         planned = int(allocation.sum(dtype=np.int64))
-        self._wave = _WaveInProgress(kind, allocation, planned, seconds=time.perf_counter() - start)
+        self._wave = WaveInProgress(kind, allocation, planned, seconds=time.perf_counter() - start)
 
     def continue_wave(self, should_continue: Callable[[int], bool] | None = None) -> bool:
         """Trace samples of the wave until `should_continue`, as in `step`, returns False; whether all are traced."""
         start, wave = time.perf_counter(), self._wave
-        samples_before = self.samples - wave.traced
+        should_continue = should_continue or (lambda samples: True)
 
-        def on_reduced(traced: int) -> None:
-            wave.traced, self.samples = traced, samples_before + traced
+        def on_reduced(samples: int) -> None:
+            wave.traced += samples
+            self.samples += samples
 
         self._forget_statistics()
         try:
-            self._wavefront.trace(wave.allocation, should_continue or (lambda samples: True), wave.traced, on_reduced)
+            self._wavefront.trace(wave.remaining, lambda: should_continue(wave.traced), on_reduced)
         finally:
             wave.seconds += time.perf_counter() - start
         return wave.traced == wave.planned
@@ -292,7 +260,7 @@ class Renderer:
         start, wave = time.perf_counter(), self._wave
         if self._uniform is not None and wave.kind == "uniform":
             self._uniform.end_wave(self.statistics())
-        self._wave = wave.allocation = None
+        self._wave = wave.remaining = None
         self._statistics = self._with_uniform(self.statistics())
         return WaveRecord(wave.kind, wave.traced, wave.planned, wave.seconds + time.perf_counter() - start)
 
@@ -322,12 +290,12 @@ class Renderer:
             raise DeviceError(f"the device holds {samples} samples of {self.samples}: the render cannot be continued")
         values, arrays = split_strategy_state(self.strategy.name, self.strategy.state())
         arrays = with_group("reduction", reduction) | with_group("strategy", arrays)
-        wave = self._wave and {name: getattr(self._wave, name) for name in _WAVE_VALUES}
+        wave = self._wave and {name: getattr(self._wave, name) for name in WAVE_VALUES}
         renderer = {"samples": self.samples, "planner": self._planner.state(), "wave": wave}
         if self._wave is not None:
-            arrays["wave/allocation"] = self._wave.allocation
+            arrays["wave/remaining"] = copy_array(self._wave.remaining, "wave/remaining", reuse)
         if self._uniform is not None:
-            arrays["uniform/sums"] = self._uniform.sums.copy()
+            arrays["uniform/sums"] = copy_array(self._uniform.sums, "uniform/sums", reuse)
         return State(self.settings, {"renderer": renderer, "strategy": values}, arrays)
 
     def restore(self, state: State) -> None:
@@ -352,7 +320,7 @@ class Renderer:
         self._wavefront.accumulator.set_state(state.group("reduction"))
         self._planner.set_state(values["planner"])
         self.strategy.set_state(state.values["strategy"] | state.group("strategy"))
-        self._wave = None if wave is None else _WaveInProgress(allocation=state.arrays["wave/allocation"], **wave)
+        self._wave = None if wave is None else WaveInProgress(remaining=state.arrays["wave/remaining"].copy(), **wave)
         if self._uniform is not None:
             self._uniform.sums = state.arrays["uniform/sums"].copy()
         self.samples = values["samples"]

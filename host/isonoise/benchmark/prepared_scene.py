@@ -98,8 +98,9 @@ class PreparedScene:
         self.reset(profile)
         launches: list[Launch] = []
         device.on_launch = launches.append
+        remaining = self.allocation.copy()
         start = time.perf_counter()
-        self.wavefront.trace(self.allocation)
+        self.wavefront.trace(remaining)
         self.wavefront.accumulator.statistics(self.scene.radiance_scale)
         device.finish()
         seconds = time.perf_counter() - start

@@ -4,8 +4,9 @@ The signal is deferred while the device works: Python drops a KeyboardInterrupt 
 """
 
 from isonoise.loop import Outcome, Stops, render_loop
-from isonoise.renderer import Renderer, WaveRecord
+from isonoise.renderer import Renderer
 from isonoise.signals import deferred, raise_if_received
+from isonoise.wave import WaveRecord
 
 
 def interruptible_render(renderer: Renderer, stops: Stops, **options) -> Outcome:

@@ -7,7 +7,6 @@ reduced to statistics.
 """
 
 from collections.abc import Callable, Mapping
-from functools import partial
 
 import numpy as np
 
@@ -186,35 +185,27 @@ class Wavefront:
 
     def trace(
         self,
-        allocation: np.ndarray,
-        should_continue: Callable[[int], bool] = lambda traced: True,
-        begin: int = 0,
-        on_reduced: Callable[[int], None] = lambda traced: None,
-    ) -> int:
-        """Trace the samples of an allocation map and reduce them.
+        remaining: np.ndarray,
+        should_continue: Callable[[], bool] = lambda: True,
+        on_reduced: Callable[[int], None] = lambda samples: None,
+    ) -> None:
+        """Trace the samples that remain of a wave, in pixel order, and reduce them.
 
         Parameters
         ----------
-        allocation : uint32 (height, width), samples per pixel
-        should_continue : called before every slice, and after every bounce while paths of the slice are left to start,
-            with the samples reduced so far; once it returns False no new path starts, and the paths in flight finish
-        begin : samples of the map that were traced before, always the first ones in pixel order
-        on_reduced : called after every slice with the samples reduced so far
-
-        Returns
-        -------
-        The number of samples that were traced, with those before `begin`: the first ones of the map in pixel order
+        remaining : uint32 (height, width), C-contiguous, samples per pixel; those that enter the statistics are
+            subtracted from it, slice by slice, also if an exception ends the call
+        should_continue : called before every slice, and after every bounce while paths of the slice are left to start;
+            once it returns False no new path starts, and the paths in flight finish
+        on_reduced : called with the samples of every slice, once they are subtracted
         """
-        samples = SampleList(allocation.reshape(-1))
-        traced = begin
-        while traced < samples.total and should_continue(traced):
-            pixel, offsets, number = samples.slice(traced, self.slice_samples)
-            end = traced + number
-            traced += self._trace_slice(pixel, offsets, number, partial(should_continue, traced))
+        samples, is_stopped = SampleList(remaining.reshape(-1)), False
+        while samples.total and not is_stopped and should_continue():
+            pixel, offsets, number = samples.first_slice(self.slice_samples)
+            traced = self._trace_slice(pixel, offsets, number, should_continue)
+            samples.remove_first(traced)
             on_reduced(traced)
-            if traced < end:
-                break
-        return traced
+            is_stopped = traced < number
 
     def _trace_slice(
         self, first_pixel: int, offsets: np.ndarray, samples: int, should_continue: Callable[[], bool]

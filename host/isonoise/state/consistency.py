@@ -210,10 +210,11 @@ def _check_renderer(state: State, shape: tuple[int, int]) -> None:
 
 def _check_wave(state: State, wave: Mapping[str, object], samples: int, shape: tuple[int, int]) -> None:
     _check_object("wave", wave, _WAVE)
-    _check_array(state, "wave/allocation", "<u4", shape)
-    planned = int(state.arrays["wave/allocation"].sum(dtype=np.int64))
-    if planned != wave["planned"] or not wave["traced"] <= min(planned, samples):
-        raise ValueError(f"its wave has {planned} samples, not {wave['planned']}, of which {wave['traced']} are traced")
+    _check_array(state, "wave/remaining", "<u4", shape)
+    planned, traced = wave["planned"], wave["traced"]
+    remaining = int(state.arrays["wave/remaining"].sum(dtype=np.int64))
+    if traced + remaining != planned or traced > samples:
+        raise ValueError(f"of its wave of {planned} samples {traced} are traced, and {remaining} remain")
 
 
 def _check_loop(values: Mapping[str, dict], shape: tuple[int, int]) -> None:

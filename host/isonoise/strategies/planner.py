@@ -39,7 +39,7 @@ class WavePlanner:
         return MAX_COUNT - self._max_pixel_samples
 
     def plan(self, statistics: Callable[[], Statistics], max_samples: int | None) -> tuple[str, np.ndarray]:
-        """Kind and allocation map of the next wave, of at most `max_samples`.
+        """Kind and allocation map of the next wave, of at most `max_samples`; the caller may change the map.
 
         The rest of a uniform wave comes with the next call; the rest of an adaptive one is dropped. `statistics`
         returns those of all samples so far. Raises UserError if the strategy returns an invalid wave or map.
@@ -113,7 +113,7 @@ class WavePlanner:
         return distribute_in_proportion(allocation, max_samples, self._wave_index)
 
     def _checked(self, allocation: np.ndarray, budget: int | None) -> np.ndarray:
-        """The map of a strategy, after checking type, shape and sum."""
+        """A copy of the map of a strategy, which may keep its own, after checking type, shape and sum."""
         allocation = np.asarray(allocation)
         total = int(allocation.sum(dtype=np.int64)) if allocation.shape == self.shape else None
         valid = allocation.dtype == np.uint32 and total is not None
@@ -123,4 +123,4 @@ class WavePlanner:
                 f"shape {allocation.shape}, sum {total}; it has to be uint32, shape {self.shape}, "
                 f"sum {'1 or more' if budget is None else budget}"
             )
-        return allocation
+        return allocation.copy()
