@@ -15,7 +15,7 @@ from isonoise.device.form import FORM_VARIABLE, FORMS
 from isonoise.device.opencl import Device
 from isonoise.device.selection import select_device
 from isonoise.errors import DeviceError, SceneError, UserError
-from isonoise.integrator import accumulator, scene_buffers
+from isonoise.integrator import accumulator, reduction_state, scene_buffers
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.kernel_table import path_bytes
 from isonoise.limits import MAX_PIXELS
@@ -90,7 +90,8 @@ def test_tables_and_statistics_that_kernels_cannot_index_are_refused():
     table = np.broadcast_to(np.float32(0), (2**31 + 1,))
     with pytest.raises(SceneError, match="the triangles need 8"):
         scene_buffers._table(None, table, "the triangles")
-    assert max(accumulator.state_planes(Needs(half=True, nets=True)).values()) * MAX_PIXELS < accumulator.MAX_STATISTICS
+    planes = reduction_state.state_planes(Needs(half=True, nets=True))
+    assert max(planes.values()) * MAX_PIXELS < reduction_state.MAX_STATISTICS
     with pytest.raises(UserError, match="chunks of 31 entries"):
         accumulator.Accumulator(SimpleNamespace(device=None), (2**14, 2**14), Needs(median=True, chunk=31))
 

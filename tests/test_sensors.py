@@ -53,20 +53,18 @@ def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
     pixels = scene.width * scene.height
     n = pixels * SAMPLES
     out = {name: device.buffer(16 * n, name) for name in ("ray_origin", "ray_direction", "throughput", "path_ids")}
-    zeros = device.buffer(4 * pixels, "counts")
     stages.launch(
         "generate",
         n,
         device.form.lanes,
-        **dict.fromkeys(("first_slot", "first_sample", "first_pixel", "inverse_cdf_cells"), np.uint32(0)),
+        **dict.fromkeys(("first_slot", "first_sample", "inverse_cdf_cells"), np.uint32(0)),
         **dict.fromkeys(("count_new", "plane_stride"), np.uint32(n)),
-        **dict.fromkeys(("count", "rejected"), zeros),
         **out,
         seed=np.array(SEED, np.uint32),
         camera=device.buffer(scene.camera, "camera"),
         inverse_cdf=None,
         sample_pixel=device.buffer(np.repeat(np.arange(pixels, dtype=np.uint32), SAMPLES), "list"),
-        pixel_offset=device.buffer(np.arange(0, n, SAMPLES, dtype=np.uint32), "offsets"),
+        sample_index=device.buffer(np.tile(np.arange(SAMPLES, dtype=np.uint32), pixels), "indices"),
         samples=device.buffer(12 * n, "samples"),
     )
     return tuple(

@@ -1,5 +1,5 @@
 // Stage: generates camera rays, one for each sample of the slice from first_sample on, into the pool from first_slot
-// on. Reads the sample list and the per-pixel counts; writes the path state; clears the sample.
+// on. Reads the sample list; writes the path state; clears the sample.
 #include "path/path_state.h"
 #include "util/random.h"
 #include "util/math.h"
@@ -27,8 +27,7 @@ __kernel void generate(
         if (i >= count_new) continue;
         const size_t slot = first_slot + i;
         const uint sample = first_sample + (uint)i;
-        const uint pixel = sample_pixel[sample];
-        const uint index = count[pixel] + rejected[pixel] + (sample - pixel_offset[pixel - first_pixel]);
+        const uint pixel = sample_pixel[sample], index = sample_index[sample];
 
         const Vec4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
         const uint width = camera->crop_size[0], row = pixel / width;

@@ -1,5 +1,7 @@
 // Stage: makes the sample list of a slice of a wave. One work-item per pixel of the slice.
-// Reads pixel_offset, where the pixel's samples begin in the slice; writes sample_pixel, the pixel of every sample.
+// Reads pixel_offset, where the pixel's samples begin in the slice, and the per-pixel counts. Writes sample_pixel, the
+// pixel of every sample in the image, and sample_index, its index among the samples of the pixel. pixel_list has the
+// pixels of the image whose statistics are on the device; it is null if these are all pixels.
 
 __kernel void list_samples(
 #include "generated/list_samples_parameters.h"
@@ -7,7 +9,11 @@ __kernel void list_samples(
 {
     const uint i = get_global_id(0);
     if (i >= pixels) return;
-    const uint pixel = first_pixel + i;
+    const uint pixel = first_pixel + i, begin = pixel_offset[i];
     const uint end = i + 1u < pixels ? pixel_offset[i + 1u] : slice_samples;
-    for (uint sample = pixel_offset[i]; sample < end; ++sample) sample_pixel[sample] = pixel;
+    const uint image_pixel = pixel_list ? pixel_list[pixel] : pixel, first_index = count[pixel] + rejected[pixel];
+    for (uint sample = begin; sample < end; ++sample) {
+        sample_pixel[sample] = image_pixel;
+        sample_index[sample] = first_index + (sample - begin);
+    }
 }

@@ -25,8 +25,11 @@ _STATE = " ".join(PATH_STATE)
 _SUMS = "count sums sample_block_sums"
 
 TRAFFIC: dict[str, tuple[Traffic, ...]] = {
-    "list_samples": (Traffic("pixel", "pixel_offset"), Traffic("sample", "", "sample_pixel")),
-    "generate": (Traffic("new path", "sample_pixel pixel_offset count rejected", f"{_STATE} samples"),),
+    "list_samples": (
+        Traffic("pixel", "pixel_offset count rejected"),
+        Traffic("sample", "", "sample_pixel sample_index"),
+    ),
+    "generate": (Traffic("new path", "sample_pixel sample_index", f"{_STATE} samples"),),
     "intersect": (Traffic("path", "ray_origin ray_direction:3 path_ids:1 instance", "hit instance"),),
     "shade": (
         Traffic("path", f"hit {_STATE}", "alive"),
@@ -49,7 +52,7 @@ Not counted: the scene (materials, textures, lights, the primitives at a hit), w
 that are not listed work on small buffers or, like `shadow_transmittance`, mostly on the scene.
 """
 
-_SAMPLE_BUFFERS = ("samples", "sample_pixel")
+_SAMPLE_BUFFERS = ("samples", "sample_pixel", "sample_index")
 _PIXEL_BUFFERS = ("pixel_offset", "rejected", "luminance", *_SUMS.split())
 
 

@@ -311,20 +311,21 @@ class Device:
         return end_read
 
     @contextlib.contextmanager
-    def mapped(self, buffer, dtype, count: int) -> Iterator[np.ndarray]:
-        """The buffer's first `count` elements, readable within the `with` block. Waits for the device.
+    def mapped(self, buffer, dtype, count: int, writable: bool = False) -> Iterator[np.ndarray]:
+        """The buffer's first `count` elements, readable or also writable in the `with` block. Waits for the device.
 
         Nothing is copied if host and device share their memory.
         """
-        array = self._map(buffer, dtype, count)
+        flags = self._cl.map_flags.READ | (self._cl.map_flags.WRITE if writable else 0)
+        array = self._map(buffer, dtype, count, flags)
         try:
             yield array
         finally:
             self._unmap(array)
 
     @reports_failures("reading a buffer")
-    def _map(self, buffer, dtype, count: int) -> np.ndarray:
-        array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, self._cl.map_flags.READ, 0, (count,), dtype)
+    def _map(self, buffer, dtype, count: int, flags: int) -> np.ndarray:
+        array, _ = self._cl.enqueue_map_buffer(self.queue, buffer, flags, 0, (count,), dtype)
         self._after_wait()
         return array
 

@@ -13,9 +13,9 @@ MIN_POOL_SIZE, MAX_POOL_SIZE = 2**10, 2**25
 sample with signed 32-bit numbers, which compilers gather twice as fast: 3 * 16 * 2^25 is below 2^31."""
 MAX_UNTUNED_CPU_POOL_SIZE = 2**20
 MIN_UNTUNED_GPU_POOL_SIZE, MAX_UNTUNED_GPU_POOL_SIZE = 2**18, 2**24
-BYTES_PER_PATH = 440
+BYTES_PER_PATH = 504
 """Most memory for each path of the pool, with every feature: 184 bytes of path state and of a bounce
-(`kernel_table.path_bytes`), and 16 samples of 16 bytes."""
+(`kernel_table.path_bytes`), and 16 samples of 20 bytes."""
 MEMORY_SHARE = 1 / 8
 """Most of a GPU's memory that an untuned pool takes: the display and other programs use it too."""
 

@@ -1,16 +1,16 @@
-"""The per-pixel statistics on the device: the planes that the stage `reduce` updates, and reading them on the host."""
+"""The per-pixel statistics of an image on the device, and reading them on the host."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
 from isonoise.device.form import DeviceForm
-from isonoise.errors import UserError
 from isonoise.integrator.image_scratch import GRID_BINS, TILE_SIZE, ImageScratch, tile_count
+from isonoise.integrator.reduction_state import NET_COUNT_LOG2, ReductionState
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
 
@@ -20,49 +20,12 @@ SAMPLE_BLOCK_SIZE = 16
 SUMMARY_STRIP_PIXELS = 2**16
 """Pixels that are summarised and read at a time, so that a strip stays in a CPU's cache."""
 
-NET_COUNT_LOG2 = 3
-"""log2 of the nets of a pixel whose means are kept at a time."""
-
-MAX_STATISTICS = 2**32
-"""Numbers in a buffer of per-pixel statistics: kernels index them with unsigned 32-bit numbers. Only chunk medians have
-so many planes that an image of `MAX_PIXELS` can exceed it."""
-
 _SUMMARIES = 2  # the host reads one while the device fills the other
-_LABELS = {
-    "count": "the sample counts",
-    "rejected": "the counts of rejected samples",
-    "sums": "the statistics",
-    "sample_block_sums": "the statistics of unfinished sample blocks",
-    "medians": "the chunk medians",
-    "powers": "the sums of powers",
-    "halves": "the sums of every second sample",
-    "net_means": "the means over nets",
-}
-
-
-def state_planes(needs: Needs) -> dict[str, int]:
-    """Buffers of the state of `reduce`: name -> planes, with one 4-byte value per pixel each."""
-    planes = {
-        "count": 1,
-        "rejected": 1,
-        "sums": 10,  # high and low parts of the sums of red, green, blue, x and M2, of x and M2 over full sample blocks
-        "sample_block_sums": 2,  # of x - shift and of its square; shift is the mean of x before the unfinished block
-        "medians": _median_planes(needs) if needs.median else 0,
-        "powers": 2 * (needs.power is not None),
-        "halves": 6 * needs.half,
-        "net_means": (2**NET_COUNT_LOG2 - 1) * needs.nets,
-    }
-    return {name: number for name, number in planes.items() if number}
 
 
 def summary_bytes(needs: Needs) -> int:
     """Bytes of the buffers of the stage `summarise`, whatever the image."""
     return _SUMMARIES * 4 * _summary_planes(needs) * SUMMARY_STRIP_PIXELS
-
-
-def _median_planes(needs: Needs) -> int:
-    # two parts of the sum of the chunk medians; entries of the unfinished chunk; two parts of an unfinished entry
-    return 2 + needs.chunk - 1 + (2 if needs.batch > 1 else 0)
 
 
 def _summary_planes(needs: Needs) -> int:
@@ -84,14 +47,6 @@ def build_constants(needs: Needs, form: DeviceForm) -> dict[str, int]:
     }
 
 
-class _Planes(NamedTuple):
-    """A buffer of `number` planes, each with one value of this type per pixel."""
-
-    buffer: object
-    number: int
-    dtype: type
-
-
 class Accumulator:
     """State of the stage `reduce` for an image of shape (height, width), read through the stage `summarise`.
 
@@ -103,33 +58,15 @@ class Accumulator:
         self._shape, self._needs = shape, needs
         self.pixels = shape[0] * shape[1]
 
-        if needs.median and _median_planes(needs) * self.pixels > MAX_STATISTICS:
-            raise UserError(
-                f"chunks of {needs.chunk} entries of {self.pixels:,} pixels are more than {MAX_STATISTICS:,} numbers; "
-                "render a smaller image or choose a smaller chunk"
-            )
-        self._planes = {  # every buffer of the state
-            name: _Planes(
-                self._device.buffer(4 * number * self.pixels, _LABELS[name]),
-                number,
-                np.uint32 if name in ("count", "rejected") else np.float32,
-            )
-            for name, number in state_planes(needs).items()
-        }
-        self.count, self.rejected = (self._planes[name].buffer for name in ("count", "rejected"))
+        self.reduction = ReductionState(stages, self.pixels, needs)
+        self.count, self.rejected = (stages.arguments[name] for name in ("count", "rejected"))
         self._summary_floats = _summary_planes(needs) * SUMMARY_STRIP_PIXELS
         self._summaries = [
             self._device.buffer(4 * self._summary_floats, "the summary of the statistics") for _ in range(_SUMMARIES)
         ]
         stages.arguments.update(
-            {name: planes.buffer for name, planes in self._planes.items()},
-            total_pixels=np.uint32(self.pixels),
-            summary=self._summaries[0],
-            image_width=np.uint32(shape[1]),
-            stride=np.uint32(SUMMARY_STRIP_PIXELS),
+            summary=self._summaries[0], image_width=np.uint32(shape[1]), stride=np.uint32(SUMMARY_STRIP_PIXELS)
         )
-        if needs.power is not None:
-            stages.arguments["power"] = np.float32(needs.power)
         if needs.neighbours:
             stages.arguments["neighbour_radius"] = np.uint32(needs.neighbours // 2)
         self._scratch = ImageScratch(stages, shape, needs)
@@ -148,8 +85,7 @@ class Accumulator:
 
     def reset(self) -> None:
         """Forget all samples."""
-        for planes in self._planes.values():
-            self._device.write(planes.buffer, np.zeros(planes.number * self.pixels, np.uint32))
+        self.reduction.reset()
 
     def state(self, reuse: Mapping[str, np.ndarray] = MappingProxyType({})) -> dict[str, np.ndarray]:
         """Read the state of `reduce`: name -> (planes, height, width) float32 or uint32. Waits for the device.
@@ -157,25 +93,22 @@ class Accumulator:
         With it and the sample counts, later samples have the same effect as without a stop. Arrays of an earlier state
         may be given to `reuse`; they are overwritten.
         """
-        state = {}
-        for name, planes in self._planes.items():
-            count = planes.number * self.pixels
-            array = self._device.read(planes.buffer, planes.dtype, count, out=reuse.get(name))
-            state[name] = array.reshape(planes.number, *self._shape)
-        return state
+        return {name: array.reshape(-1, *self._shape) for name, array in self.reduction.read(reuse).items()}
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Write what `state` has returned. Raises ValueError if it is that of other statistics or another size."""
-        for name, planes in self._planes.items():
-            array = state.get(name)
-            expected = (planes.number, *self._shape)
-            if array is None or array.shape != expected or array.dtype != planes.dtype:
-                raise ValueError(
-                    f"the state has no array '{name}' of shape {expected} and type {planes.dtype.__name__}"
-                )
-            self._device.write(planes.buffer, array)
+        for name, array in state.items():
+            if array.shape[1:] != self._shape:
+                raise ValueError(f"the array '{name}' of the state has the shape {array.shape}")
+        self.reduction.write({name: array.reshape(len(array), -1) for name, array in state.items()})
         self.expire_luminance()
-        self._device.finish()
+
+    @contextmanager
+    def mapped_state(self) -> Iterator[dict[str, np.ndarray]]:
+        """The state within the `with` block, to read and to add samples: name -> (planes, pixels)."""
+        with self.reduction.mapped() as state:
+            yield state
+        self.expire_luminance()
 
     def statistics(self, scale: float = 1.0, defer_rgb: bool = False) -> Statistics:
         """Read the statistics as read-only arrays, in the scene's units. Waits for the device.

@@ -106,7 +106,8 @@ VALUE_TYPES = {
 ELEMENT_TYPES = {
     **dict.fromkeys(("nodes", "triangle_blocks", "light_nodes"), "float8"),
     **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_guide"), "uint"),
-    **dict.fromkeys(("sample_pixel", "pixel_offset", "count", "rejected", "error_bins"), "uint"),
+    **dict.fromkeys(("sample_pixel", "sample_index", "pixel_list", "pixel_offset"), "uint"),
+    **dict.fromkeys(("count", "rejected", "error_bins"), "uint"),
     **dict.fromkeys(("alive", "path_block_alive", "total_alive", "holes"), "uint"),
     "tests": "uint2",
     "texel_bytes": "uchar",
@@ -206,11 +207,16 @@ _GRID = "image_width tile_count total_pixels"
 _COUNTS = "corner_count triangle_count analytic_count"
 
 KERNELS = {
-    "list_samples": _kernel("list_samples.cl", "first_pixel pixels slice_samples", "pixel_offset", "sample_pixel"),
+    "list_samples": _kernel(
+        "list_samples.cl",
+        "first_pixel pixels slice_samples",
+        "pixel_offset pixel_list count rejected",
+        "sample_pixel sample_index",
+    ),
     "generate": _kernel(
         "generate.cl",
-        "count_new plane_stride first_slot first_sample first_pixel inverse_cdf_cells seed sensor_medium",
-        "camera inverse_cdf sample_pixel pixel_offset count rejected",
+        "count_new plane_stride first_slot first_sample inverse_cdf_cells seed sensor_medium",
+        "camera inverse_cdf sample_pixel sample_index",
         "PATH_STATE samples",
     ),
     "intersect": _kernel(

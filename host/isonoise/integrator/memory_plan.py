@@ -7,10 +7,11 @@ from functools import cached_property
 from isonoise.device.opencl import Device
 from isonoise.device.pool_size import MIN_POOL_SIZE, SAMPLES_PER_PATH
 from isonoise.errors import DeviceError
-from isonoise.integrator.accumulator import state_planes, summary_bytes
+from isonoise.integrator.accumulator import summary_bytes
 from isonoise.integrator.error_stage import error_scratch_bytes
 from isonoise.integrator.image_scratch import scratch_bytes
 from isonoise.integrator.kernel_table import path_bytes
+from isonoise.integrator.reduction_state import state_planes
 from isonoise.statistics import Needs
 from isonoise.strips import LARGE_IMAGE_PIXELS
 
@@ -20,6 +21,9 @@ two apart and compete for the same few cache sets."""
 
 PROCESS_BYTES = 400 * 2**20
 """What Python, the libraries, the compiler of a driver and arrays of strips take: 351 MiB at most were measured."""
+
+MAX_TASK_PIXELS = 2**20
+"""Most pixels of a task of a distributed wave."""
 
 ALLOCATION_BYTES = 32
 """Bytes a pixel of the temporary arrays with which the built-in strategies compute an allocation map in float32."""
@@ -34,7 +38,8 @@ def path_buffers(features: Mapping[str, bool], pool_size: int, path_block_size: 
 def sample_buffers(pool_size: int, pixels: int) -> dict[str, int]:
     """Buffers of the samples of a slice: name -> bytes. A slice has at most as many pixels as samples."""
     samples = SAMPLES_PER_PATH * pool_size
-    return {"samples": 12 * samples, "sample_pixel": 4 * samples, "pixel_offset": 4 * min(pixels, samples)}
+    per_sample = {"samples": 12, "sample_pixel": 4, "sample_index": 4}
+    return {**{name: size * samples for name, size in per_sample.items()}, "pixel_offset": 4 * min(pixels, samples)}
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,8 @@ class MemoryPlan:
         Of the device.
     is_adaptive : bool
         Whether the strategy plans adaptive waves.
+    has_image : bool
+        Whether the statistics of the image are there, or only those of a task with at most `MAX_TASK_PIXELS` pixels.
     """
 
     scene: int
@@ -66,6 +73,7 @@ class MemoryPlan:
     path_block_size: int
     compute_units: int
     is_adaptive: bool = True
+    has_image: bool = True
 
     @property
     def pixels(self) -> int:
@@ -74,10 +82,16 @@ class MemoryPlan:
     @cached_property
     def buffers(self) -> dict[str, int]:
         """Name -> bytes of the buffers whose sizes depend on image and pool."""
-        return {
+        state_pixels = self.pixels if self.has_image else min(self.pixels, MAX_TASK_PIXELS)
+        buffers = {
             **path_buffers(self.features, self.pool_size, self.path_block_size),
             **sample_buffers(self.pool_size, self.pixels),
-            **{name: 4 * planes * self.pixels for name, planes in state_planes(self.needs).items()},
+            **{name: 4 * planes * state_pixels for name, planes in state_planes(self.needs).items()},
+        }
+        if not self.has_image:
+            return buffers
+        return {
+            **buffers,
             **scratch_bytes(self.shape, self.needs),
             "summary": summary_bytes(self.needs),
             "error_scratch": error_scratch_bytes(self.shape, self.compute_units),
@@ -103,6 +117,8 @@ class MemoryPlan:
     @cached_property
     def host(self) -> int:
         """Bytes of the largest arrays of the image that the host has at a time, estimated."""
+        if not self.has_image:
+            return 0
         return max(host for host, _ in self._phases().values())
 
     @cached_property
@@ -112,6 +128,8 @@ class MemoryPlan:
         Large images give the scratch buffers back where they are not needed, so it may be less than the sum. The counts
         of rejected samples take none: hardly any are written.
         """
+        if not self.has_image:
+            return PROCESS_BYTES + self.device
         scratch = sum(scratch_bytes(self.shape, self.needs).values())
         image = max(host + scratch * has for host, has in self._phases().values())
         return PROCESS_BYTES + self.device - self.buffers["rejected"] - scratch + image
@@ -157,6 +175,12 @@ def fit_pool(
             raise DeviceError(excess)
         pool_size = max(pool_size // 2, MIN_POOL_SIZE)
     return fitting
+
+
+def check_memory(plan: MemoryPlan, device: Device, memory: int | None = None) -> None:
+    """Raise DeviceError, with the numbers, if the plan does not fit the device and `memory` bytes."""
+    if excess := _excess(plan, device, memory):
+        raise DeviceError(excess)
 
 
 def _excess(plan: MemoryPlan, device: Device, memory: int | None) -> str | None:

@@ -29,6 +29,7 @@ from isonoise.integrator.kernel_table import (
     kernel_table,
 )
 from isonoise.integrator.memory_plan import PLANE_PADDING, MemoryPlan, fit_pool, path_buffers, sample_buffers
+from isonoise.integrator.reduction_state import ReductionState
 from isonoise.integrator.sample_list import SampleList
 from isonoise.integrator.scene_buffers import measure_scene, scene_arguments, scene_bytes
 from isonoise.integrator.stages import Stages
@@ -48,7 +49,7 @@ _BUFFER_LABELS = {
     **dict.fromkeys(("shadow_origin", "shadow_direction", "shadow_radiance", "shadow_stream"), "the shadow rays"),
     **dict.fromkeys(("path_block_alive", "total_alive"), "the compaction"),
     "samples": "the sample buffer",
-    "sample_pixel": "the sample list",
+    **dict.fromkeys(("sample_pixel", "sample_index"), "the sample list"),
     "pixel_offset": "the allocation",
 }
 """Labels of the path buffers in errors and reports; the others are `the paths`."""
@@ -74,7 +75,7 @@ def plan_memory(device: Device, scene: CompiledScene, needs: Needs) -> MemoryPla
     return _memory_plan(device, scene, (scene_size, bvh_size), used, needs, default_pool_size(device.device))
 
 
-def _memory_plan(device, scene, scene_sizes, used, needs, pool_size, is_adaptive=True) -> MemoryPlan:
+def _memory_plan(device, scene, scene_sizes, used, needs, pool_size, is_adaptive=True, has_image=True) -> MemoryPlan:
     return MemoryPlan(
         *scene_sizes,
         features=used,
@@ -84,6 +85,7 @@ def _memory_plan(device, scene, scene_sizes, used, needs, pool_size, is_adaptive
         path_block_size=device.form.path_block_size,
         compute_units=device.compute_units,
         is_adaptive=is_adaptive,
+        has_image=has_image,
     )
 
 
@@ -100,6 +102,8 @@ class Wavefront:
         triangle blocks each ray of `intersect` was tested against.
     memory : most bytes to take, with the host's arrays if the device shares its memory; the pool is made smaller to fit
     is_adaptive : whether the strategy plans adaptive waves, which take more memory of the host
+    has_image : whether the statistics are those of the image. If not, only of the pixels that `set_pixels` names, and
+        there are no `accumulator` and `errors`.
     on_compile : called before each program is compiled, with its name, how many are done, and how many there are
     """
 
@@ -114,6 +118,7 @@ class Wavefront:
         feature_override: Mapping[str, bool] | None = None,
         memory: int | None = None,
         is_adaptive: bool = True,
+        has_image: bool = True,
         on_compile: OnCompile = lambda name, done, total: None,
     ):
         self.device, self.scene = device, scene
@@ -124,7 +129,7 @@ class Wavefront:
         scene_buffers = scene_arguments(device, scene, bvh, self.features, self.brute_force)
         sizes = scene_bytes(scene_buffers)
         self.memory_plan = fit_pool(
-            lambda pool: _memory_plan(device, scene, sizes, self.features, needs, pool, is_adaptive),
+            lambda pool: _memory_plan(device, scene, sizes, self.features, needs, pool, is_adaptive, has_image),
             pool_size or default_pool_size(device.device),
             device,
             memory,
@@ -151,8 +156,15 @@ class Wavefront:
             on_compile=on_compile,
         )
         self._arguments = self._stages.arguments
-        self.accumulator = Accumulator(self._stages, (scene.height, scene.width), needs)
-        self.errors = error_stage.ErrorStage(self._stages, (scene.height, scene.width), form.tile_work_items)
+        self._arguments["pixel_list"] = None
+        if has_image:
+            shape = (scene.height, scene.width)
+            self.accumulator = Accumulator(self._stages, shape, needs)
+            self.errors = error_stage.ErrorStage(self._stages, shape, form.tile_work_items)
+            self.reduction = self.accumulator.reduction
+        else:
+            self.accumulator = self.errors = None
+            self.reduction = ReductionState(self._stages, 1, needs)
         self._arguments.update(scene_buffers)
         self._arguments.update(self._path_arguments(seed))
         if feature_override:
@@ -170,7 +182,7 @@ class Wavefront:
         """Buffers of the paths in flight and of the samples of a slice."""
         sizes = {
             **path_buffers(self.features, self.pool_size, self._form.path_block_size),
-            **sample_buffers(self.pool_size, self.accumulator.pixels),
+            **sample_buffers(self.pool_size, self.scene.width * self.scene.height),
         }
         return {
             "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
@@ -178,6 +190,24 @@ class Wavefront:
             **dict.fromkeys(BOUNCE_BUFFERS),
             **{name: self.device.buffer(size, _BUFFER_LABELS.get(name, "the paths")) for name, size in sizes.items()},
         }
+
+    def set_pixels(self, pixels: np.ndarray, state: Mapping[str, np.ndarray]) -> None:
+        """Trace samples of these pixels of the image from now on, which have this state. Not with `has_image`.
+
+        Parameters
+        ----------
+        pixels : (n,) uint32, their numbers, row by row
+        state : name -> (planes, n), as of `ReductionState`
+        """
+        pixel_list = self._arguments["pixel_list"]
+        if pixel_list is None or pixel_list.size < pixels.nbytes:
+            if pixel_list is not None:
+                self.device.release(pixel_list)
+            self._arguments["pixel_list"] = self.device.buffer(pixels, "the list of pixels")
+        else:
+            self.device.write(pixel_list, pixels)
+        self.reduction.resize(len(pixels))
+        self.reduction.write(state)
 
     def warm_up(self, on_compile: OnCompile = lambda name, done, total: None) -> None:
         """Launch every kernel on nothing, because some drivers compile only now."""
@@ -223,7 +253,8 @@ class Wavefront:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
             samples = self._trace_paths(samples, should_continue)
-        self.accumulator.expire_luminance()
+        if self.accumulator is not None:
+            self.accumulator.expire_luminance()
         self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         self.device.finish()
         return samples
