@@ -1,10 +1,9 @@
 """A render in progress: a scene on a device, and the strategy that distributes the samples wave by wave."""
 
 import functools
-import os
 import time
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -21,10 +20,8 @@ from isonoise.integrator.driver_check import check_driver
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.samplers import SAMPLERS
 from isonoise.scene.accel.build import build_scene_bvh
-from isonoise.scene.compile import compile_scene
-from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import record_files
-from isonoise.scene.load import load
+from isonoise.scene.load_compiled import load_compiled, source_name
 from isonoise.scene.view import NO_VIEW, View
 from isonoise.signals import raise_if_received
 from isonoise.state.settings import check_settings, render_settings
@@ -41,8 +38,9 @@ class Renderer:
 
     Parameters
     ----------
-    scene : str, path or dict
-        A scene or mesh file, the name of a built-in scene, or a dict in Mitsuba 3's vocabulary (`isonoise.load`).
+    scene : str, path, dict or CompiledScene
+        A scene or mesh file, the name of a built-in scene, a dict in Mitsuba 3's vocabulary (`isonoise.load`), or what
+        `isonoise.scene.compile_scene` returns.
     device : str, int or None
         Number or part of the name of an OpenCL device. None: the first of
         `isonoise devices`.
@@ -134,14 +132,13 @@ class Renderer:
         if sampler not in (None, *SAMPLERS):
             raise UserError(f"sampler = {sampler!r} is not one of {', '.join(SAMPLERS)}")
         self.strategy, self.seed = make_strategy(strategy), seed
-        self.source_name = "a scene in Python" if isinstance(scene, Mapping) else os.fspath(scene)
+        self.source_name = source_name(scene)
         self.parameters = {name: str(value) for name, value in (parameters or {}).items()}
         self.overrides = {"size": size, "max_depth": max_depth, "sampler": sampler, "parameters": self.parameters}
         self.overrides["view"] = asdict(view or NO_VIEW)
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
-            description = load(scene, parameters, allow_outside, view, size)
-            self.scene: CompiledScene = compile_scene(description, size, max_depth, sampler)
+            self.scene = load_compiled(scene, parameters, allow_outside, view, size, max_depth, sampler)
         self.files: tuple[Path, ...] = tuple(files)
         with self._measured("build"):
             bvh = build_scene_bvh(self.scene)
