@@ -67,7 +67,7 @@ class ShardTracer:
         start, device_start = time.perf_counter(), self._device_seconds()
         remaining = task.allocation.copy()
         self._wavefront.set_pixels(task.pixels, task.state)
-        self._wavefront.trace(remaining, lambda traced: should_continue())
+        self._wavefront.trace(remaining, should_continue)
         state = self._wavefront.reduction.read()
         return TaskResult(
             task.number,
