@@ -75,8 +75,8 @@ def test_the_order_of_devices(monkeypatch, found, expected):
     monkeypatch.setattr(drivers.load_pyopencl(), "get_platforms", lambda: platforms)
     names = [each if isinstance(each, str) else each.driver_version for each in expected]
     assert [device.driver_version for device in list_devices()] == names
-    assert select_device().driver_version == names[0]
-    assert select_device(len(found) - 1).driver_version == names[-1]
+    assert select_device().device.driver_version == names[0]
+    assert select_device(len(found) - 1).device.driver_version == names[-1]
 
 
 def test_intels_cpus_prefer_any_pocl():
@@ -197,7 +197,7 @@ def test_only_mesa_has_a_known_fault():
 def test_devices_prints_driver_target_and_reason(capsys):
     assert main(["devices"]) == 0
     out = capsys.readouterr().out
-    device = select_device()
+    device = select_device().device
     assert f"driver {device.driver_version.strip()}" in out
     if target := compiler_target(device):
         assert f"compiles for the CPU {target}" in out

@@ -63,6 +63,18 @@ def test_kernels_are_restored_in_the_next_process(folders):
     assert restored_files("third") == {}
 
 
+def test_a_program_in_use_is_not_restored_once_more():
+    """Another device of the process builds it: the driver has loaded its kernels, and their files must not change."""
+    folder = PoclFolder()
+    compile_kernels(folder, "key", "one")
+    folder.store()
+    kernel = folder.path / "kcache" / "AB" / "one" / "a" / "a.so"
+    kernel.write_bytes(b"in use")
+    with folder.program("key"):
+        assert kernel.read_bytes() == b"in use"
+    folder.close()
+
+
 def test_only_new_kernels_are_stored(folders, monkeypatch):
     folder = PoclFolder()
     compile_kernels(folder, "key", "one")

@@ -13,7 +13,7 @@ from isonoise.cli import main
 from isonoise.device import drivers, form, pool_size, program_cache, tuned
 from isonoise.device.form import FORM_VARIABLE, FORMS
 from isonoise.device.opencl import Device
-from isonoise.device.selection import select_device
+from isonoise.device.selection import max_parts, select_device, select_devices
 from isonoise.errors import DeviceError, SceneError, UserError
 from isonoise.integrator import accumulator, reduction_state, scene_buffers
 from isonoise.integrator.features import FEATURES
@@ -35,7 +35,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def device():
-    return select_device()
+    return select_device().device
 
 
 def pool_of(**options) -> tuple[int, Renderer]:
@@ -53,6 +53,15 @@ def test_a_tuned_size_is_used_and_does_not_affect_the_image(device):
     for renderer in (before, after):
         renderer.step(200)
     assert_same_bits(before.statistics(), after.statistics())
+
+
+def test_a_part_of_a_device_has_its_share_of_the_tuned_size(device):
+    if max_parts(device) < 2:
+        pytest.skip("the device cannot be split")
+    assert pool_size.store_tuned_pool_size(device, 2**15)
+    for part in select_devices("0/2"):
+        share = part.device.max_compute_units / device.max_compute_units
+        assert pool_size.default_pool_size(part.device) == int(2**15 * share)
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ from isonoise.device.driver_advice import default_reason, faster_driver, known_f
 from isonoise.device.drivers import compiler_target, list_devices
 from isonoise.device.form import FORM_VARIABLE, choose_form, tuned_form
 from isonoise.device.pool_size import default_pool_size, tuned_pool_size
-from isonoise.device.selection import PYOPENCL_VARIABLE, pyopencl_number, select_device
+from isonoise.device.selection import PYOPENCL_VARIABLE, max_parts, pyopencl_number, select_device
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code. Raises DeviceError, with advice, if there is no device."""
-    default = select_device()
+    default = select_device().device
     devices = list_devices()
     for number, device in enumerate(devices):
         print(f"{number}: {device.name.strip()}{' (default)' if device == default else ''}")
@@ -22,6 +22,8 @@ def run(options: argparse.Namespace) -> int:
             f"{size / 2**30:.1f} GiB" for size in (device.global_mem_size, device.max_mem_alloc_size)
         )
         print(f"   {device.max_compute_units} compute units, {memory} memory, {largest_buffer} in one buffer")
+        if (parts := max_parts(device)) > 1:
+            print(f"   --device {number}/2 renders on its halves; it can be split into up to {parts} devices")
         print(f"   {default_pool_size(device):,} paths in flight, {_source(tuned_pool_size(device))}")
         print(f"   device form {choose_form(device).name}, {_form_source(device)}")
     chosen = f"selected by {PYOPENCL_VARIABLE}" if os.environ.get(PYOPENCL_VARIABLE, "").strip() else None

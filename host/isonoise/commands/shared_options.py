@@ -83,10 +83,12 @@ def add_memory(parser) -> None:
     )
 
 
-def add_device(parser) -> None:
+def add_device(parser, several: bool = False) -> None:
+    """Adds the option; `several`: the command takes more than one device."""
+    more = "; several as D,D; D/N is device D split into N; all" if several else ""
     parser.add_argument(
         "--device",
         metavar="D",
-        help="number or part of the name of a device of `isonoise devices`, or its type: gpu, cpu, accelerator "
-        "(default: PYOPENCL_CTX if set, else the first)",
+        help="number or part of the name of a device of `isonoise devices`, or its type: gpu, cpu, accelerator"
+        f"{more} (default: PYOPENCL_CTX if set, else the first)",
     )

@@ -111,6 +111,14 @@ def pocl_version(device) -> tuple[int, int, int] | None:
     return match and (int(match["major"]), int(match["minor"]), int(match["prerelease"] is None))
 
 
+def parent_of(device):
+    """The device of `list_devices` that a sub-device is a part of; the device itself, if it is whole."""
+    try:
+        return device.parent_device or device
+    except load_pyopencl().Error:  # OpenCL 1.1
+        return device
+
+
 def is_cpu(device) -> bool:
     return bool(device.type & load_pyopencl().device_type.CPU)
 

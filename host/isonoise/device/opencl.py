@@ -17,7 +17,7 @@ from isonoise.device.drivers import build_options, driver_identity, is_cpu, is_p
 from isonoise.device.failures import build_failure, device_failure, is_forked, refuse_after_fork, reports_failures
 from isonoise.device.form import DeviceForm, choose_form
 from isonoise.device.pocl_cache import full_disk, pocl_kernels
-from isonoise.device.selection import select_device
+from isonoise.device.selection import SelectedDevice, select_device
 from isonoise.errors import DeviceError
 from isonoise.signals import raise_if_received
 
@@ -101,17 +101,18 @@ class Device:
 
     Parameters
     ----------
-    choice : str, int or None
-        As for `select_device`.
+    choice : str, int, None or SelectedDevice
+        As for `select_device`, or one of `select_devices`.
     profile : bool
         Measure the launches that have been waited for: `launches` counts them by kernel name, `seconds` adds up their
         time on the device. `on_launch`, if set, is called for each in order.
     """
 
-    def __init__(self, choice: str | int | None = None, profile: bool = False):
+    def __init__(self, choice: str | int | SelectedDevice | None = None, profile: bool = False):
         self._cl = load_pyopencl()
         self.driver_error = self._cl.Error
-        self.device = select_device(choice)
+        self.selected = choice if isinstance(choice, SelectedDevice) else select_device(choice)
+        self.device = self.selected.device
         self.allocated = 0
         self.on_launch: Callable[[Launch], None] | None = None
         self._pending_launches: list[tuple] = []  # kernel, items and event since the last wait
@@ -142,7 +143,7 @@ class Device:
 
     @property
     def name(self) -> str:
-        return f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
+        return self.selected.name
 
     @functools.cached_property
     def form(self) -> DeviceForm:

@@ -150,7 +150,8 @@ class PoclFolder:
             yield
             return
         with self._build_lock:
-            restored = self._restore(key)
+            # another context may have loaded the program's files already, and must not see them change
+            restored = self._programs.get(key) or self._restore(key)
             before = self._program_folders()
             yield
             new = self._program_folders() - before

@@ -1,6 +1,6 @@
 """How many paths are in flight on a device: a default, or the size that `isonoise bench --tune` found to be faster."""
 
-from isonoise.device.drivers import is_cpu
+from isonoise.device.drivers import is_cpu, parent_of
 from isonoise.device.tuned import load_tuned, store_tuned
 
 _NAME = "pool_size"
@@ -45,10 +45,12 @@ def untuned_pool_size(device) -> int:
 
 
 def tuned_pool_size(device) -> int | None:
-    """The stored size; None if there is none or it is invalid."""
+    """The stored size, of a part of a device its share of it; None if there is none or it is invalid."""
     size = load_tuned(device, _NAME)
     is_number = isinstance(size, int) and not isinstance(size, bool)
-    return size if is_number and MIN_POOL_SIZE <= size <= MAX_POOL_SIZE else None
+    if not is_number or not MIN_POOL_SIZE <= size <= MAX_POOL_SIZE:
+        return None
+    return max(size * device.max_compute_units // parent_of(device).max_compute_units, MIN_POOL_SIZE)
 
 
 def store_tuned_pool_size(device, size: int) -> bool:

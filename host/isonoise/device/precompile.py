@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from isonoise.device import failures, program_cache
-from isonoise.device.drivers import build_options, driver_identity, list_devices
+from isonoise.device.drivers import build_options, driver_identity, list_devices, parent_of
 from isonoise.device.opencl import Device
 from isonoise.device.pocl_cache import pocl_folder, store_pocl_kernels
 
@@ -82,7 +82,7 @@ def _compile_in_processes(
     device: Device, jobs: Sequence[Job], folder: Path, workers: int, on_compile: OnCompile
 ) -> None:
     """Compile in this process and `workers` more, which find the jobs in the folder."""
-    content = {"device": list_devices().index(device.device), "jobs": jobs}
+    content = {"device": list_devices().index(parent_of(device.device)), "jobs": jobs}
     (folder / _JOBS_FILE).write_text(json.dumps(content), encoding="utf-8")
     command = [sys.executable, "-m", "isonoise.device.precompile", str(folder)]
     silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
