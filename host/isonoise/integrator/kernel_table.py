@@ -323,6 +323,12 @@ COMPACTION_KERNELS = {"count_alive", "scan_blocks", "list_holes", "fill_holes"}
 SEQUENTIAL_KERNELS = {"intersect", "shadow", "count_alive", "list_holes", "fill_holes"}
 """Kernels of which a work-item of a CPU processes several rays, or a run of paths, one after the other."""
 
+IMAGE_KERNELS = {
+    *("summarise", "summarise_rgb", "sum_tiles", "fit_steps", "compute_design_effect", "average_neighbours"),
+    "relative_errors",
+}
+"""Kernels that need the statistics of a whole image."""
+
 _VIEW_MEMBERS = (
     "triangles faces corner_normals uvs analytics shapes bsdfs instances lights projections light_cdf light_count "
     "environment_light seed media rough_transmittances textured_slots world_triangle_count"

@@ -1,7 +1,7 @@
 """Kernels that are built and launched by name, with arguments by name."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import PurePosixPath
 from types import MappingProxyType
 
@@ -91,15 +91,18 @@ class Stages:
         per_work_item = per_work_item or self._items_per_work_item.get(kernel, 1)
         self.device.launch(self._kernels[kernel], items, arguments, per_work_item, self._local_size(kernel))
 
-    def warm_up(self, on_compile: OnCompile = lambda name, done, total: None) -> None:
+    def warm_up(self, on_compile: OnCompile = lambda name, done, total: None, left_out: Collection[str] = ()) -> None:
         """Launch every kernel on nothing, because some drivers compile only now, for a local and a global size.
+
+        Kernels that are `left_out` have no arguments and will not be launched.
 
         PoCL compiles a kernel separately for global sizes below 2^16. What it compiles for larger ones also runs small
         ones, so the launches over `compiled_items` come first.
         """
+        names = [name for name in self if name not in left_out]
         for items in (self._compiled_items, 1):
-            for number, name in enumerate(self):
-                on_compile(name, number, len(self._kernels))
+            for number, name in enumerate(names):
+                on_compile(name, number, len(names))
                 self.launch(name, items, **NO_WORK)
         self.device.finish()
         self.device.reset_profile()

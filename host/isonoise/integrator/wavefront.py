@@ -23,6 +23,7 @@ from isonoise.integrator.kernel_table import (
     BOUNCE_BUFFERS,
     BRUTE_FORCE_KERNELS,
     COMPACTION_KERNELS,
+    IMAGE_KERNELS,
     LANE_KERNELS,
     SEQUENTIAL_KERNELS,
     STRUCTS,
@@ -211,7 +212,7 @@ class Wavefront:
 
     def warm_up(self, on_compile: OnCompile = lambda name, done, total: None) -> None:
         """Launch every kernel on nothing, because some drivers compile only now."""
-        self._stages.warm_up(on_compile)
+        self._stages.warm_up(on_compile, () if self.accumulator else IMAGE_KERNELS)
 
     def trace(
         self,
