@@ -1,0 +1,246 @@
+"""A Dask cluster to render on: one that is there, or worker processes on this machine.
+
+`Renderer` and `isonoise compare` use it. Nothing here listens on other addresses than 127.0.0.1: a cluster that spans
+machines is started with Dask's own tools, and `Cluster.connect` gets the address of its scheduler.
+"""
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+
+from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings
+from isonoise.errors import DeviceError, UserError
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.signals import deferred, raise_if_received
+from isonoise.statistics import Needs
+
+CONNECT_TIMEOUT_S = 5.0
+_LOOPBACK = "127.0.0.1"
+_CLOSE_TIMEOUT_S = 5.0
+_LOCAL_CONFIG = {
+    "distributed.scheduler.work-stealing": False,  # tasks are dealt by measured speed, and must stay where they are
+    "distributed.nanny.pre-spawn-environ": {},  # would change the environment of this process, too
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.scheduler.active-memory-manager.start": False,
+}
+"""Dask's settings for the processes of `Cluster.local`."""
+
+
+class Cluster:
+    """Workers of a Dask cluster. Made by `connect` or `local`; a context manager that calls `close`.
+
+    Attributes
+    ----------
+    client : distributed.Client
+        The connection to the cluster.
+    size : int or None
+        Worker processes of `local`; None: they come and go.
+
+    Examples
+    --------
+    >>> with isonoise.distributed.cluster.Cluster.local(2) as cluster:
+    ...     outcome = isonoise.render("cornell", spp=64, cluster=cluster)
+    """
+
+    def __init__(self, client, devices: Callable[[object], DeviceChoice], stack: ExitStack, size: int | None = None):
+        self.client, self.size = client, size
+        self._devices, self._stack = devices, stack
+
+    @classmethod
+    def connect(cls, address: str, device: str | None = None) -> "Cluster":
+        """Use the workers of the scheduler at an address.
+
+        Parameters
+        ----------
+        address : str
+            Such as `tcp://10.0.0.1:8786`. With `tls://` Dask's own configuration names the certificates.
+        device : str or None
+            What each worker renders on, as for `select_devices`; of several devices the first.
+
+        Raises
+        ------
+        UserError
+            If Dask is missing or the address is wrong; DeviceError if no scheduler answers.
+        """
+        distributed = _load_distributed()
+        with ExitStack() as stack:
+            stack.enter_context(_quiet_logs())
+            client = _connect(distributed, address)
+            stack.callback(_suppressed(client.close), timeout=_CLOSE_TIMEOUT_S)
+            return cls(client, lambda name: DeviceChoice(device), stack.pop_all())
+
+    @classmethod
+    def local(cls, workers: int, device: str | None = None) -> "Cluster":
+        """Start worker processes on this machine. They listen on 127.0.0.1 alone, and end with this process.
+
+        Parameters
+        ----------
+        workers : int
+            Processes, 1 or more.
+        device : str or None
+            As for `select_devices`. Worker k takes device k of them; a single CPU is split among the workers.
+
+        Raises
+        ------
+        UserError
+            If Dask is missing or a parameter is wrong; DeviceError if there is no such device.
+        """
+        if workers < 1:
+            raise UserError(f"workers = {workers} must be 1 or more")
+        distributed = _load_distributed()
+        choice = _split_device(device, workers)
+        import dask
+
+        with ExitStack() as stack:
+            stack.enter_context(_quiet_logs())
+            stack.enter_context(dask.config.set(_LOCAL_CONFIG))
+            with _terminal_signals_blocked():  # in all threads that are started here, and in their processes
+                cluster = distributed.LocalCluster(
+                    n_workers=0,
+                    threads_per_worker=1,
+                    host=_LOOPBACK,
+                    dashboard_address=None,
+                    scheduler_kwargs={"dashboard_address": f"{_LOOPBACK}:0"},
+                    memory_limit=None,
+                    silence_logs=logging.CRITICAL,
+                )
+            stack.callback(_suppressed(cluster.close), timeout=_CLOSE_TIMEOUT_S)
+            cluster.scale(workers)
+            client = _connect(distributed, cluster)
+            stack.callback(_suppressed(client.close), timeout=_CLOSE_TIMEOUT_S)
+            return cls(client, lambda name: DeviceChoice(choice, int(name)), stack.pop_all(), workers)
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the connection, and the processes of `local`."""
+        with deferred():
+            self._stack.close()
+
+    def device_of(self, name: object) -> DeviceChoice:
+        """What the worker with this name (`name` of Dask's scheduler_info) renders on."""
+        return self._devices(name)
+
+    def pool(
+        self,
+        scene: CompiledScene,
+        needs: Needs,
+        seed: int,
+        pool_size: int | None = None,
+        memory: int | None = None,
+        on_ready: Callable[[int, int], None] = lambda ready, known: None,
+    ):
+        """Send a scene to the workers, and wait until one is ready for tasks. The others join as they get ready.
+
+        Parameters
+        ----------
+        scene, needs, seed, pool_size, memory
+            As for `ShardTracer`.
+        on_ready : callable
+            Called with the number of workers that are ready and that are known, while none is ready.
+
+        Returns
+        -------
+        DaskPool
+
+        Raises
+        ------
+        DeviceError
+            If no worker can render the scene, or the connection is lost.
+        """
+        from isonoise.distributed.dask_pool import DaskPool
+
+        settings = TracerSettings(needs, seed, pool_size, memory)
+        pool = DaskPool(self.client, self.device_of, scene, settings, self.size or 0)
+        try:
+            pool.wait_for_worker(on_ready)
+        except BaseException:
+            pool.close()
+            raise
+        return pool
+
+
+def _load_distributed():
+    try:
+        with deferred():
+            import distributed
+    except ImportError as error:
+        raise UserError(f"a cluster needs Dask ({error}); install it with: pip install 'isonoise[cluster]'") from error
+    raise_if_received()
+    return distributed
+
+
+def _connect(distributed, address):
+    """A client that leaves Dask's defaults of this process as they are."""
+    try:
+        with deferred():
+            client = distributed.Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
+    except (OSError, TimeoutError) as error:
+        raise DeviceError(
+            f"no Dask scheduler answers at {address} within {CONNECT_TIMEOUT_S:.0f} s ({_first_line(error)}); check "
+            "the address that `dask scheduler` has printed, and that this machine can reach it"
+        ) from error
+    except Exception as error:  # Dask's checks of an address raise several types
+        raise UserError(
+            f"cannot connect to the Dask scheduler '{address}': {_first_line(error)}; give its address, such as "
+            "tcp://127.0.0.1:8786"
+        ) from error
+    raise_if_received()
+    return client
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
+def _split_device(device: str | None, workers: int) -> str | None:
+    """The choice of devices for `workers` local workers: a single CPU in equal parts."""
+    from isonoise.device.drivers import is_cpu
+    from isonoise.device.selection import select_devices
+
+    devices = select_devices(device)
+    if len(devices) > 1 or workers == 1 or not is_cpu(devices[0].device):
+        return device
+    return f"{devices[0].number}/{min(workers, devices[0].device.max_compute_units)}"
+
+
+def _suppressed(function: Callable[..., None]) -> Callable[..., None]:
+    """Errors while a connection is closed help nobody: its other end may be gone."""
+
+    def call(**options) -> None:
+        with suppress(Exception):
+            function(**options)
+
+    return call
+
+
+@contextmanager
+def _terminal_signals_blocked() -> Iterator[None]:
+    """Ctrl-C reaches all processes of a terminal: the workers leave it to this one, which still needs them."""
+    if os.name != "posix" or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _quiet_logs() -> Iterator[None]:
+    """Dask logs each broken connection with a traceback; `DaskPool` says in a line what has happened."""
+    logger = logging.getLogger("distributed")
+    level, logger.level = logger.level, logging.CRITICAL
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,349 @@
+"""Workers of a Dask cluster as a `WorkerPool`. `Cluster.pool` makes it.
+
+The coroutines of this file run in the thread of Dask's client. Each known worker has one that prepares it, and each
+task one that sends it, waits for its result and fetches it. Tasks are bound to the worker that the caller has chosen:
+when a worker is lost, its tasks are reported as lost, and the caller deals them anew.
+"""
+
+import asyncio
+import queue
+import time
+import uuid
+import warnings
+from collections.abc import Callable
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+from distributed import Client
+
+from isonoise import __version__
+from isonoise.distributed import dask_worker
+from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings
+from isonoise.distributed.packing import PackingError, pack_scene, pack_task, unpack_result
+from isonoise.distributed.task import Task, TaskResult
+from isonoise.distributed.worker_pool import Finished, Lost, Worker
+from isonoise.errors import DeviceError
+from isonoise.scene.compiled_scene import CompiledScene
+
+_POLL_S = 0.5
+"""Longest time between looks at the scheduler's list of up to `_POLL_WORKERS` workers; more take longer."""
+_POLL_WORKERS = 50
+_CLOSE_TIMEOUT_S = 2.0
+_DIRECT_TIMEOUT_S = 2.0
+_LOOPBACK_HOSTS = ("127.", "localhost", "[::1]", "::1")
+
+
+@dataclass
+class _KnownWorker:
+    """A worker of the scheduler's list."""
+
+    address: str
+    preparation: asyncio.Task
+    is_local: bool = False  # on this machine: compression would cost more than it saves
+    is_direct: bool = False  # data goes to it, not through the scheduler
+    tracer: object = None  # future of its tracer, once it is ready
+    tasks: dict[int, asyncio.Task] = field(default_factory=dict)
+
+
+class DaskPool:
+    """Prepares the workers of a cluster for a scene, sends them tasks, and follows which of them are there.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        The connection to the cluster.
+    device_of : callable
+        What the worker with a name, that of the scheduler's list, renders on.
+    scene : CompiledScene
+        The scene.
+    settings : TracerSettings
+        What makes a tracer of the scene on a worker.
+    starting_workers : int
+        Workers that have been started, and may not be in the scheduler's list yet.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        device_of: Callable[[object], DeviceChoice],
+        scene: CompiledScene,
+        settings: TracerSettings,
+        starting_workers: int = 0,
+    ):
+        self._client, self._device_of = client, device_of
+        self._scene, self._settings, self._starting_workers = scene, settings, starting_workers
+        self._loop = self._client.loop.asyncio_loop
+        self._render = uuid.uuid4().hex
+        self._known: dict[str, _KnownWorker] = {}
+        self._ready: dict[str, Worker] = {}
+        self._refused: dict[str, str] = {}  # worker -> why it cannot render
+        self._submitted: dict[int, Task] = {}
+        self._stops = 0
+        self._events: queue.SimpleQueue = queue.SimpleQueue()  # of calls, which `wait` makes
+        self._failure: str | None = None
+        self._scene_bytes: dict[bool, asyncio.Task] = {}  # compressed or not -> future of the bytes, on the cluster
+        self._workers_changed = asyncio.Event()
+        self._following = asyncio.run_coroutine_threadsafe(self._follow_workers(), self._loop)
+
+    def workers(self) -> list[Worker]:
+        """Those that are ready now."""
+        return list(self._ready.values())
+
+    @property
+    def known_workers(self) -> int:
+        """Workers that are ready or being prepared."""
+        return max(len(self._known), self._starting_workers)
+
+    def wait_for_worker(self, on_ready: Callable[[int, int], None] = lambda ready, known: None) -> None:
+        """Wait until a worker is ready. Raises DeviceError if no worker can render, or the connection is lost."""
+        has_warned, start = False, time.monotonic()
+        while not self._ready:
+            on_ready(len(self._ready), self.known_workers)
+            self._check(may_wait=False)
+            time.sleep(0.05)
+            if not has_warned and not self.known_workers and time.monotonic() > start + 2:
+                has_warned = True
+                warnings.warn("the cluster has no workers yet; waiting for the first one", stacklevel=2)
+
+    def submit(self, worker: str, task: Task) -> None:
+        """Send a task to a worker. Returns at once."""
+        self._submitted[task.number] = task
+        known = self._known.get(worker)
+        data = pack_task(task, known is not None and not known.is_local)
+        self._loop.call_soon_threadsafe(self._begin_task, worker, task.number, data, self._stops)
+
+    def wait(self, timeout_s: float) -> list[Finished | Lost]:
+        """What has happened since the last call, as in `WorkerPool`. Raises DeviceError if the connection is lost."""
+        events = []
+        deadline = time.monotonic() + timeout_s
+        while not events:
+            try:
+                call = self._events.get(timeout=max(deadline - time.monotonic(), 0))
+                while True:
+                    events += call()
+                    call = self._events.get_nowait()
+            except queue.Empty:
+                self._check(may_wait=True)
+                if time.monotonic() >= deadline:
+                    break
+        return events
+
+    def stop(self) -> None:
+        """Ask the workers to end their tasks early."""
+        self._stops += 1
+        asyncio.run_coroutine_threadsafe(self._send_to_all(dask_worker.stop, self._stops), self._loop)
+
+    def close(self) -> None:
+        """Drop all tasks, and let the workers free the scene."""
+        if self._client.status == "running":
+            closing = asyncio.run_coroutine_threadsafe(self._close(), self._loop)
+            with suppress(FutureTimeoutError, Exception):
+                closing.result(_CLOSE_TIMEOUT_S)
+        self._submitted.clear()
+        self._ready.clear()
+
+    # what `wait` does for an event, in the caller's thread
+
+    def _take_result(self, worker: str, number: int, data: bytes) -> list[Finished | Lost]:
+        task = self._submitted.get(number)
+        if task is None:  # it arrives twice, or from a worker that was thought dead
+            return []
+        try:
+            result = unpack_result(data)
+            _check_result(task, result)
+        except PackingError as error:
+            return self._take_loss(worker, number, f"its result is wrong: {error}")
+        del self._submitted[number]
+        return [Finished(worker, result)]
+
+    def _take_loss(self, worker: str, number: int, reason: str) -> list[Finished | Lost]:
+        return [] if self._submitted.pop(number, None) is None else [Lost(worker, number, reason)]
+
+    def _say(self, message: str) -> list[Finished | Lost]:
+        warnings.warn(message, stacklevel=4)
+        return []
+
+    def _check(self, may_wait: bool) -> None:
+        """Raise DeviceError if the cluster is lost, or all its workers have refused the render."""
+        if self._failure is None and self._client.status != "running":
+            self._failure = "the connection to the Dask scheduler is lost"
+        if self._failure is not None:
+            raise DeviceError(
+                f"{self._failure}; restart the cluster, and continue from the last checkpoint, if there is one, with "
+                "--resume"
+            )
+        if self._refused and not self._ready and self._refused.keys() >= self._known.keys():
+            name, reason = next(iter(self._refused.items()))
+            raise DeviceError(f"no worker can render: {name}: {reason}")
+
+    # in the thread of the client
+
+    async def _follow_workers(self) -> None:
+        """Prepare workers that join, drop those that are gone, until the pool is closed or the connection is lost."""
+        self._client.subscribe_topic("all", self._on_event)
+        try:
+            while self._client.status == "running":
+                self._workers_changed.clear()
+                workers = (await self._client.scheduler.identity())["workers"]
+                running = {address for address, each in workers.items() if each["status"] in ("running", "init")}
+                for address in self._known.keys() - running:
+                    self._drop(address, "it has left the cluster")
+                self._refused = {name: why for name, why in self._refused.items() if name in workers}
+                for address in running - self._known.keys() - self._refused.keys():
+                    preparation = self._loop.create_task(self._prepare(address, workers[address]))
+                    self._known[address] = _KnownWorker(address, preparation)
+                interval_s = _POLL_S * max(len(workers) / _POLL_WORKERS, 1)
+                with suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(self._workers_changed.wait(), interval_s)
+        except OSError:
+            pass
+        self._fail("the connection to the Dask scheduler is lost")
+
+    def _on_event(self, event: tuple[float, dict]) -> None:
+        if event[1].get("action") in ("add-worker", "remove-worker"):
+            self._workers_changed.set()
+
+    def _fail(self, message: str) -> None:
+        self._failure = self._failure or message
+        self._events.put(list)
+
+    def _drop(self, address: str, reason: str) -> None:
+        """Forget a worker; its tasks are lost."""
+        known = self._known.pop(address)
+        known.preparation.cancel()
+        if self._ready.pop(address, None) is not None:
+            message = f"worker {address} is lost ({reason}); its part is traced again"
+            self._events.put(lambda: self._say(message))
+        for number, running in known.tasks.items():
+            running.cancel()
+            self._lose(address, number, reason)
+
+    def _lose(self, address: str, number: int, reason: str) -> None:
+        self._events.put(lambda: self._take_loss(address, number, reason))
+
+    def _refuse(self, address: str, reason: str) -> None:
+        """Give a worker nothing more: it cannot render, or has failed."""
+        self._refused[address] = reason
+        if address in self._known:
+            self._drop(address, reason)
+        self._events.put(list)
+
+    async def _prepare(self, address: str, info: dict) -> None:
+        """Make a worker ready: check its version, send the scene, compile it."""
+        try:
+            version = await self._version(address)
+            if version != __version__:
+                has = f"has isonoise {version}" if version else "has no isonoise"
+                raise DeviceError(f"it {has}, and this machine {__version__}; install the same version on both")
+            known = self._known[address]
+            known.is_local = address.partition("://")[2].startswith(_LOOPBACK_HOSTS)
+            known.is_direct = await self._is_reachable(address)
+            compress = not known.is_local
+            scene = await self._scene_on_cluster(compress)
+            device = self._device_of(info["name"])
+            arguments = scene, compress, self._render, self._settings, device
+            tracer = self._client.submit(dask_worker.prepare, *arguments, pure=False, workers=[address])
+            name = await self._client.submit(dask_worker.device_name, tracer, pure=False, workers=[address])
+            known.tracer = tracer
+            self._ready[address] = Worker(address, name)
+            self._events.put(list)
+        except asyncio.CancelledError:
+            raise
+        except Exception as error:
+            if self._client.status == "running":
+                self._refuse(address, _reason(error))
+
+    async def _version(self, address: str) -> str | None:
+        """Of isonoise on a worker; None if it is not installed."""
+        answers = await self._client.scheduler.broadcast(
+            msg={"op": "versions", "packages": ["isonoise"]}, workers=[address], on_error="return"
+        )
+        answer = answers.get(address)
+        if not isinstance(answer, dict):
+            raise DeviceError(f"it does not answer ({answer})")
+        return answer["packages"].get("isonoise")
+
+    async def _is_reachable(self, address: str) -> bool:
+        """Whether this machine can connect to the worker, not to the scheduler alone."""
+        try:
+            await asyncio.wait_for(self._client.rpc(address).identity(), _DIRECT_TIMEOUT_S)
+        except Exception:
+            return False
+        return True
+
+    async def _scene_on_cluster(self, compress: bool):
+        """The packed scene, sent once: workers fetch it from those that have it."""
+        sending = self._scene_bytes.get(compress)
+        if sending is not None:
+            scene = await sending
+            if scene.status == "finished":
+                return scene
+        data = pack_scene(self._scene, compress)
+        self._scene_bytes[compress] = self._loop.create_task(self._client.scatter(data))
+        return await self._scene_bytes[compress]
+
+    def _begin_task(self, address: str, number: int, data: bytes, stops: int) -> None:
+        known = self._known.get(address)
+        if known is None or known.tracer is None:
+            self._lose(address, number, "it has left the cluster")
+        else:
+            known.tasks[number] = self._loop.create_task(self._run_task(known, number, data, stops))
+
+    async def _run_task(self, known: _KnownWorker, number: int, data: bytes, stops: int) -> None:
+        """Send a task, wait for its result and fetch it."""
+        address, client = known.address, self._client
+        try:
+            sent = await client.scatter(data, workers=[address], direct=known.is_direct, hash=False)
+            arguments = known.tracer, sent, stops, not known.is_local
+            future = client.submit(dask_worker.trace_task, *arguments, pure=False, workers=[address])
+            result = await client.gather(future, direct=known.is_direct)
+            self._events.put(lambda: self._take_result(address, number, result))
+        except asyncio.CancelledError:
+            raise
+        except Exception as error:
+            if client.status == "running":
+                self._lose(address, number, _reason(error))
+                known.tasks.pop(number, None)
+                if address in self._known:
+                    self._refuse(address, _reason(error))
+        finally:
+            known.tasks.pop(number, None)
+
+    async def _send_to_all(self, function: Callable, *arguments) -> None:
+        addresses = list(self._ready)
+        if addresses:
+            with suppress(Exception):
+                await self._client.run(function, self._render, *arguments, workers=addresses, on_error="ignore")
+
+    async def _close(self) -> None:
+        self._following.cancel()
+        self._client.unsubscribe_topic("all")
+        await self._send_to_all(dask_worker.stop, self._stops + 1)
+        for known in self._known.values():
+            known.preparation.cancel()
+            for running in known.tasks.values():
+                running.cancel()
+        await self._send_to_all(dask_worker.forget)
+        self._known.clear()
+        self._scene_bytes.clear()
+
+
+def _reason(error: BaseException) -> str:
+    """An error of a worker in a line."""
+    lines = str(error).splitlines() or [type(error).__name__]
+    return lines[0] if isinstance(error, DeviceError) else f"{type(error).__name__}: {lines[0]}"
+
+
+def _check_result(task: Task, result: TaskResult) -> None:
+    """Raise PackingError unless the result is one of the task: the state of its pixels, with all their samples."""
+    if result.number != task.number or result.state.keys() != task.state.keys():
+        raise PackingError("it is that of another task")
+    for name, array in task.state.items():
+        if result.state[name].shape != array.shape or result.state[name].dtype != array.dtype:
+            raise PackingError(f"'{name}' has another size")
+    added = task.allocation if result.remaining is None else task.allocation - result.remaining
+    before, after = (state["count"][0] + state["rejected"][0] for state in (task.state, result.state))
+    if not np.array_equal(after, before + added):
+        raise PackingError("samples are missing")
