@@ -120,4 +120,4 @@ def write_run(path, rgb, reference, variance, count, rng, bias, facts, identity)
             rejected=0,
         )
         recorder.wave(row, image, seconds * fraction * 0.97)
-    recorder.write(path, row, image, count, facts, identity)
+    path.write_bytes(recorder.pack(row, image, count, facts, identity))

@@ -140,7 +140,7 @@ def remove_folder(path: Path, _) -> None:
 def test_a_run_that_cannot_be_written_is_a_message(folder, capsys, monkeypatch, damage, message):
     runs = run_files(folder)
     runs.popitem()[1].unlink()
-    monkeypatch.setattr("isonoise.comparison.checked_files._write_with_digest", damage)
+    monkeypatch.setattr("isonoise.comparison.checked_files._write_bytes", damage)
     assert compare(*options("out")) == 2
     err = capsys.readouterr().err
     assert message in err

@@ -103,7 +103,7 @@ def test_snapshots_are_taken_by_time_if_time_is_the_budget():
     for number, elapsed in enumerate(times):
         image = np.full((2, 3, 3), 1 + elapsed, np.float32)
         recorder.wave(row_at(elapsed, number), image, None)
-    recorder.write(Path("run.npz"), row_at(times[-1], 6), image, np.ones((2, 3)), {}, {})
+    Path("run.npz").write_bytes(recorder.pack(row_at(times[-1], 6), image, np.ones((2, 3)), {}, {}))
     with np.load("run.npz") as run:
         assert run["snapshot_s"].tolist() == [0.3, 0.9, 1.5, 3.9, 5.0, 7.99]
         assert run["snapshot_samples"].tolist() == [1, 2, 3, 4, 5, 6]
@@ -115,7 +115,7 @@ def test_errors_are_clipped_to_the_range_of_float16():
     image = np.array([0.0, 1.0, -1.0, 1e30], np.float32)[None, :, None] * np.ones(3, np.float32)
     recorder = Recorder(Stops(spp=1.0), reference)
     recorder.wave(row_at(1.0, 4), image, None)
-    recorder.write(Path("run.npz"), row_at(1.0, 4), image, np.ones((1, 4)), {}, {})
+    Path("run.npz").write_bytes(recorder.pack(row_at(1.0, 4), image, np.ones((1, 4)), {}, {}))
     with np.load("run.npz") as run:
         assert run["errors"][-1].tolist() == [[0, 65504, -65504, 65504]]
 

@@ -31,31 +31,42 @@ class InvalidFileError(UserError):
         self.reason = reason
 
 
-def write_npz(path: Path, arrays: Mapping[str, np.ndarray], identity: Mapping, compressed: bool = True) -> None:
-    """Write arrays and identity (as JSON text, the array `identity`) atomically. Raises UserError if that fails.
+def pack_npz(arrays: Mapping[str, np.ndarray], identity: Mapping, compressed: bool = True) -> bytes:
+    """The content of an npz file with arrays and identity (as JSON text, the array `identity`).
 
-    The file's last 64 bytes are the SHA-256 of all bytes before them. They are the comment of the zip archive, so
-    `numpy.load` reads the file as any other.
+    Its last 64 bytes are the SHA-256 of all bytes before them. They are the comment of the zip archive, so `numpy.load`
+    reads the file as any other.
     """
     buffer = io.BytesIO()
     save = np.savez_compressed if compressed else np.savez
     save(buffer, **arrays, identity=np.array(json.dumps(identity)))
     with zipfile.ZipFile(buffer, "a") as archive:
         archive.comment = bytes(_DIGEST_LENGTH)
-    content = buffer.getbuffer()[:-_DIGEST_LENGTH]
+    body = buffer.getbuffer()[:-_DIGEST_LENGTH]
+    return bytes(body) + hashlib.sha256(body).hexdigest().encode()
+
+
+def write_packed(path: Path, content: bytes) -> None:
+    """Write what `pack_npz` has returned atomically. Raises UserError if that fails."""
     _remove_link(path)
-    write_atomically(path, lambda temporary: _write_with_digest(temporary, content))
+    write_atomically(path, lambda temporary: _write_bytes(temporary, content))
 
 
 def read_npz(path: Path, identity: Mapping) -> Mapping[str, np.ndarray]:
-    """The arrays of a file of `write_npz`, decompressed when they are used.
-
-    Raises InvalidFileError if the content does not agree with its SHA-256, or the file has another identity.
-    """
+    """`unpack_npz` of a file. Raises InvalidFileError also if it cannot be read."""
     try:
         content = read_regular_file(path)
     except OSError as error:
         raise InvalidFileError(path, f"it cannot be read ({error.strerror})") from error
+    return unpack_npz(content, path, identity)
+
+
+def unpack_npz(content: bytes, path: Path, identity: Mapping) -> Mapping[str, np.ndarray]:
+    """The arrays of `pack_npz`, decompressed when they are used.
+
+    Raises InvalidFileError, which names `path`, if the content does not agree with its SHA-256, or has another
+    identity.
+    """
     body = memoryview(content)[:-_DIGEST_LENGTH]
     if hashlib.sha256(body).hexdigest().encode() != content[-_DIGEST_LENGTH:]:
         raise InvalidFileError(path, _NO_DIGEST)
@@ -125,10 +136,9 @@ def _image_digest(channels: Mapping[str, np.ndarray], identity: str) -> str:
     return digest.hexdigest()
 
 
-def _write_with_digest(path: Path, body: memoryview) -> None:
+def _write_bytes(path: Path, content: bytes) -> None:
     with path.open("wb") as file:
-        file.write(body)
-        file.write(hashlib.sha256(body).hexdigest().encode())
+        file.write(content)
 
 
 def _remove_link(path: Path) -> None:

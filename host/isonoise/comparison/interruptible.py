@@ -1,18 +1,21 @@
-"""Renders that a signal ends by KeyboardInterrupt after the paths in flight; called by `runner` and `references`.
+"""Renders that a signal ends by KeyboardInterrupt after the paths in flight; called by `run_task` and `references`.
 
 The signal is deferred while the device works: Python drops a KeyboardInterrupt in callbacks of drivers.
 """
 
+from collections.abc import Callable
+
 from isonoise.loop import Outcome, Stops, render_loop
-from isonoise.renderer import Renderer
+from isonoise.renderer import Renderer, WaveRecord
 from isonoise.signals import deferred, raise_if_received
-from isonoise.wave import WaveRecord
 
 
-def interruptible_render(renderer: Renderer, stops: Stops, **options) -> Outcome:
+def interruptible_render(
+    renderer: Renderer, stops: Stops, should_stop: Callable[[], bool] = lambda: False, **options
+) -> Outcome:
     """`render_loop`."""
     with deferred() as received:
-        outcome = render_loop(renderer, stops, should_stop=lambda: bool(received), **options)
+        outcome = render_loop(renderer, stops, should_stop=lambda: bool(received) or should_stop(), **options)
     raise_if_received()
     return outcome
 

@@ -3,7 +3,7 @@
 Mitsuba's samplers are stratified within a pass only, so every image is a pass of its own: that of the whole budget, and
 those of halved budgets for the curve of error against time. Mitsuba runs in its own process: OpenCL drivers load an
 LLVM of their own, and Mitsuba aborts the process if it loads a libLLVM that is too old. That process measures the time
-of rendering alone. Called by `runner` and by `bench --peers`.
+of rendering alone. Called by `local_runs` and by `bench --peers`.
 """
 
 import contextlib
@@ -62,11 +62,10 @@ class MitsubaWorkers:
         seed: int,
         stops: Stops,
         reference: tuple[np.ndarray, np.ndarray | None],
-        path: Path,
         identity: Mapping,
         on_progress: Callable[[float, int], None],
-    ) -> dict:
-        """Render one run to `path`; returns its last row. Stated errors are nan. Raises UserError if it fails.
+    ) -> bytes:
+        """Render one run; returns the content of its file. Stated errors are nan. Raises UserError if it fails.
 
         Every row is an image of its own, with its own time. Passes of an image are weighted by their samples.
         """
@@ -110,8 +109,7 @@ class MitsubaWorkers:
             "elapsed_s": elapsed,
             "stopped_by": "time" if stops.time is not None else "spp",
         }
-        recorder.write(path, row, rgb, np.full(rgb.shape[:2], spp, np.uint32), facts, identity)
-        return recorder.rows[-1]
+        return recorder.pack(row, rgb, np.full(rgb.shape[:2], spp, np.uint32), facts, identity)
 
 
 def _describe(passes: list[int]) -> str:

@@ -2,11 +2,10 @@
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison.checked_files import write_npz
+from isonoise.comparison.checked_files import pack_npz
 from isonoise.comparison.reference_error import error_quantiles, relative_to_floor
 from isonoise.error.true_error import luminance_standard_error
 from isonoise.film.log import LogRow, columns, row_values
@@ -68,10 +67,8 @@ class Recorder:
             self._due_at = self._due_at[len(due) :]
             self._snapshots += [self._snapshot(row, rgb)] * len(due)
 
-    def write(
-        self, path: Path, row: LogRow, rgb: np.ndarray, count: np.ndarray, facts: dict, identity: Mapping
-    ) -> None:
-        """Write the run with `write_npz`; `row`, `rgb` and `count` are the final ones. Raises UserError if that fails.
+    def pack(self, row: LogRow, rgb: np.ndarray, count: np.ndarray, facts: dict, identity: Mapping) -> bytes:
+        """The content of the run's file, made by `pack_npz`; `row`, `rgb` and `count` are the final ones.
 
         Arrays of the file: `rows` (the rows as JSON text), `snapshot_s` float64 (6,), `snapshot_samples` int64 (6,),
         `errors` float16 (6, height, width): (x - r) / max(r, floor) of the luminance, `count` uint32 (height, width)
@@ -87,7 +84,7 @@ class Recorder:
             "count": np.asarray(count, np.uint32),
             "facts": np.array(json.dumps(facts)),
         }
-        write_npz(path, arrays, identity)
+        return pack_npz(arrays, identity)
 
     def _snapshot(self, row: LogRow, rgb: np.ndarray) -> tuple[float, int, np.ndarray]:
         return row.elapsed_s, row.samples, self._error(rgb).astype(np.float16)

@@ -11,7 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison.checked_files import InvalidFileError, read_image, read_npz, write_image, write_npz
+from isonoise.comparison.checked_files import (
+    InvalidFileError,
+    pack_npz,
+    read_image,
+    read_npz,
+    write_image,
+    write_packed,
+)
 from isonoise.comparison.identity import reference_identity
 from isonoise.comparison.interruptible import interruptible_render, interruptible_step
 from isonoise.comparison.plan import (
@@ -263,7 +270,7 @@ def _load(path: Path, identity: Mapping) -> BatchSums:
 
 def _save(path: Path, sums: BatchSums, identity: Mapping) -> None:
     arrays = {name: np.asarray(value) for name, value in vars(sums).items()}
-    write_npz(path, arrays, identity, compressed=False)
+    write_packed(path, pack_npz(arrays, identity, compressed=False))
 
 
 def _finish(

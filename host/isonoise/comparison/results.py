@@ -21,7 +21,7 @@ from isonoise.strategies.measures import image_floor
 
 @dataclass(frozen=True)
 class Run:
-    """One finished run. Every property reads and checks the file anew; `Recorder.write` lists the arrays of the file.
+    """One finished run. Every property reads and checks the file anew; `Recorder.pack` lists the arrays of the file.
 
     `rows` is a list of dicts, one per wave (the log's columns and `device_s`), with nan for null.
     """

@@ -36,6 +36,9 @@ class Oracle(Adaptive):
     def state(self) -> dict[str, object]:
         return {}  # the variances are in the file
 
+    def __getstate__(self) -> dict[str, object]:
+        return vars(self) | {"_variance": self._variance}  # for another machine, which lacks the file
+
     @cached_property
     def _variance(self) -> np.ndarray:
         import OpenEXR
