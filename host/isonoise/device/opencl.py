@@ -4,6 +4,7 @@ import atexit
 import contextlib
 import functools
 import linecache
+import threading
 import warnings
 import weakref
 from collections import Counter
@@ -39,6 +40,9 @@ def _context(device):
 
 _programs: dict[tuple, object] = {}
 """(context, source, options) -> program built in this process."""
+
+_build_lock = threading.Lock()
+"""Held while a program is built: pyopencl and `warnings` change state of the whole process meanwhile."""
 
 _programs_to_store: dict[str, object] = {}
 """Cache key -> program compiled in this process."""
@@ -182,13 +186,14 @@ class Device:
         refuse_after_fork()
         raise_if_received()
         options = (*options, *build_options(self.device))
-        cached = _programs.get((self.context, source, options))
-        if cached is None:
-            cached = _programs[self.context, source, options] = self._compile(source, options)
-        sources = set(linecache.cache)
-        kernels = {kernel.function_name: kernel for kernel in cached.all_kernels()}
-        for name in linecache.cache.keys() - sources:  # pyopencl generates a function for each and keeps its source
-            del linecache.cache[name]
+        with _build_lock:
+            cached = _programs.get((self.context, source, options))
+            if cached is None:
+                cached = _programs[self.context, source, options] = self._compile(source, options)
+            sources = set(linecache.cache)
+            kernels = {kernel.function_name: kernel for kernel in cached.all_kernels()}
+            for name in linecache.cache.keys() - sources:  # pyopencl generates a function for each and keeps its source
+                del linecache.cache[name]
         return kernels
 
     def _compile(self, source: str, options: tuple[str, ...]):
