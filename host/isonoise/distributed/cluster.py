@@ -39,6 +39,8 @@ class Cluster:
         The connection to the cluster.
     size : int or None
         Worker processes of `local`; None: they come and go.
+    on_wait : callable
+        Called by `pool` with the number of workers that are being prepared, again and again while none is ready.
 
     Examples
     --------
@@ -49,6 +51,7 @@ class Cluster:
     def __init__(self, client, devices: Callable[[object], DeviceChoice], stack: ExitStack, size: int | None = None):
         self.client, self.size = client, size
         self._devices, self._stack = devices, stack
+        self.on_wait: Callable[[int], None] = lambda workers: None
 
     @classmethod
     def connect(cls, address: str, device: str | None = None) -> "Cluster":
@@ -136,7 +139,6 @@ class Cluster:
         seed: int,
         pool_size: int | None = None,
         memory: int | None = None,
-        on_ready: Callable[[int, int], None] = lambda ready, known: None,
     ):
         """Send a scene to the workers, and wait until one is ready for tasks. The others join as they get ready.
 
@@ -144,8 +146,6 @@ class Cluster:
         ----------
         scene, needs, seed, pool_size, memory
             As for `ShardTracer`.
-        on_ready : callable
-            Called with the number of workers that are ready and that are known, while none is ready.
 
         Returns
         -------
@@ -161,7 +161,7 @@ class Cluster:
         settings = TracerSettings(needs, seed, pool_size, memory)
         pool = DaskPool(self.client, self.device_of, scene, settings, self.size or 0)
         try:
-            pool.wait_for_worker(on_ready)
+            pool.wait_for_worker(self.on_wait)
         except BaseException:
             pool.close()
             raise

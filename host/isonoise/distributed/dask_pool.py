@@ -10,9 +10,9 @@ import queue
 import time
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +22,7 @@ from isonoise import __version__
 from isonoise.distributed import dask_worker
 from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings
 from isonoise.distributed.packing import PackingError, pack_scene, pack_task, unpack_result
-from isonoise.distributed.task import Task, TaskResult
+from isonoise.distributed.task import Task
 from isonoise.distributed.worker_pool import Finished, Lost, Worker
 from isonoise.errors import DeviceError
 from isonoise.scene.compiled_scene import CompiledScene
@@ -30,9 +30,15 @@ from isonoise.scene.compiled_scene import CompiledScene
 _POLL_S = 0.5
 """Longest time between looks at the scheduler's list of up to `_POLL_WORKERS` workers; more take longer."""
 _POLL_WORKERS = 50
+_MAX_FAILURES = 3
+"""A worker that has failed so often in sequence gets nothing more."""
 _CLOSE_TIMEOUT_S = 2.0
 _DIRECT_TIMEOUT_S = 2.0
 _LOOPBACK_HOSTS = ("127.", "localhost", "[::1]", "::1")
+
+
+_Form = dict[str, tuple[tuple[int, ...], np.dtype]]
+"""Shape and type of the arrays of a state."""
 
 
 @dataclass
@@ -45,6 +51,7 @@ class _KnownWorker:
     is_direct: bool = False  # data goes to it, not through the scheduler
     tracer: object = None  # future of its tracer, once it is ready
     tasks: dict[int, asyncio.Task] = field(default_factory=dict)
+    failures: int = 0  # tasks in sequence
 
 
 class DaskPool:
@@ -79,11 +86,13 @@ class DaskPool:
         self._known: dict[str, _KnownWorker] = {}
         self._ready: dict[str, Worker] = {}
         self._refused: dict[str, str] = {}  # worker -> why it cannot render
-        self._submitted: dict[int, Task] = {}
+        self._submitted: dict[int, _Form] = {}
         self._stops = 0
         self._events: queue.SimpleQueue = queue.SimpleQueue()  # of calls, which `wait` makes
         self._failure: str | None = None
         self._scene_bytes: dict[bool, asyncio.Task] = {}  # compressed or not -> future of the bytes, on the cluster
+        self._host_locks: dict[str, asyncio.Lock] = {}
+        self._compiled_hosts: set[str] = set()
         self._workers_changed = asyncio.Event()
         self._following = asyncio.run_coroutine_threadsafe(self._follow_workers(), self._loop)
 
@@ -96,12 +105,12 @@ class DaskPool:
         """Workers that are ready or being prepared."""
         return max(len(self._known), self._starting_workers)
 
-    def wait_for_worker(self, on_ready: Callable[[int, int], None] = lambda ready, known: None) -> None:
+    def wait_for_worker(self, on_wait: Callable[[int], None] = lambda workers: None) -> None:
         """Wait until a worker is ready. Raises DeviceError if no worker can render, or the connection is lost."""
         has_warned, start = False, time.monotonic()
         while not self._ready:
-            on_ready(len(self._ready), self.known_workers)
-            self._check(may_wait=False)
+            on_wait(self.known_workers)
+            self._check()
             time.sleep(0.05)
             if not has_warned and not self.known_workers and time.monotonic() > start + 2:
                 has_warned = True
@@ -109,7 +118,7 @@ class DaskPool:
 
     def submit(self, worker: str, task: Task) -> None:
         """Send a task to a worker. Returns at once."""
-        self._submitted[task.number] = task
+        self._submitted[task.number] = _form(task.state)
         known = self._known.get(worker)
         data = pack_task(task, known is not None and not known.is_local)
         self._loop.call_soon_threadsafe(self._begin_task, worker, task.number, data, self._stops)
@@ -125,7 +134,7 @@ class DaskPool:
                     events += call()
                     call = self._events.get_nowait()
             except queue.Empty:
-                self._check(may_wait=True)
+                self._check()
                 if time.monotonic() >= deadline:
                     break
         return events
@@ -147,14 +156,15 @@ class DaskPool:
     # what `wait` does for an event, in the caller's thread
 
     def _take_result(self, worker: str, number: int, data: bytes) -> list[Finished | Lost]:
-        task = self._submitted.get(number)
-        if task is None:  # it arrives twice, or from a worker that was thought dead
+        form = self._submitted.get(number)
+        if form is None:  # it arrives twice, or from a worker that was thought dead
             return []
         try:
             result = unpack_result(data)
-            _check_result(task, result)
+            if result.number != number or _form(result.state) != form:
+                raise PackingError("it is that of another task")
         except PackingError as error:
-            return self._take_loss(worker, number, f"its result is wrong: {error}")
+            return self._take_loss(worker, number, f"its result is refused: {error}")
         del self._submitted[number]
         return [Finished(worker, result)]
 
@@ -165,7 +175,7 @@ class DaskPool:
         warnings.warn(message, stacklevel=4)
         return []
 
-    def _check(self, may_wait: bool) -> None:
+    def _check(self) -> None:
         """Raise DeviceError if the cluster is lost, or all its workers have refused the render."""
         if self._failure is None and self._client.status != "running":
             self._failure = "the connection to the Dask scheduler is lost"
@@ -242,18 +252,27 @@ class DaskPool:
             known.is_direct = await self._is_reachable(address)
             compress = not known.is_local
             scene = await self._scene_on_cluster(compress)
-            device = self._device_of(info["name"])
-            arguments = scene, compress, self._render, self._settings, device
-            tracer = self._client.submit(dask_worker.prepare, *arguments, pure=False, workers=[address])
-            name = await self._client.submit(dask_worker.device_name, tracer, pure=False, workers=[address])
+            async with self._compilation(address):
+                arguments = scene, compress, self._render, self._settings, self._device_of(info["name"])
+                tracer = self._client.submit(dask_worker.prepare, *arguments, pure=False, workers=[address])
+                device = await self._client.submit(dask_worker.device_name, tracer, pure=False, workers=[address])
             known.tracer = tracer
-            self._ready[address] = Worker(address, name)
+            self._ready[address] = Worker(address, device)
             self._events.put(list)
-        except asyncio.CancelledError:
-            raise
         except Exception as error:
             if self._client.status == "running":
                 self._refuse(address, _reason(error))
+
+    @asynccontextmanager
+    async def _compilation(self, address: str) -> AsyncIterator[None]:
+        """The first worker of a machine compiles alone: the others then find the kernels in its cache."""
+        host = address.rpartition(":")[0]
+        async with self._host_locks.setdefault(host, asyncio.Lock()):
+            if host not in self._compiled_hosts:
+                yield
+                self._compiled_hosts.add(host)
+                return
+        yield
 
     async def _version(self, address: str) -> str | None:
         """Of isonoise on a worker; None if it is not installed."""
@@ -299,17 +318,24 @@ class DaskPool:
             arguments = known.tracer, sent, stops, not known.is_local
             future = client.submit(dask_worker.trace_task, *arguments, pure=False, workers=[address])
             result = await client.gather(future, direct=known.is_direct)
+            known.failures = 0
             self._events.put(lambda: self._take_result(address, number, result))
-        except asyncio.CancelledError:
-            raise
-        except Exception as error:
+        except Exception as error:  # no cancellation: `_drop` has reported the loss
             if client.status == "running":
-                self._lose(address, number, _reason(error))
-                known.tasks.pop(number, None)
-                if address in self._known:
-                    self._refuse(address, _reason(error))
+                self._on_task_failure(known, number, _reason(error))
         finally:
             known.tasks.pop(number, None)
+
+    def _on_task_failure(self, known: _KnownWorker, number: int, reason: str) -> None:
+        self._lose(known.address, number, reason)
+        del known.tasks[number]
+        known.failures += 1
+        if self._known.get(known.address) is not known:
+            return
+        if known.failures >= _MAX_FAILURES:
+            self._refuse(known.address, reason)
+        elif known.tracer.status != "finished":  # its process has begun anew: prepare it again
+            self._drop(known.address, reason)
 
     async def _send_to_all(self, function: Callable, *arguments) -> None:
         addresses = list(self._ready)
@@ -336,14 +362,5 @@ def _reason(error: BaseException) -> str:
     return lines[0] if isinstance(error, DeviceError) else f"{type(error).__name__}: {lines[0]}"
 
 
-def _check_result(task: Task, result: TaskResult) -> None:
-    """Raise PackingError unless the result is one of the task: the state of its pixels, with all their samples."""
-    if result.number != task.number or result.state.keys() != task.state.keys():
-        raise PackingError("it is that of another task")
-    for name, array in task.state.items():
-        if result.state[name].shape != array.shape or result.state[name].dtype != array.dtype:
-            raise PackingError(f"'{name}' has another size")
-    added = task.allocation if result.remaining is None else task.allocation - result.remaining
-    before, after = (state["count"][0] + state["rejected"][0] for state in (task.state, result.state))
-    if not np.array_equal(after, before + added):
-        raise PackingError("samples are missing")
+def _form(state: Mapping[str, np.ndarray]) -> _Form:
+    return {name: (array.shape, array.dtype) for name, array in state.items()}
