@@ -41,7 +41,7 @@ def render_state(seed: int = 0) -> State:
         {
             "elapsed_s": 0.5 * wave, "wave": wave, "kind": "uniform", "samples": wave, "spp": wave / 35,
             "stated_p50": 0.1, "stated_p95": 0.2, "stated_p99": float("inf"), "rejected": 1,
-            "error_bound": float("nan"), "energy_loss": 0.0, "energy_loss_se": 0.0,
+            "error_bound": float("nan"), "energy_loss": 0.0, "energy_loss_se": 0.0, "workers": 2,
         }
         for wave in (1, 2)
     ]  # fmt: skip

@@ -89,9 +89,14 @@ def test_invalid_waves():
 
 
 def one_in_three(shape, budget):
-    """A map of 100 samples in every third pixel, 1,200 in all; asked for without a budget."""
+    """A map of 100 samples in every third pixel, 1,200 in all; asked for without a budget.
+
+    It is read-only and in column order: a strategy may keep its map in any form.
+    """
     assert budget is None
-    return np.where(np.arange(PIXELS) % 3 == 1, 100, 0).astype(np.uint32).reshape(shape)
+    allocation = np.asfortranarray(np.where(np.arange(PIXELS) % 3 == 1, 100, 0).astype(np.uint32).reshape(shape))
+    allocation.flags.writeable = False
+    return allocation
 
 
 def test_a_wave_without_spp_uses_the_map_unchanged():

@@ -170,6 +170,7 @@ class RenderLoop:
         self._error_stop = None if stops.error is None else ErrorStop(stops.error, stops.quantile, stops.confidence)
         self.statistics: Statistics | None = None  # after the last wave
         self._last_progress_s = 0.0
+        self._elapsed_before = 0.0  # of the render that is continued
         self._clock_start = time.perf_counter()
         self._due_at = [self._clock_start + each.interval_s for each in periodic]
         self._has_just_acted = False  # then the wave goes on, even if the next action is due already
@@ -208,7 +209,8 @@ class RenderLoop:
             statistics = self.statistics
         bound = None if self._error_stop is None else self._error_stop.bound
         error = math.inf if self._error is None else self._error
-        return Outcome(reason, self.rows, self._elapsed(), statistics, self._floor(statistics), error, bound)
+        elapsed, share = self._elapsed(), self._client_share()
+        return Outcome(reason, self.rows, elapsed, statistics, self._floor(statistics), error, bound, share)
 
     def state(self, reuse: State | None = None) -> State:
         """Return all that the render is, to continue it later. Waits for the device. As `Renderer.state`."""
@@ -236,7 +238,8 @@ class RenderLoop:
         if values["reference_floor"] != self._reference_floor:
             raise UserError("the render cannot be continued: it had another --reference, or one of both has none")
         self.rows = [row_from_values(row) for row in values["rows"]]
-        self._clock_start -= values["elapsed_s"]
+        self._elapsed_before = values["elapsed_s"]
+        self._clock_start -= self._elapsed_before
         self._samples_per_s, self._error = values["samples_per_s"], values["error"]
         if self._error_stop is not None and values["error_stop"] is not None:
             self._error_stop.restore(**values["error_stop"])
@@ -246,6 +249,11 @@ class RenderLoop:
 
     def _elapsed(self) -> float:
         return time.perf_counter() - self._clock_start
+
+    def _client_share(self) -> float | None:
+        """`Outcome.client_share`, of this process alone if the render was continued."""
+        waiting_s, elapsed = self.renderer.waiting_s, self._elapsed() - self._elapsed_before
+        return None if waiting_s is None or elapsed <= 0 else max(1 - waiting_s / elapsed, 0.0)
 
     def _time_left(self) -> float:
         return self.stops.time - self._elapsed()
@@ -384,6 +392,7 @@ class RenderLoop:
             error_bound=math.nan if self._error_stop is None else self._error_stop.bound,
             energy_loss=energy_loss,
             energy_loss_se=energy_loss_se,
+            workers=record.workers,
         )
         self.rows.append(row)
         return row

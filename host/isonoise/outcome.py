@@ -29,6 +29,9 @@ class Outcome:
         At the quantile of `Stops`; inf without waves.
     error_bound : float or None
         Upper confidence bound of the true error at this quantile. None without `Stops.error` or waves.
+    client_share : float or None
+        Share of the time, from 0 to 1, in which this process did not wait for workers: it computed maps, statistics and
+        errors, or exchanged tasks. None on one device.
     """
 
     reason: str
@@ -38,6 +41,7 @@ class Outcome:
     floor: float
     stated_error: float
     error_bound: float | None = None
+    client_share: float | None = None
 
     @property
     def rgb(self) -> np.ndarray:

@@ -1,15 +1,16 @@
 """A render in progress: a scene on a device, and the strategy that distributes the samples wave by wave."""
 
+import contextlib
 import functools
 import time
-import weakref
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isonoise.current_statistics import CurrentStatistics
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.device.pool_size import MAX_POOL_SIZE
@@ -32,9 +33,13 @@ from isonoise.strategies.planner import WavePlanner
 from isonoise.strips import LARGE_IMAGE_PIXELS
 from isonoise.wave import WAVE_VALUES, WaveInProgress, WaveRecord
 
+if TYPE_CHECKING:
+    from isonoise.distributed.distributed_wavefront import DistributedWavefront
+    from isonoise.distributed.worker_report import WorkerReport
+
 
 class Renderer:
-    """Renders a scene wave by wave.
+    """Renders a scene wave by wave. `close`, or the end of a `with` block, frees the device and ends the workers.
 
     Parameters
     ----------
@@ -148,6 +153,7 @@ class Renderer:
             report = functools.partial(on_compile or (lambda *progress: None), self)
             report("", 0, 0)
             needs = self.strategy.needs.with_sampler(self.scene.sampler)
+            self._distributed: DistributedWavefront | None = None  # the wavefront, if there are workers
             self._wavefront = Wavefront(
                 opencl_device,
                 self.scene,
@@ -161,14 +167,31 @@ class Renderer:
             )
             self._wavefront.warm_up(report)
             check_driver(self._wavefront, needs)
-        self._planner = WavePlanner(self.strategy, (self.scene.height, self.scene.width))
+        shape = self.scene.height, self.scene.width
+        self._planner = WavePlanner(self.strategy, shape)
         self._wave: WaveInProgress | None = None
         self.samples = 0
-        self._statistics: Statistics | None = None  # None: out of date
-        needs_uniform = self.strategy.needs.uniform
-        self._uniform = UniformSamples((self.scene.height, self.scene.width)) if needs_uniform else None
+        uniform = UniformSamples(shape) if needs.uniform else None
+        self._statistics = CurrentStatistics(self._wavefront.accumulator, self.scene.radiance_scale, uniform)
+        self._worker_samples: dict[str, int] = {}  # of every worker, up to the last wave
 
-    @contextmanager
+    def __enter__(self) -> "Renderer":
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the device and end the workers. Statistics that were read stay; nothing may be called afterwards."""
+        if self._wavefront is None:
+            return
+        with contextlib.suppress(UserError):  # the device may have failed
+            self._statistics.forget()
+        if self._distributed is not None:
+            self._distributed.close()
+        self._wavefront = self._distributed = None
+
+    @contextlib.contextmanager
     def _measured(self, name: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
@@ -195,6 +218,15 @@ class Renderer:
         """Seconds that kernels ran on the device, without set-up; None unless `profile` is set."""
         device = self._wavefront.device
         return sum(device.seconds.values()) if device.profile else None
+
+    def worker_reports(self) -> "list[WorkerReport]":
+        """What every worker has done so far; empty on one device."""
+        return [] if self._distributed is None else self._distributed.worker_reports()
+
+    @property
+    def waiting_s(self) -> float | None:
+        """Seconds that the host has waited for workers; None on one device."""
+        return None if self._distributed is None else self._distributed.waiting_s
 
     def step(self, samples: int | None = None, should_continue: Callable[[int], bool] | None = None) -> WaveRecord:
         """Render the strategy's next wave.
@@ -230,9 +262,8 @@ class Renderer:
     def begin_wave(self, samples: int | None = None) -> None:
         """Plan the strategy's next wave, of at most `samples`, for `continue_wave`. Raises UserError as `step` does."""
         start = time.perf_counter()
-        kind, allocation = self._planner.plan(self._statistics_for_map, samples)
-        if self._uniform is not None and kind == "uniform":
-            self._uniform.begin_wave(self.statistics())
+        kind, allocation = self._planner.plan(self._statistics.read_for_map, samples)
+        self._statistics.begin_wave(kind)
         planned = int(allocation.sum(dtype=np.int64))
         self._wave = WaveInProgress(kind, allocation, planned, seconds=time.perf_counter() - start)
 
@@ -245,7 +276,7 @@ class Renderer:
             wave.traced += samples
             self.samples += samples
 
-        self._forget_statistics()
+        self._statistics.forget()
         try:
             self._wavefront.trace(wave.remaining, lambda: should_continue(wave.traced), on_reduced)
         finally:
@@ -255,11 +286,18 @@ class Renderer:
     def end_wave(self) -> WaveRecord:
         """End the wave. The rest of it, if there is one, is dropped."""
         start, wave = time.perf_counter(), self._wave
-        if self._uniform is not None and wave.kind == "uniform":
-            self._uniform.end_wave(self.statistics())
         self._wave = wave.remaining = None
-        self._statistics = self._with_uniform(self.statistics())
-        return WaveRecord(wave.kind, wave.traced, wave.planned, wave.seconds + time.perf_counter() - start)
+        self._statistics.end_wave()
+        seconds = wave.seconds + time.perf_counter() - start
+        return WaveRecord(wave.kind, wave.traced, wave.planned, seconds, self._count_workers())
+
+    def _count_workers(self) -> int:
+        """How many workers have traced samples since the last call."""
+        if self._distributed is None:
+            return 1
+        before = self._worker_samples
+        self._worker_samples = {report.name: report.samples for report in self.worker_reports()}
+        return sum(samples > before.get(name, 0) for name, samples in self._worker_samples.items())
 
     @functools.cached_property
     def settings(self) -> dict[str, object]:
@@ -291,8 +329,8 @@ class Renderer:
         renderer = {"samples": self.samples, "planner": self._planner.state(), "wave": wave}
         if self._wave is not None:
             arrays["wave/remaining"] = copy_array(self._wave.remaining, "wave/remaining", reuse)
-        if self._uniform is not None:
-            arrays["uniform/sums"] = copy_array(self._uniform.sums, "uniform/sums", reuse)
+        if self._statistics.uniform is not None:
+            arrays["uniform/sums"] = copy_array(self._statistics.uniform.sums, "uniform/sums", reuse)
         return State(self.settings, {"renderer": renderer, "strategy": values}, arrays)
 
     def restore(self, state: State) -> None:
@@ -313,21 +351,19 @@ class Renderer:
 
     def _restore(self, state: State) -> None:
         values, wave = state.values["renderer"], state.values["renderer"]["wave"]
-        self._forget_statistics()
+        self._statistics.forget()
         self._wavefront.accumulator.set_state(state.group("reduction"))
         self._planner.set_state(values["planner"])
         self.strategy.set_state(state.values["strategy"] | state.group("strategy"))
         self._wave = None if wave is None else WaveInProgress(remaining=state.arrays["wave/remaining"].copy(), **wave)
-        if self._uniform is not None:
-            self._uniform.sums = state.arrays["uniform/sums"].copy()
+        self._statistics.is_uniform_wave = self.wave_kind == "uniform"
+        if self._statistics.uniform is not None:
+            self._statistics.uniform.sums = state.arrays["uniform/sums"].copy()
         self.samples = values["samples"]
 
     def statistics(self) -> Statistics:
         """Return the statistics of all samples so far, in the scene's units. Waits for the device."""
-        if self._statistics is None:
-            statistics = self._wavefront.accumulator.statistics(self.scene.radiance_scale, defer_rgb=True)
-            self._statistics = self._with_uniform(statistics)
-        return self._statistics
+        return self._statistics.read()
 
     def error_distribution(self, floor: float) -> ErrorDistribution:
         """The distribution of the pixels' relative errors |x - r| / max(r, floor), r the true image.
@@ -339,26 +375,6 @@ class Renderer:
             return error_distribution(statistics, floor)
         self._wavefront.accumulator.update_luminance()
         return self._wavefront.errors.distribution(floor * self.scene.radiance_scale)
-
-    def _statistics_for_map(self) -> Statistics:
-        """Statistics for an allocation map; what computed them leaves its memory to the map of a large image."""
-        statistics = self.statistics()
-        self._wavefront.accumulator.release_scratch()
-        return statistics
-
-    def _forget_statistics(self) -> None:
-        """Samples will be added. Statistics that are still in use get their RGB now."""
-        in_use = (lambda: None) if self._statistics is None else weakref.ref(self._statistics)
-        self._statistics = None
-        statistics = in_use()
-        if statistics is not None:
-            _ = statistics.rgb
-
-    def _with_uniform(self, statistics: Statistics) -> Statistics:
-        """The statistics with those of uniform waves, if the strategy needs them. They are not known during one."""
-        if self._uniform is None or self.wave_kind == "uniform":
-            return statistics
-        return replace(statistics, uniform=self._uniform.statistics(statistics))
 
     def image(self) -> np.ndarray:
         """Return the mean linear RGB, (height, width, 3) float32. Waits for the device."""

@@ -19,12 +19,15 @@ class WaveRecord:
         Samples in the allocation map; more than `samples` if the wave was stopped early.
     seconds : float
         Wall-clock time of the call.
+    workers : int
+        Devices, or processes of a cluster, that traced samples of it.
     """
 
     kind: str
     samples: int
     planned: int
     seconds: float
+    workers: int = 1
 
 
 @dataclass

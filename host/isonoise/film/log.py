@@ -44,6 +44,7 @@ class LogRow:
         default=math.nan,
     )
     energy_loss_se: float = _column("its standard error", default=math.nan)
+    workers: int = _column("devices, or processes of a cluster, that traced samples of the wave", default=1)
 
 
 def columns(true_errors: bool) -> dict[str, str]:

@@ -150,7 +150,7 @@ _ERROR_STOP = {
 }
 _ROW = dict.fromkeys(columns(true_errors=False), _is_float)
 _ROW |= {"kind": _WAVE["kind"], "wave": _is_count, "samples": _is_count, "rejected": _is_count}
-_ROW |= {"elapsed_s": _is_not_negative, "spp": _is_not_negative}
+_ROW |= {"workers": _is_count, "elapsed_s": _is_not_negative, "spp": _is_not_negative}
 _REQUIRED_STATISTICS = {"count", "rejected", "rgb", "mean", "variance"}
 _STATISTICS = {
     "count": ("<u4", ()),
