@@ -92,6 +92,7 @@ def _add_render(commands) -> None:
     shared_options.add_scene_parameters(settings)
     shared_options.add_allow_outside(settings)
     shared_options.add_device(settings, several=True)
+    shared_options.add_cluster(settings)
     shared_options.add_memory(settings)
     shared_options.add_view(render)
     _add_checkpoints(render)

@@ -9,6 +9,7 @@ from pathlib import Path
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE, EXIT_ERROR_NOT_MET
 from isonoise.commands.render_checkpoint import Checkpoints
 from isonoise.commands.render_result import image_header, print_result, print_settings, print_setup_times, result_fields
+from isonoise.commands.shared_options import cluster_of
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.film.fallback import WrittenFile, write_elsewhere
@@ -34,7 +35,8 @@ def run(options: argparse.Namespace) -> int:
         stack.callback(checkpoints.close)
         log = _Log(options.log, reference is not None, checkpoints.rows)
         stack.callback(log.close)
-        renderer = _make_renderer(options)
+        cluster = stack.enter_context(cluster_of(options))
+        renderer = _make_renderer(options, cluster)
         check_no_input([*options.output, options.log, options.checkpoint], renderer.files)
         checkpoints.check(renderer)
         _check_reference_size(options, reference, renderer)
@@ -216,17 +218,24 @@ class _SetUpDisplay:
         if program:
             self._bar.show(done, total, f"compiling kernels, {done} of {total} done: {program}")
 
+    def show_workers(self, number: int) -> None:
+        """Called by `Cluster` while no worker is ready."""
+        self._bar.show(0, None, f"waiting for the first of {number} workers" if number else "waiting for workers")
+
     def close(self) -> None:
         self._bar.__exit__()
 
 
-def _make_renderer(options: argparse.Namespace) -> Renderer:
+def _make_renderer(options: argparse.Namespace, cluster) -> Renderer:
     strategy = {"strategy": options.strategy} if options.strategy else {}
     display = _SetUpDisplay(options)
+    if cluster:
+        cluster.on_wait = display.show_workers
     try:
         return Renderer(
             options.scene,
-            device=options.device,
+            device=None if cluster else options.device,  # with a cluster that of its workers
+            cluster=cluster,
             seed=options.seed,
             size=options.size,
             max_depth=options.max_depth,

@@ -1,4 +1,8 @@
-"""Options that several commands have; each function adds some to a parser. Called by `cli`."""
+"""Options that several commands have. Each function `add_*` adds some to a parser, called by `cli`."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from isonoise import argument_types
 
@@ -92,3 +96,35 @@ def add_device(parser, several: bool = False) -> None:
         help="number or part of the name of a device of `isonoise devices`, or its type: gpu, cpu, accelerator"
         f"{more} (default: PYOPENCL_CTX if set, else the first)",
     )
+
+
+def add_cluster(parser) -> None:
+    cluster = parser.add_mutually_exclusive_group()
+    cluster.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="render on the workers of the Dask scheduler at this address, such as tcp://10.0.0.1:8786; --device is "
+        "that of each worker",
+    )
+    cluster.add_argument(
+        "--workers",
+        metavar="N",
+        type=argument_types.count,
+        help="render on N worker processes on this machine, one for each of the devices of --device; a CPU is split",
+    )
+
+
+@contextmanager
+def cluster_of(options: argparse.Namespace) -> Iterator:
+    """The `Cluster` that the options name, during the `with` block; None if they name none."""
+    if options.dask is None and options.workers is None:
+        yield None
+        return
+    from isonoise.distributed.cluster import Cluster
+
+    if options.dask is not None:
+        cluster = Cluster.connect(options.dask, options.device)
+    else:
+        cluster = Cluster.local(options.workers, options.device)
+    with cluster:
+        yield cluster

@@ -20,6 +20,7 @@ from isonoise.statistics import Needs
 CONNECT_TIMEOUT_S = 5.0
 _LOOPBACK = "127.0.0.1"
 _CLOSE_TIMEOUT_S = 5.0
+_SILENT = logging.CRITICAL + 1
 _LOCAL_CONFIG = {
     "distributed.scheduler.work-stealing": False,  # tasks are dealt by measured speed, and must stay where they are
     "distributed.nanny.pre-spawn-environ": {},  # would change the environment of this process, too
@@ -109,7 +110,7 @@ class Cluster:
                     dashboard_address=None,
                     scheduler_kwargs={"dashboard_address": f"{_LOOPBACK}:0"},
                     memory_limit=None,
-                    silence_logs=logging.CRITICAL,
+                    silence_logs=_SILENT,
                 )
             stack.callback(_suppressed(cluster.close), timeout=_CLOSE_TIMEOUT_S)
             cluster.scale(workers)
@@ -238,9 +239,12 @@ def _terminal_signals_blocked() -> Iterator[None]:
 @contextmanager
 def _quiet_logs() -> Iterator[None]:
     """Dask logs each broken connection with a traceback; `DaskPool` says in a line what has happened."""
-    logger = logging.getLogger("distributed")
-    level, logger.level = logger.level, logging.CRITICAL
+    names = [name for name in logging.Logger.manager.loggerDict if name.partition(".")[0] == "distributed"]
+    levels = {logging.getLogger(name): logging.getLogger(name).level for name in names}
+    for logger in levels:
+        logger.setLevel(_SILENT)
     try:
         yield
     finally:
-        logger.setLevel(level)
+        for logger, level in levels.items():
+            logger.setLevel(level)
