@@ -11,12 +11,12 @@ import time
 import uuid
 import warnings
 from collections.abc import AsyncIterator, Callable, Mapping
-from concurrent.futures import TimeoutError as FutureTimeoutError
+from concurrent.futures import CancelledError
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
-from distributed import Client
+from distributed import Client, Future
 
 from isonoise import __version__
 from isonoise.distributed import dask_worker
@@ -49,7 +49,7 @@ class _KnownWorker:
     preparation: asyncio.Task
     is_local: bool = False  # on this machine: compression would cost more than it saves
     is_direct: bool = False  # data goes to it, not through the scheduler
-    tracer: object = None  # future of its tracer, once it is ready
+    tracer: Future | None = None  # of its tracer, once it is ready
     tasks: dict[int, asyncio.Task] = field(default_factory=dict)
     failures: int = 0  # tasks in sequence
 
@@ -148,7 +148,7 @@ class DaskPool:
         """Drop all tasks, and let the workers free the scene."""
         if self._client.status == "running":
             closing = asyncio.run_coroutine_threadsafe(self._close(), self._loop)
-            with suppress(FutureTimeoutError, Exception):
+            with suppress(Exception):
                 closing.result(_CLOSE_TIMEOUT_S)
         self._submitted.clear()
         self._ready.clear()
@@ -317,6 +317,7 @@ class DaskPool:
             sent = await client.scatter(data, workers=[address], direct=known.is_direct, hash=False)
             arguments = known.tracer, sent, stops, not known.is_local
             future = client.submit(dask_worker.trace_task, *arguments, pure=False, workers=[address])
+            await _done(future)
             result = await client.gather(future, direct=known.is_direct)
             known.failures = 0
             self._events.put(lambda: self._take_result(address, number, result))
@@ -356,8 +357,17 @@ class DaskPool:
         self._scene_bytes.clear()
 
 
+async def _done(future: Future) -> None:
+    """Wait until a future has a result or an error, or is cancelled. Unlike `gather` this may be cancelled."""
+    loop, event = asyncio.get_running_loop(), asyncio.Event()
+    future.add_done_callback(lambda _: loop.call_soon_threadsafe(event.set))
+    await event.wait()
+
+
 def _reason(error: BaseException) -> str:
     """An error of a worker in a line."""
+    if isinstance(error, CancelledError):
+        return "it has left the cluster"
     lines = str(error).splitlines() or [type(error).__name__]
     return lines[0] if isinstance(error, DeviceError) else f"{type(error).__name__}: {lines[0]}"
 
