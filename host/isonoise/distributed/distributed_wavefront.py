@@ -1,0 +1,193 @@
+"""Waves on several workers: what `Renderer` uses in place of a `Wavefront`.
+
+The state of the image is on a device of this process, which also computes the statistics. A wave is cut into tasks; the
+state of their pixels goes to the workers and comes back with the samples added.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from isonoise.device.opencl import Device
+from isonoise.device.precompile import OnCompile
+from isonoise.distributed.dealer import Assignment, Dealer
+from isonoise.distributed.shards import Shards
+from isonoise.distributed.task import Task, TaskResult
+from isonoise.distributed.worker_pool import Finished, Lost, WorkerPool
+from isonoise.distributed.worker_report import WorkerReport
+from isonoise.integrator.accumulator import Accumulator
+from isonoise.integrator.error_stage import ErrorStage
+from isonoise.integrator.features import features
+from isonoise.integrator.memory_plan import MAX_TASK_PIXELS, MemoryPlan, check_memory
+from isonoise.integrator.statistics_stages import make_statistics_stages
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.statistics import Needs
+
+POLL_S = 0.05
+"""Longest wait for a result before `should_continue` is called again."""
+
+
+@dataclass
+class _Sent:
+    """A task that is on its way."""
+
+    pixels: np.ndarray
+    allocation: np.ndarray
+    samples_before: np.ndarray  # counts of entered and rejected samples together
+
+
+class DistributedWavefront:
+    """A scene on several workers, ready to trace.
+
+    Parameters
+    ----------
+    device : Device
+        Holds the state of the image, and computes the statistics.
+    scene : CompiledScene
+        The scene.
+    needs : Needs
+        Statistics that the strategy and the sampler need.
+    pool : WorkerPool
+        The workers, which have the scene. It is closed with this object.
+    memory : int or None
+        Most bytes to take in this process, as for `Renderer`, without those of workers.
+    is_adaptive : bool
+        Whether the strategy plans adaptive waves, which take more memory of the host.
+    on_compile : callable
+        Called before each program is compiled, with its name, how many are done, and how many there are.
+
+    Attributes
+    ----------
+    busy_s : float
+        Seconds of `trace` in which this process cut waves into tasks and added results, without waits.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scene: CompiledScene,
+        needs: Needs,
+        pool: WorkerPool,
+        memory: int | None = None,
+        is_adaptive: bool = True,
+        on_compile: OnCompile = lambda name, done, total: None,
+    ):
+        shape = (scene.height, scene.width)
+        self.device, self.features, self._pool = device, features(scene, needs), pool
+        self.memory_plan = MemoryPlan(
+            scene=0,
+            bvh=0,
+            features=self.features,
+            needs=needs,
+            shape=shape,
+            pool_size=0,
+            path_block_size=device.form.path_block_size,
+            compute_units=device.compute_units,
+            is_adaptive=is_adaptive,
+        )
+        check_memory(self.memory_plan, device, memory)
+        stages = make_statistics_stages(device, needs, on_compile)
+        self.accumulator = Accumulator(stages, shape, needs)
+        self.errors = ErrorStage(stages, shape, device.form.tile_work_items)
+        self._shards = Shards(shape)
+        self._dealer = Dealer(self._shards.sizes, MAX_TASK_PIXELS)
+        self._reports: dict[str, WorkerReport] = {}
+        self.busy_s = 0.0
+
+    def trace(
+        self,
+        remaining: np.ndarray,
+        should_continue: Callable[[], bool] = lambda: True,
+        on_reduced: Callable[[int], None] = lambda samples: None,
+    ) -> None:
+        """Trace the samples that remain of a wave. Arguments as for `Wavefront.trace`.
+
+        Once `should_continue` returns False, the tasks that are on their way are finished. If an exception ends the
+        call, they are dropped, and their samples remain.
+        """
+        start, waited_s = time.perf_counter(), 0.0
+        flat, is_stopped = remaining.reshape(-1), False
+        self._dealer.begin_wave(self._shards.sums(remaining))
+        sent: dict[int, _Sent] = {}
+        with self.accumulator.mapped_state() as state:
+            while not self._dealer.is_done and not (is_stopped and self._dealer.is_idle):
+                if not is_stopped:
+                    workers = {worker.name: worker for worker in self._pool.workers()}
+                    for assignment in self._dealer.deal(list(workers), time.monotonic()):
+                        sent[assignment.number] = self._submit(assignment, flat, state)
+                before = time.perf_counter()
+                events = self._pool.wait(POLL_S)
+                waited_s += time.perf_counter() - before
+                for event in events:
+                    samples = self._receive(event, sent, flat, state)
+                    if samples:
+                        on_reduced(samples)
+                if not is_stopped and not should_continue():
+                    is_stopped = True
+                    self._pool.stop()
+        self.busy_s += time.perf_counter() - start - waited_s
+
+    def _submit(self, assignment: Assignment, remaining: np.ndarray, state: dict[str, np.ndarray]) -> _Sent:
+        """Send a task to its worker: the pixels of its shards that have samples to trace."""
+        pixels = self._shards.pixels(assignment.shards)
+        allocation = remaining[pixels]
+        is_touched = allocation > 0
+        pixels, allocation = pixels[is_touched], allocation[is_touched]
+        part = {name: np.take(planes, pixels, axis=1) for name, planes in state.items()}
+        self._pool.submit(assignment.worker, Task(assignment.number, pixels, allocation, part))
+        return _Sent(pixels, allocation, _samples(part))
+
+    def _receive(
+        self, event: Finished | Lost, sent: dict[int, _Sent], remaining: np.ndarray, state: dict[str, np.ndarray]
+    ) -> int:
+        """Add the result of a task to the state; returns the samples that are new in it."""
+        now = time.monotonic()
+        if isinstance(event, Lost):
+            self._dealer.lost(event.task, now)
+            sent.pop(event.task, None)
+            self._report(event.worker).lost += 1
+            return 0
+        result = event.result
+        task = sent.pop(result.number, None)
+        left = 0 if result.remaining is None else int(result.remaining.sum(dtype=np.int64))
+        if task is not None and not _is_exact(task, result):
+            return self._receive(Lost(event.worker, result.number, "wrong counts"), {}, remaining, state)
+        is_used = self._dealer.finished(result.number, now, left)
+        if task is None or not is_used:
+            return 0
+        for name, planes in state.items():
+            planes[:, task.pixels] = result.state[name]
+        remaining[task.pixels] = 0 if result.remaining is None else result.remaining
+        samples = int(task.allocation.sum(dtype=np.int64)) - left
+        report = self._report(event.worker)
+        report.tasks += 1
+        report.samples += samples
+        report.seconds += result.seconds
+        return samples
+
+    def _report(self, name: str) -> WorkerReport:
+        if name not in self._reports:
+            device = next((worker.device for worker in self._pool.workers() if worker.name == name), "")
+            self._reports[name] = WorkerReport(name, device)
+        return self._reports[name]
+
+    def worker_reports(self) -> list[WorkerReport]:
+        """What each worker has done so far, in the order in which they returned their first results."""
+        return list(self._reports.values())
+
+    def close(self) -> None:
+        """Close the pool of workers."""
+        self._pool.close()
+
+
+def _samples(state: dict[str, np.ndarray]) -> np.ndarray:
+    """Samples of each pixel so far, (n,) uint32."""
+    return state["count"][0] + state["rejected"][0]
+
+
+def _is_exact(task: _Sent, result: TaskResult) -> bool:
+    """Whether the counts of a result are those of its task and the samples traced."""
+    traced = task.allocation if result.remaining is None else task.allocation - result.remaining
+    return np.array_equal(_samples(result.state), task.samples_before + traced)
