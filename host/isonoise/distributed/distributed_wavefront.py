@@ -16,7 +16,7 @@ from isonoise.distributed.dealer import Assignment, Dealer
 from isonoise.distributed.shards import Shards
 from isonoise.distributed.task import Task, TaskResult
 from isonoise.distributed.worker_pool import Finished, Lost, WorkerPool
-from isonoise.distributed.worker_report import WorkerReport
+from isonoise.distributed.worker_report import WorkerReport, WorkerTally
 from isonoise.integrator.accumulator import Accumulator
 from isonoise.integrator.error_stage import ErrorStage
 from isonoise.integrator.features import features
@@ -36,6 +36,21 @@ class _Sent:
     pixels: np.ndarray
     allocation: np.ndarray
     samples_before: np.ndarray  # counts of entered and rejected samples together
+
+
+def plan_client_memory(device: Device, scene: CompiledScene, needs: Needs, is_adaptive: bool) -> MemoryPlan:
+    """What a distributed render takes in this process: the state of the image and its statistics, no paths."""
+    return MemoryPlan(
+        scene=0,
+        bvh=0,
+        features=features(scene, needs),
+        needs=needs,
+        shape=(scene.height, scene.width),
+        pool_size=0,
+        path_block_size=device.form.path_block_size,
+        compute_units=device.compute_units,
+        is_adaptive=is_adaptive,
+    )
 
 
 class DistributedWavefront:
@@ -60,8 +75,8 @@ class DistributedWavefront:
 
     Attributes
     ----------
-    busy_s : float
-        Seconds of `trace` in which this process cut waves into tasks and added results, without waits.
+    waiting_s : float
+        Seconds that `trace` has waited for workers.
     """
 
     def __init__(
@@ -76,25 +91,15 @@ class DistributedWavefront:
     ):
         shape = (scene.height, scene.width)
         self.device, self.features, self._pool = device, features(scene, needs), pool
-        self.memory_plan = MemoryPlan(
-            scene=0,
-            bvh=0,
-            features=self.features,
-            needs=needs,
-            shape=shape,
-            pool_size=0,
-            path_block_size=device.form.path_block_size,
-            compute_units=device.compute_units,
-            is_adaptive=is_adaptive,
-        )
+        self.memory_plan = plan_client_memory(device, scene, needs, is_adaptive)
         check_memory(self.memory_plan, device, memory)
         stages = make_statistics_stages(device, needs, on_compile)
         self.accumulator = Accumulator(stages, shape, needs)
         self.errors = ErrorStage(stages, shape, device.form.tile_work_items)
         self._shards = Shards(shape)
         self._dealer = Dealer(self._shards.sizes, MAX_TASK_PIXELS)
-        self._reports: dict[str, WorkerReport] = {}
-        self.busy_s = 0.0
+        self._tally = WorkerTally()
+        self.waiting_s = 0.0
 
     def trace(
         self,
@@ -107,19 +112,19 @@ class DistributedWavefront:
         Once `should_continue` returns False, the tasks that are on their way are finished. If an exception ends the
         call, they are dropped, and their samples remain.
         """
-        start, waited_s = time.perf_counter(), 0.0
         flat, is_stopped = remaining.reshape(-1), False
         self._dealer.begin_wave(self._shards.sums(remaining))
         sent: dict[int, _Sent] = {}
         with self.accumulator.mapped_state() as state:
             while not self._dealer.is_done and not (is_stopped and self._dealer.is_idle):
                 if not is_stopped:
-                    workers = {worker.name: worker for worker in self._pool.workers()}
-                    for assignment in self._dealer.deal(list(workers), time.monotonic()):
+                    workers = self._pool.workers()
+                    self._tally.update(workers)
+                    for assignment in self._dealer.deal([worker.name for worker in workers], time.monotonic()):
                         sent[assignment.number] = self._submit(assignment, flat, state)
                 before = time.perf_counter()
                 events = self._pool.wait(POLL_S)
-                waited_s += time.perf_counter() - before
+                self.waiting_s += time.perf_counter() - before
                 for event in events:
                     samples = self._receive(event, sent, flat, state)
                     if samples:
@@ -127,7 +132,6 @@ class DistributedWavefront:
                 if not is_stopped and not should_continue():
                     is_stopped = True
                     self._pool.stop()
-        self.busy_s += time.perf_counter() - start - waited_s
 
     def _submit(self, assignment: Assignment, remaining: np.ndarray, state: dict[str, np.ndarray]) -> _Sent:
         """Send a task to its worker: the pixels of its shards that have samples to trace."""
@@ -147,7 +151,7 @@ class DistributedWavefront:
         if isinstance(event, Lost):
             self._dealer.lost(event.task, now)
             sent.pop(event.task, None)
-            self._report(event.worker).lost += 1
+            self._tally.lost(event.worker)
             return 0
         result = event.result
         task = sent.pop(result.number, None)
@@ -161,21 +165,12 @@ class DistributedWavefront:
             planes[:, task.pixels] = result.state[name]
         remaining[task.pixels] = 0 if result.remaining is None else result.remaining
         samples = int(task.allocation.sum(dtype=np.int64)) - left
-        report = self._report(event.worker)
-        report.tasks += 1
-        report.samples += samples
-        report.seconds += result.seconds
+        self._tally.finished(event.worker, samples, result.seconds)
         return samples
 
-    def _report(self, name: str) -> WorkerReport:
-        if name not in self._reports:
-            device = next((worker.device for worker in self._pool.workers() if worker.name == name), "")
-            self._reports[name] = WorkerReport(name, device)
-        return self._reports[name]
-
     def worker_reports(self) -> list[WorkerReport]:
-        """What each worker has done so far, in the order in which they returned their first results."""
-        return list(self._reports.values())
+        """What each worker has done so far."""
+        return self._tally.reports()
 
     def close(self) -> None:
         """Close the pool of workers."""

@@ -9,6 +9,7 @@ from isonoise.distributed.task import Task, TaskResult
 from isonoise.integrator.driver_check import check_driver
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import Needs
 
@@ -28,6 +29,8 @@ class ShardTracer:
         Of the render.
     pool_size, memory : int or None
         As for `Renderer`.
+    bvh : Bvh or None
+        Of the scene; None: it is built.
     on_compile : callable
         Called before each program is compiled, with its name, how many are done, and how many there are.
 
@@ -45,13 +48,14 @@ class ShardTracer:
         seed: int,
         pool_size: int | None = None,
         memory: int | None = None,
+        bvh: Bvh | None = None,
         on_compile: OnCompile = lambda name, done, total: None,
     ):
         self.device = device
         self._wavefront = Wavefront(
             device,
             scene,
-            build_scene_bvh(scene),
+            bvh or build_scene_bvh(scene),
             needs,
             seed,
             pool_size,

@@ -1,20 +1,30 @@
-"""The kernels of the statistics alone, without a scene: for states that are merged, and for self-tests."""
+"""The kernels of the statistics alone, without a scene: for merged and distributed renders, and for self-tests."""
 
 from isonoise.device.opencl import Device
-from isonoise.integrator.accumulator import build_constants
+from isonoise.device.precompile import OnCompile
+from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.features import statistics_features
-from isonoise.integrator.kernel_table import KERNELS
+from isonoise.integrator.kernel_table import IMAGE_KERNELS, KERNELS
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs
 
-_NAMES = (
-    *("reduce", "summarise", "summarise_rgb"),
-    *("sum_tiles", "fit_steps", "compute_design_effect", "average_neighbours"),
-)
 
+def make_statistics_stages(
+    device: Device, needs: Needs, on_compile: OnCompile = lambda name, done, total: None
+) -> Stages:
+    """The stages that build and read statistics of these needs, for an `Accumulator` and an `ErrorStage`.
 
-def make_statistics_stages(device: Device, needs: Needs) -> Stages:
-    """The stages `reduce`, `summarise` and those after it, for an `Accumulator` of these needs."""
+    They are the same program as in a render of a scene, so that it is compiled once.
+    """
     features = statistics_features(needs)
-    table = {name: KERNELS[name] for name in _NAMES if KERNELS[name].is_launched(features)}
-    return Stages(device, table, features, build_constants(needs, device.form), {})
+    names = {"list_samples", "reduce"} | IMAGE_KERNELS
+    table = {name: row for name, row in KERNELS.items() if name in names and row.is_launched(features)}
+    return Stages(
+        device,
+        table,
+        features,
+        build_constants(needs, device.form),
+        {},
+        local_sizes={"relative_errors": device.form.tile_work_items},
+        on_compile=on_compile,
+    )

@@ -1,0 +1,66 @@
+"""Sets up renders on several devices of this machine, or on a cluster. Called by `Renderer`."""
+
+from collections.abc import Sequence
+
+from isonoise.device.opencl import Device
+from isonoise.device.precompile import OnCompile
+from isonoise.device.selection import SelectedDevice
+from isonoise.distributed.cluster import Cluster
+from isonoise.distributed.device_pool import DevicePool
+from isonoise.distributed.distributed_wavefront import DistributedWavefront, plan_client_memory
+from isonoise.distributed.shard_tracer import ShardTracer
+from isonoise.integrator.memory_plan import PROCESS_BYTES
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.statistics import Needs
+
+
+def use_devices(
+    selected: Sequence[SelectedDevice],
+    scene: CompiledScene,
+    needs: Needs,
+    seed: int,
+    pool_size: int | None,
+    memory: int | None,
+    is_adaptive: bool,
+    on_compile: OnCompile,
+) -> DistributedWavefront:
+    """A wavefront on several devices. The first one also computes the statistics. Arguments as for `ShardTracer`."""
+    client = Device(selected[0])
+    bvh = build_scene_bvh(scene)
+    memory_each = memory
+    if memory is not None and client.shares_memory:
+        left = memory - plan_client_memory(client, scene, needs, is_adaptive).shared
+        memory_each = max(left // len(selected), 0) + PROCESS_BYTES  # the plan of each device counts the process
+
+    def make_tracer(device: Device, on_compile: OnCompile) -> ShardTracer:
+        return ShardTracer(device, scene, needs, seed, pool_size, memory_each, bvh, on_compile)
+
+    pool = DevicePool([Device(each) for each in selected], make_tracer, on_compile)
+    try:
+        return DistributedWavefront(client, scene, needs, pool, memory, is_adaptive, on_compile)
+    except BaseException:
+        pool.close()
+        raise
+
+
+def use_cluster(
+    cluster: Cluster,
+    scene: CompiledScene,
+    needs: Needs,
+    seed: int,
+    pool_size: int | None,
+    memory: int | None,
+    is_adaptive: bool,
+    on_compile: OnCompile,
+) -> DistributedWavefront:
+    """A wavefront on the workers of a cluster. This process computes the statistics on its default device."""
+    client = Device()
+    pool = cluster.pool(
+        scene, needs, seed, pool_size, memory, lambda ready, known: on_compile(f"on {known} workers", ready, known)
+    )
+    try:
+        return DistributedWavefront(client, scene, needs, pool, memory, is_adaptive, on_compile)
+    except BaseException:
+        pool.close()
+        raise
