@@ -21,7 +21,8 @@ from isonoise.integrator.accumulator import Accumulator
 from isonoise.integrator.error_stage import ErrorStage
 from isonoise.integrator.features import features
 from isonoise.integrator.memory_plan import MAX_TASK_PIXELS, MemoryPlan, check_memory
-from isonoise.integrator.statistics_stages import make_statistics_stages
+from isonoise.integrator.statistics_stages import TRACING_KERNELS, make_statistics_stages
+from isonoise.integrator.wavefront import MAX_COMPILED_ITEMS
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import Needs
 
@@ -93,9 +94,10 @@ class DistributedWavefront:
         self.device, self.features, self._pool = device, features(scene, needs), pool
         self.memory_plan = plan_client_memory(device, scene, needs, is_adaptive)
         check_memory(self.memory_plan, device, memory)
-        stages = make_statistics_stages(device, needs, on_compile)
+        stages = make_statistics_stages(device, needs, MAX_COMPILED_ITEMS, on_compile)
         self.accumulator = Accumulator(stages, shape, needs)
         self.errors = ErrorStage(stages, shape, device.form.tile_work_items)
+        stages.warm_up(on_compile, left_out=TRACING_KERNELS)
         self._shards = Shards(shape)
         self._dealer = Dealer(self._shards.sizes, MAX_TASK_PIXELS)
         self._tally = WorkerTally()
