@@ -17,6 +17,7 @@ import scene_generator
 from kernel_faults import source_with_fault
 from small_scene import lamp_over_floor
 
+import isonoise.integrator.set_up
 import isonoise.renderer
 from isonoise.device import program
 from isonoise.device.form import FORMS, DeviceForm
@@ -163,7 +164,7 @@ def render(case: Case) -> Renderer:
     """Render two waves with a pool smaller than a wave, so that paths of different depths share launches."""
     CheckedDevice.many = case.many
     isonoise.renderer.Device = CheckedDevice
-    isonoise.renderer.check_driver = lambda *_: None  # its paths would take minutes here
+    isonoise.integrator.set_up.check_driver = lambda *_: None  # its paths would take minutes here
     with tempfile.TemporaryDirectory() as folder:
         source = case.source(Path(folder))
         renderer = Renderer(source, strategy=case.strategy, size=(WIDTH, HEIGHT), pool_size=case.pool)

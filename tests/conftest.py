@@ -30,7 +30,7 @@ def program_cache_of_session(tmp_path_factory):
 def unchecked_driver(request, monkeypatch):
     """Renders do not check the driver, which would take longer than most of them. test_driver_check.py tests it."""
     if request.path.name != "test_driver_check.py":
-        monkeypatch.setattr("isonoise.renderer.check_driver", lambda *_: None)
+        monkeypatch.setattr("isonoise.integrator.set_up.check_driver", lambda *_: None)
     os.environ[program_cache.FOLDER_VARIABLE] = "off"  # nothing is stored at exit
 
 

@@ -145,7 +145,7 @@ def test_the_check_compiles_nothing_and_changes_nothing(calls, monkeypatch, scen
     jobs, renderers = [], []
     monkeypatch.setattr(stages, "precompile", lambda device, wanted, on_compile: jobs.append(wanted))
     for check in (lambda *_: None, driver_check.check_driver):
-        monkeypatch.setattr("isonoise.renderer.check_driver", check)
+        monkeypatch.setattr("isonoise.integrator.set_up.check_driver", check)
         renderers.append(Renderer(scene(), strategy="relative-mean", pool_size=pool_size, profile=True))
         monkeypatch.setattr(Device, "_compile", lambda self, source, options: pytest.fail("a program is compiled"))
     assert calls == ["reduce_fault", "bounce_fault"]

@@ -34,7 +34,7 @@ def test_the_buffers_are_those_computed(monkeypatch, options):
     # no kernel is built, and none checked
     monkeypatch.setattr(stages, "stage_source", lambda *arguments: ("", ()))
     monkeypatch.setattr(Device, "build", lambda self, text, options: {})
-    monkeypatch.setattr("isonoise.renderer.check_driver", lambda *arguments: None)
+    monkeypatch.setattr("isonoise.integrator.set_up.check_driver", lambda *arguments: None)
     monkeypatch.setattr(Device, "buffer", recorded)
     wavefront = Renderer(lamp_over_floor(), **options)._wavefront
     plan = wavefront.memory_plan

@@ -14,11 +14,11 @@ from isonoise.current_statistics import CurrentStatistics
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.device.pool_size import MAX_POOL_SIZE
+from isonoise.device.selection import select_devices
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
 from isonoise.errors import DeviceError, UserError
-from isonoise.integrator.driver_check import check_driver
-from isonoise.integrator.wavefront import Wavefront
+from isonoise.integrator.set_up import make_wavefront
 from isonoise.samplers import SAMPLERS
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.files import record_files
@@ -34,6 +34,8 @@ from isonoise.strips import LARGE_IMAGE_PIXELS
 from isonoise.wave import WAVE_VALUES, WaveInProgress, WaveRecord
 
 if TYPE_CHECKING:
+    from isonoise.device.selection import SelectedDevice
+    from isonoise.distributed.cluster import Cluster
     from isonoise.distributed.distributed_wavefront import DistributedWavefront
     from isonoise.distributed.worker_report import WorkerReport
 
@@ -47,8 +49,8 @@ class Renderer:
         A scene or mesh file, the name of a built-in scene, a dict in Mitsuba 3's vocabulary (`isonoise.load`), or what
         `isonoise.scene.compile_scene` returns.
     device : str, int or None
-        Number or part of the name of an OpenCL device. None: the first of
-        `isonoise devices`.
+        Number or part of the name of an OpenCL device. None: the first of `isonoise devices`. `all`, `0,1` and `0/2`
+        are several devices, or parts of one (`isonoise.device.selection.select_devices`).
     strategy : str or Strategy
         `NAME[:key=value,...]`, `module:Class[:key=value,...]`, or an object.
     seed : int
@@ -73,6 +75,9 @@ class Renderer:
         does, with the arrays of the image on the host. The pool is made smaller until they fit.
     view : View or None
         Camera and environment in place of the scene's own.
+    cluster : Cluster or None
+        Workers that trace the samples in place of `device` (`isonoise.distributed.cluster.Cluster`). This process
+        computes the statistics on its default device. It stays open when the renderer is closed.
     on_compile : callable or None
         Called before each kernel program is compiled, with the renderer, whose scene and device are known by then, the
         program's name, how many programs are done, and how many there are; and once before all of them, with '', 0, 0.
@@ -126,6 +131,7 @@ class Renderer:
         allow_outside: bool = False,
         memory: int | None = None,
         view: View | None = None,
+        cluster: "Cluster | None" = None,
         on_compile: "Callable[[Renderer, str, int, int], None] | None" = None,
     ):
         if not 0 <= seed < 2**64:
@@ -145,28 +151,15 @@ class Renderer:
         with self._measured("load"), record_files() as files:
             self.scene = load_compiled(scene, parameters, allow_outside, view, size, max_depth, sampler)
         self.files: tuple[Path, ...] = tuple(files)
-        with self._measured("build"):
-            bvh = build_scene_bvh(self.scene)
-        with self._measured("compile"):
-            opencl_device = Device(device, profile)
-            self.device_name, self.driver = opencl_device.name, describe_driver(opencl_device.device)
-            report = functools.partial(on_compile or (lambda *progress: None), self)
-            report("", 0, 0)
-            needs = self.strategy.needs.with_sampler(self.scene.sampler)
-            self._distributed: DistributedWavefront | None = None  # the wavefront, if there are workers
-            self._wavefront = Wavefront(
-                opencl_device,
-                self.scene,
-                bvh,
-                needs,
-                seed,
-                pool_size,
-                memory=memory,
-                is_adaptive=self.strategy.is_adaptive,
-                on_compile=report,
-            )
-            self._wavefront.warm_up(report)
-            check_driver(self._wavefront, needs)
+        needs = self.strategy.needs.with_sampler(self.scene.sampler)
+        report = functools.partial(on_compile or (lambda *progress: None), self)
+        settings = (self.scene, needs, seed, pool_size, memory, self.strategy.is_adaptive, report)
+        selected = [] if cluster else select_devices(device)
+        self._distributed: DistributedWavefront | None = None  # the wavefront, if there are workers
+        if len(selected) == 1:
+            self._use_device(Device(selected[0], profile), *settings)
+        else:
+            self._use_workers(selected, cluster, *settings)
         shape = self.scene.height, self.scene.width
         self._planner = WavePlanner(self.strategy, shape)
         self._wave: WaveInProgress | None = None
@@ -174,6 +167,29 @@ class Renderer:
         uniform = UniformSamples(shape) if needs.uniform else None
         self._statistics = CurrentStatistics(self._wavefront.accumulator, self.scene.radiance_scale, uniform)
         self._worker_samples: dict[str, int] = {}  # of every worker, up to the last wave
+
+    def _use_device(self, device: Device, scene, needs, seed, pool_size, memory, is_adaptive, report) -> None:
+        """Set up the wavefront on one device."""
+        with self._measured("build"):
+            bvh = build_scene_bvh(scene)
+        with self._measured("compile"):
+            self.device_name, self.driver = device.name, describe_driver(device.device)
+            report("", 0, 0)
+            options = {"memory": memory, "is_adaptive": is_adaptive, "on_compile": report}
+            self._wavefront = make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
+
+    def _use_workers(self, selected: "list[SelectedDevice]", cluster: "Cluster | None", *settings) -> None:
+        """Set up a wavefront on several devices, or on the workers of a cluster."""
+        from isonoise.distributed import set_up  # a render on one device does not need it
+
+        with self._measured("compile"):
+            self.device_name, self.driver = set_up.describe_workers(selected, cluster)
+            settings[-1]("", 0, 0)  # reports the names
+            if cluster:
+                self._wavefront = set_up.use_cluster(cluster, *settings)
+            else:
+                self._wavefront = set_up.use_devices(selected, *settings)
+        self._distributed = self._wavefront
 
     def __enter__(self) -> "Renderer":
         return self

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.device.precompile import OnCompile
 from isonoise.device.selection import SelectedDevice
@@ -13,6 +14,14 @@ from isonoise.integrator.memory_plan import PROCESS_BYTES
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import Needs
+
+
+def describe_workers(selected: Sequence[SelectedDevice], cluster: Cluster | None) -> tuple[str, str]:
+    """Names of the devices, or of the cluster, and versions of their drivers."""
+    if cluster:
+        return cluster.name, "drivers of the workers"
+    drivers = dict.fromkeys(describe_driver(each.device) for each in selected)
+    return ", ".join(each.name for each in selected), "; ".join(drivers)
 
 
 def use_devices(

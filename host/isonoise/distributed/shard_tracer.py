@@ -6,8 +6,7 @@ from collections.abc import Callable
 from isonoise.device.opencl import Device
 from isonoise.device.precompile import OnCompile
 from isonoise.distributed.task import Task, TaskResult
-from isonoise.integrator.driver_check import check_driver
-from isonoise.integrator.wavefront import Wavefront
+from isonoise.integrator.set_up import make_wavefront
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
@@ -52,19 +51,8 @@ class ShardTracer:
         on_compile: OnCompile = lambda name, done, total: None,
     ):
         self.device = device
-        self._wavefront = Wavefront(
-            device,
-            scene,
-            bvh or build_scene_bvh(scene),
-            needs,
-            seed,
-            pool_size,
-            memory=memory,
-            has_image=False,
-            on_compile=on_compile,
-        )
-        self._wavefront.warm_up(on_compile)
-        check_driver(self._wavefront, needs)
+        bvh, options = bvh or build_scene_bvh(scene), {"memory": memory, "has_image": False, "on_compile": on_compile}
+        self._wavefront = make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
 
     def trace(self, task: Task, should_continue: Callable[[], bool] = lambda: True) -> TaskResult:
         """Trace the samples of a task, until `should_continue` returns False; the state of its pixels with them."""

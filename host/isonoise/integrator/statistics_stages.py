@@ -8,7 +8,6 @@ from isonoise.integrator.kernel_table import IMAGE_KERNELS, KERNELS
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs
 
-
 TRACING_KERNELS = {"list_samples", "reduce"}
 """Kernels of the program of the statistics that run while samples are traced."""
 
