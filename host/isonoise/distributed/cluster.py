@@ -133,6 +133,11 @@ class Cluster:
         """What the worker with this name (`name` of Dask's scheduler_info) renders on."""
         return self._devices(name)
 
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        return f"{self.size} local workers" if self.size else f"Dask cluster at {self.client.scheduler.address}"
+
     def pool(
         self,
         scene: CompiledScene,

@@ -65,9 +65,7 @@ def use_cluster(
 ) -> DistributedWavefront:
     """A wavefront on the workers of a cluster. This process computes the statistics on its default device."""
     client = Device()
-    pool = cluster.pool(
-        scene, needs, seed, pool_size, memory, lambda ready, known: on_compile(f"on {known} workers", ready, known)
-    )
+    pool = cluster.pool(scene, needs, seed, pool_size, memory)
     try:
         return DistributedWavefront(client, scene, needs, pool, memory, is_adaptive, on_compile)
     except BaseException:
