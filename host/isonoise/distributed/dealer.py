@@ -196,8 +196,8 @@ class Dealer:
     def _deal_to(self, name: str, plan: "_Plan") -> list[Assignment]:
         """The next task of a worker, or none."""
         smallest, largest = self._waiting[0][0], self._waiting[-1][0]
-        if plan.speeds[name] is None:
-            worker = self._workers[name]
+        worker = self._workers[name]
+        if worker.planned_speed() is None:
             if worker.reported + len(worker.tasks) >= MEASURED_TASKS:
                 return []
             part = self._wave_samples / len(plan.speeds)
@@ -250,7 +250,7 @@ class Dealer:
 
     def _deal_copies(self, plan: "_Plan") -> list[Assignment]:
         """Copies of the tasks that end last, for idle workers that are sure to be faster."""
-        idle = [name for name in plan.names_by_speed if plan.speeds[name] is not None and not self._workers[name].tasks]
+        idle = [name for name in plan.names_by_speed if not self._workers[name].tasks and name in plan.measured]
         if not idle:
             return []
         ends: dict[tuple[int, ...], float] = {}
@@ -269,27 +269,33 @@ class Dealer:
 
 
 class _Plan:
-    """What is known at a moment: speeds, when each worker ends its tasks, and when the wave would end at best."""
+    """What is known at a moment: speeds, when each worker ends its tasks, and when the wave would end at best.
+
+    A worker that has not been measured is taken to be as fast as the others are on average.
+    """
 
     def __init__(
         self, ready: Sequence[str], workers: dict[str, _Worker], now: float, wave_samples: int, waiting_samples: int
     ):
         self.now = now
         self.waiting_samples = waiting_samples
-        self.speeds = {name: workers[name].planned_speed() for name in ready}
-        self.names_by_speed = sorted(ready, key=lambda name: -(self.speeds[name] or 0.0))
+        speeds = {name: workers[name].planned_speed() for name in ready}
+        self.measured = {name for name, speed in speeds.items() if speed is not None}
+        mean = sum(speeds[name] for name in self.measured) / max(len(self.measured), 1)
+        self.speeds = {name: mean if speed is None else speed for name, speed in speeds.items()}
+        self.names_by_speed = sorted(ready, key=lambda name: -self.speeds[name])
         self._busy_until = {name: _expected_end(worker, now) for name, worker in workers.items()}
-        self._known = [name for name, speed in self.speeds.items() if speed is not None]
         self._max_task_s = max(TASK_S, len(ready) / TASKS_PER_S)
-        self._find_sharing()
-        self._tolerance_s = MAX_DELAY * wave_samples / self._total_speed if self._known else 0.0
+        if self.measured:
+            self._find_sharing()
+            self._tolerance_s = MAX_DELAY * wave_samples / self._total_speed
 
     def _find_sharing(self) -> None:
         """Find the workers that share what waits: without those that are busy for longer than the rest needs."""
-        self._sharing = set(self._known)
-        self._total_speed = sum(self.speeds[name] for name in self._known)
-        self._busy_samples = sum(self.speeds[name] * (self._busy_until[name] - self.now) for name in self._known)
-        for name in sorted(self._known, key=lambda name: -self._busy_until[name])[:-1]:
+        self._sharing = set(self.speeds)
+        self._total_speed = sum(self.speeds.values())
+        self._busy_samples = sum(speed * (self._busy_until[name] - self.now) for name, speed in self.speeds.items())
+        for name in sorted(self.speeds, key=lambda name: -self._busy_until[name])[:-1]:
             if self._busy_until[name] <= self._wave_end():
                 break
             self._sharing.remove(name)
@@ -314,14 +320,14 @@ class _Plan:
         limit = (self._wave_end() + self._tolerance_s - self._busy_until[name]) * self.speeds[name]
         if shard_samples <= limit:
             return limit
-        first_end = min(self._busy_until[other] + shard_samples / self.speeds[other] for other in self._known)
+        first_end = min(self._busy_until[other] + shard_samples / self.speeds[other] for other in self.measured)
         end = self._busy_until[name] + shard_samples / self.speeds[name]
         return shard_samples if end <= first_end + self._tolerance_s else 0.0
 
     def add(self, name: str, dealt: _Dealt) -> None:
         """A worker has got a task."""
         self.waiting_samples = max(0, self.waiting_samples - dealt.samples)  # a copy was not waiting
-        if self.speeds[name] is not None:
+        if self.measured:
             self._busy_until[name] += dealt.samples / self.speeds[name]
             if name in self._sharing:
                 self._busy_samples += dealt.samples

@@ -6,7 +6,7 @@ Used by tests and for the figures of host/docs/distributed.md, with costs that w
 import heapq
 import itertools
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -171,22 +171,25 @@ class _Clock:
             heapq.heappop(self._timers)[2]()
 
 
-class _Link:
-    """A queue of bytes: of the client, in one direction."""
+class _Links:
+    """The links of client and workers, in one direction. A message occupies that of the client, then the worker's."""
 
     def __init__(self, clock: _Clock, costs: Costs):
         self._clock, self._costs = clock, costs
-        self._free_s = 0.0
+        self._client_free_s = 0.0
+        self._worker_free_s: defaultdict[str, float] = defaultdict(float)
         self.bytes = 0.0
 
-    def send(self, size_bytes: float, action: Callable) -> None:
+    def send(self, worker: str, size_bytes: float, action: Callable) -> None:
         """Call `action` when the message has arrived."""
         costs = self._costs
-        begin = max(self._clock.now, self._free_s)
-        self._free_s = begin + size_bytes / costs.client_bytes_per_s
-        slowest = min(costs.client_bytes_per_s, costs.link_bytes_per_s)
+        begin = max(self._clock.now, self._client_free_s)
+        self._client_free_s = begin + size_bytes / costs.client_bytes_per_s
+        begin = max(begin, self._worker_free_s[worker])
+        end = begin + size_bytes / min(costs.client_bytes_per_s, costs.link_bytes_per_s)
+        self._worker_free_s[worker] = end
         self.bytes += size_bytes
-        self._clock.after(begin - self._clock.now + size_bytes / slowest + costs.latency_s, action)
+        self._clock.after(end + costs.latency_s - self._clock.now, action)
 
 
 class Simulation:
@@ -215,7 +218,7 @@ class Simulation:
         self._costs = costs or Costs()
         self.dealer = dealer or Dealer(self._shard_pixels)
         self.clock = _Clock(self._costs.cores)
-        self._sent, self._received = _Link(self.clock, self._costs), _Link(self.clock, self._costs)
+        self._sent, self._received = _Links(self.clock, self._costs), _Links(self.clock, self._costs)
         self._workers = {str(index): worker for index, worker in enumerate(workers)}
         self._submitted: dict[str, list[_Task]] = {name: [] for name in self._workers}  # and not yet reported
         self._arrived: dict[str, deque[_Task]] = {name: deque() for name in self._workers}  # in the worker's queue
@@ -315,7 +318,7 @@ class Simulation:
             return
         self._submitted[task.worker].append(task)
         size_bytes = self._costs.pixel_bytes * self._costs.compression * task.pixels
-        self._sent.send(size_bytes, partial(self._arrive, task))
+        self._sent.send(task.worker, size_bytes, partial(self._arrive, task))
 
     def _arrive(self, task: _Task) -> None:
         self._arrived[task.worker].append(task)
@@ -336,7 +339,7 @@ class Simulation:
             return  # the worker has vanished
         arrived.popleft()
         size_bytes = self._costs.result_bytes * self._costs.compression * task.pixels
-        self._received.send(size_bytes, partial(self._receive, task))
+        self._received.send(task.worker, size_bytes, partial(self._receive, task))
         if arrived:
             self._compute(arrived[0])
 
