@@ -67,7 +67,7 @@ def test_the_client_is_the_limit():
 
 
 def test_the_bandwidth_of_the_client_is_the_limit():
-    """Results travel while tasks are sent. A few tasks are copied, because the link makes workers slower than before."""
+    """Results travel while tasks are sent. Some tasks are copied: the link makes workers slower than they were."""
     costs = Costs(pixel_bytes=92, result_bytes=84, compression=0.5, client_bytes_per_s=1e7)
     wave = second_wave([SimulatedWorker(1e12)] * 8, costs)
     assert 1 <= wave.sent_bytes / (PIXELS * 92 / 2) < 1.05
