@@ -4,6 +4,7 @@
 machines is started with Dask's own tools, and `Cluster.connect` gets the address of its scheduler.
 """
 
+import asyncio
 import logging
 import os
 import signal
@@ -73,6 +74,7 @@ class Cluster:
         distributed = _load_distributed()
         with ExitStack() as stack:
             stack.enter_context(_quiet_logs())
+            _check_scheduler(distributed, address)
             client = _connect(distributed, address)
             stack.callback(_suppressed(client.close), timeout=_CLOSE_TIMEOUT_S)
             return cls(client, lambda name: DeviceChoice(device), stack.pop_all())
@@ -186,21 +188,47 @@ def _load_distributed():
 
 def _connect(distributed, address):
     """A client that leaves Dask's defaults of this process as they are."""
-    try:
-        with deferred():
-            client = distributed.Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
-    except (OSError, TimeoutError) as error:
-        raise DeviceError(
-            f"no Dask scheduler answers at {address} within {CONNECT_TIMEOUT_S:.0f} s ({_first_line(error)}); check "
-            "the address that `dask scheduler` has printed, and that this machine can reach it"
-        ) from error
-    except Exception as error:  # Dask's checks of an address raise several types
-        raise UserError(
-            f"cannot connect to the Dask scheduler '{address}': {_first_line(error)}; give its address, such as "
-            "tcp://127.0.0.1:8786"
-        ) from error
+    with deferred():
+        client = distributed.Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     raise_if_received()
     return client
+
+
+def _check_scheduler(distributed, address: str) -> None:
+    """Raise an error for the user unless a scheduler answers: what `Client` does with one that does not is long."""
+
+    async def identify() -> dict:
+        arguments = distributed.Security().get_connection_args("client")
+        async with distributed.rpc(address, timeout=CONNECT_TIMEOUT_S, connection_args=arguments) as scheduler:
+            return await asyncio.wait_for(scheduler.identity(), 2 * CONNECT_TIMEOUT_S)
+
+    try:
+        with deferred():
+            kind = asyncio.run(identify())["type"]
+    except (OSError, asyncio.TimeoutError, MemoryError) as error:  # MemoryError: another service answers
+        raise DeviceError(
+            f"no Dask scheduler answers at {address} ({_cause(error)}); check the address that `dask scheduler` "
+            "has printed, and that this machine can reach it"
+        ) from error
+    except (ValueError, TypeError, LookupError) as error:
+        secure = "; tls:// needs the certificates in Dask's configuration (distributed.comm.tls)"
+        raise UserError(
+            f"cannot connect to the Dask scheduler '{address}': {_first_line(error)}; give an address such as "
+            f"tcp://127.0.0.1:8786{secure if address.startswith('tls:') else ''}"
+        ) from error
+    raise_if_received()
+    if kind != "Scheduler":
+        raise UserError(f"at {address} is no Dask scheduler but a {kind.lower()}; give the address of the scheduler")
+
+
+def _cause(error: BaseException) -> str:
+    """What the operating system said, if it said something: Dask wraps it several times."""
+    text = "another service does" if isinstance(error, MemoryError) else _first_line(error)
+    while error is not None:
+        if isinstance(error, OSError) and error.strerror:
+            text = error.strerror
+        error = error.__cause__ or error.__context__
+    return text
 
 
 def _first_line(error: BaseException) -> str:
