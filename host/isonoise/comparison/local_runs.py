@@ -8,6 +8,7 @@ from isonoise.comparison.run_order import PlannedRun, runs_by_scene
 from isonoise.comparison.run_progress import RunProgress
 from isonoise.comparison.run_task import render_run, warm_up
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS
+from isonoise.device.selection import select_device
 from isonoise.progress import ProgressBar
 
 
@@ -19,7 +20,7 @@ class LocalRuns:
     inputs : RunInputs
         Scenes, references and tasks.
     device : str or None
-        As for `Renderer`.
+        As for `select_device`.
     """
 
     def __init__(self, inputs: RunInputs, device: str | None):
@@ -43,9 +44,9 @@ class LocalRuns:
         if run.strategy.spec in MITSUBA_SAMPLERS:
             identity = inputs.identity(run)
             return workers.run(run.strategy.spec, run.seed, inputs.stops, reference, identity, on_progress)
-        task, scene = inputs.task(run), inputs.scene(run.scene)
+        task, scene, device = inputs.task(run), inputs.scene(run.scene), select_device(self._device)
         key = (run.scene.slug, run.strategy.slug)
         if key not in self._warmed_up:
-            warm_up(task, scene, self._device)
+            warm_up(task, scene, device)
             self._warmed_up.add(key)
-        return render_run(task, scene, reference, self._device, on_progress)
+        return render_run(task, scene, reference, device, on_progress)

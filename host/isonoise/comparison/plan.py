@@ -21,6 +21,8 @@ FIRST_REFERENCE_SEED = 2**63
 """Seeds from here on are reserved for references; those of runs are below."""
 MAX_SEEDS = 10**6
 """Runs of a strategy on a scene."""
+SEVERAL_DEVICES = "several devices"
+"""`Plan.device` of a comparison that began with workers of different devices: it may continue with any."""
 REFERENCE_BUDGET_FACTOR = 20
 """Default budget of a reference, over the budget of a run. The number of samples alone reduces its standard error to
 0.22 of a run's, below the quarter that `reference_too_noisy` of summary.json checks."""
@@ -62,7 +64,7 @@ class Plan:
     spp: float | None  # mean samples per pixel
     size: tuple[int, int] | None  # (width, height), overrides the scenes'
     max_depth: int | None  # overrides the scenes'
-    device: str  # name
+    device: str  # its kind, see `SelectedDevice`; of all workers of a cluster, or SEVERAL_DEVICES
     reference_time: float | None  # seconds; None: REFERENCE_BUDGET_FACTOR times spp
     preset: str | None = None  # the report has its figures
     allow_outside: bool = False  # as for `isonoise.load`
@@ -90,13 +92,13 @@ class Request:
     allow_outside: bool = False
 
 
-def make_plan(request: Request, stored: Plan | None = None) -> Plan:
+def make_plan(request: Request, stored: Plan | None = None, device: str | None = None) -> Plan:
     """Resolves and checks a request. Scenes and strategies of the `stored` plan keep their slugs, and its preset stays.
+
+    `device` is that of the workers of a cluster; None: the one that the request selects on this machine.
 
     Raises SceneError, DeviceError or UserError if something is unknown, named twice or contradictory.
     """
-    from isonoise.device.opencl import Device
-
     if request.seeds > MAX_SEEDS:
         raise UserError(f"--seeds {request.seeds} is too many: at most {MAX_SEEDS:,} runs of a strategy on a scene")
     if request.first_seed + request.seeds > FIRST_REFERENCE_SEED:
@@ -113,7 +115,8 @@ def make_plan(request: Request, stored: Plan | None = None) -> Plan:
                 raise UserError(f"{kind} '{name}' is not text in UTF-8; rename it")
             if names.count(name) > 1:
                 raise UserError(f"{kind} '{name}' is named twice")
-    device = Device(request.device).name
+    if device is None:
+        device = _local_device(request, stored)
     known = {entry.spec: entry.slug for entry in stored.strategies} if stored else {}
     strategies = tuple(
         StrategyEntry(slug, strategy_title(spec), spec, describe_spec(spec))
@@ -216,6 +219,13 @@ def additions(stored: Plan, plan: Plan) -> list[str]:
 
 def _plan_sha256(content: Mapping) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _local_device(request: Request, stored: Plan | None) -> str:
+    from isonoise.device.selection import select_device
+
+    kind = select_device(request.device).kind
+    return SEVERAL_DEVICES if stored is not None and stored.device == SEVERAL_DEVICES else kind
 
 
 def _scenes(request: Request, sources: list[str], stored: Plan | None) -> tuple[SceneEntry, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from isonoise.comparison.interruptible import interruptible_render
 from isonoise.comparison.recorder import Recorder
 from isonoise.comparison.strategy_specs import first_waves_spp, with_sampler
+from isonoise.device.selection import SelectedDevice
 from isonoise.errors import UserError
 from isonoise.loop import Stops
 from isonoise.renderer import Renderer
@@ -45,7 +46,7 @@ class RunStoppedError(UserError):
 
 
 def warm_up(
-    task: RunTask, scene: CompiledScene, device: str | None, should_stop: Callable[[], bool] = lambda: False
+    task: RunTask, scene: CompiledScene, device: SelectedDevice, should_stop: Callable[[], bool] = lambda: False
 ) -> None:
     """Render a second of the run, and discard it."""
     renderer = Renderer(scene, device, task.strategy, task.seed, sampler=task.sampler)
@@ -57,7 +58,7 @@ def render_run(
     task: RunTask,
     scene: CompiledScene,
     reference: ReferenceArrays,
-    device: str | None,
+    device: SelectedDevice,
     on_progress: Callable[..., None] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     worker: str | None = None,
@@ -66,8 +67,8 @@ def render_run(
 
     Parameters
     ----------
-    device : str or None
-        As for `Renderer`.
+    device : SelectedDevice
+        What to render on.
     on_progress, should_stop : callable
         As for `RenderLoop`.
     worker : str or None
@@ -104,7 +105,7 @@ def render_run(
         "warm_up_spp": warm_up_spp,
         "scene": task.scene_name,
         "seed": task.seed,
-        "device": f"{renderer.device_name}, {renderer.driver}",
+        "device": f"{device.kind}, {renderer.driver}",
         "worker": worker,
         "setup_s": task.load_s + sum(renderer.setup_times.values()),
         "samples": outcome.statistics.samples,

@@ -7,6 +7,7 @@ them.
 import json
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from isonoise.comparison.checked_files import make_folder, unpack_npz, write_packed
 from isonoise.comparison.folder_lock import FolderLock
@@ -29,17 +30,27 @@ from isonoise.progress import ProgressBar, format_count, format_duration, format
 from isonoise.renderer import Renderer
 from isonoise.samplers import SAMPLERS
 
+if TYPE_CHECKING:
+    from isonoise.comparison.cluster_workers import ClusterWorkers
+
 
 def run_plan(
-    plan: Plan, lock: FolderLock, device: str | None, log: Callable[[str], None], warn: Callable[[str], None]
+    plan: Plan,
+    lock: FolderLock,
+    device: str | None,
+    log: Callable[[str], None],
+    warn: Callable[[str], None],
+    workers: "ClusterWorkers | None" = None,
 ) -> None:
-    """Render the runs that the locked folder lacks; `log` receives a line for every finished file.
+    """Render the runs that the locked folder lacks, on `workers` or on `device`.
+
+    `log` receives a line for every finished file.
 
     Runs that are damaged, of something else, or measured against another reference are rendered again, before others;
     `warn` receives a line for each reason. Valid runs are not touched. An interrupt loses only the runs in progress.
     Raises UserError.
     """
-    _Runner(plan, lock, device, log, warn).run()
+    _Runner(plan, lock, device, log, warn, workers).run()
 
 
 class _Runner:
@@ -50,11 +61,17 @@ class _Runner:
         device: str | None,
         log: Callable[[str], None],
         warn: Callable[[str], None],
+        workers: "ClusterWorkers | None",
     ):
         self.plan, self.lock, self.device, self.log, self.warn = plan, lock, device, log, warn
         self.directory = lock.directory
         self.inputs = RunInputs(plan, self.directory)
         self.execution = LocalRuns(self.inputs, device)
+        self.has_cluster = workers is not None
+        if workers is not None:
+            from isonoise.comparison.cluster_runs import ClusterRuns
+
+            self.execution = ClusterRuns(self.inputs, workers, self.execution, warn)
         self.references = ReferenceRenderer(self._renderer, plan, self.directory, log, warn)
         self.progress = RunProgress(self.inputs.stops)
 
@@ -70,8 +87,10 @@ class _Runner:
             self._render(runs)
 
     def _render(self, runs: Sequence[PlannedRun]) -> None:
-        for group in runs_by_scene(runs):
-            self._ensure_references(group[0].scene)
+        """On a cluster all references come first: workers would wait for each."""
+        for group in [runs] if self.has_cluster else runs_by_scene(runs):
+            for scene in dict.fromkeys(run.scene for run in group):
+                self._ensure_references(scene)
             self.lock.check()
             self.execution.execute(group, self.progress, self._finish)
 
@@ -95,7 +114,8 @@ class _Runner:
     def _finish(self, run: PlannedRun, content: bytes) -> None:
         """Write the file of a run."""
         path = run_path(self.directory, *run)
-        last = json.loads(str(unpack_npz(content, path, self.inputs.identity(run))["rows"]))[-1]
+        file = unpack_npz(content, path, self.inputs.identity(run))
+        last, facts = json.loads(str(file["rows"]))[-1], json.loads(str(file["facts"]))
         self.lock.check()
         make_folder(path.parent)
         write_packed(path, content)
@@ -106,4 +126,5 @@ class _Runner:
             f"relMSE {format_number(last['true_rel_mse'])}  "
             f"image mean ratio {last['true_energy_ratio']:.4f}  "
             f"[{self.progress.finished} of {self.progress.total}{self.progress.remaining()}]"
+            + (f"  {facts['worker']}" if facts.get("worker") else "")
         )

@@ -41,7 +41,14 @@ class SelectedDevice(NamedTuple):
     @property
     def name(self) -> str:
         """Name of the device and of its platform."""
-        part = f", part {self.part + 1} of {self.parts}" if self.parts > 1 else ""
+        return self._name(f", part {self.part + 1} of {self.parts}" if self.parts > 1 else "")
+
+    @property
+    def kind(self) -> str:
+        """The name without the number of the part: the same for devices that are equally fast."""
+        return self._name(f", one of {self.parts} parts" if self.parts > 1 else "")
+
+    def _name(self, part: str) -> str:
         return f"{self.device.name.strip()}{part} ({self.device.platform.name.strip()})"
 
 
