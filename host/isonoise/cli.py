@@ -186,6 +186,7 @@ def _add_compare(commands) -> None:
     shared_options.add_scene_overrides(settings)
     shared_options.add_allow_outside(settings)
     shared_options.add_device(settings)
+    shared_options.add_cluster(settings)
     references = compare.add_argument_group("references")
     references.add_argument(
         "--reference",

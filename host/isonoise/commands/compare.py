@@ -5,8 +5,10 @@ import importlib.util
 import signal
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from isonoise.commands import EXIT_DONE
+from isonoise.commands.shared_options import cluster_of
 from isonoise.comparison.checked_files import make_folder
 from isonoise.comparison.folder_lock import FolderLock, lock_folder
 from isonoise.comparison.plan import Plan, Request, additions, differences, make_plan, read_plan, write_plan
@@ -15,6 +17,10 @@ from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance,
 from isonoise.errors import UserError
 from isonoise.film.files import remove_temporary_files
 from isonoise.signals import exit_code
+
+if TYPE_CHECKING:
+    from isonoise.comparison.cluster_workers import ClusterWorkers
+    from isonoise.distributed.cluster import Cluster
 
 DEFAULT_TIME = 10.0
 """Seconds of a run."""
@@ -28,13 +34,29 @@ def run(options: argparse.Namespace) -> int:
     preset = _preset(options)
     directory = Path(options.output)
     spps = options.spp or ([] if options.time is not None or not preset else list(preset.spp))
-    with lock_folder(directory) as lock:
+    _check_packages(_request(options, preset, *spps[:1]))
+    with lock_folder(directory) as lock, cluster_of(options) as cluster:
+        workers = _workers_of(cluster)
         if len(spps) < 2:
-            return _compare(_request(options, preset, *spps), directory, lock)[0]
-        return _compare_series(options, preset, spps, directory)
+            return _compare(_request(options, preset, *spps), directory, lock, workers)[0]
+        return _compare_series(options, preset, spps, directory, workers)
 
 
-def _compare_series(options: argparse.Namespace, preset: Preset | None, spps: list[float], directory: Path) -> int:
+def _workers_of(cluster: "Cluster | None") -> "ClusterWorkers | None":
+    if cluster is None:
+        return None
+    from isonoise.comparison.cluster_workers import ClusterWorkers
+
+    return ClusterWorkers(cluster, _warn)
+
+
+def _compare_series(
+    options: argparse.Namespace,
+    preset: Preset | None,
+    spps: list[float],
+    directory: Path,
+    workers: "ClusterWorkers | None",
+) -> int:
     """One comparison for each number of samples per pixel, and tables over all of them."""
     from isonoise.comparison.spp_series import comparison_folder, write_series
 
@@ -43,7 +65,7 @@ def _compare_series(options: argparse.Namespace, preset: Preset | None, spps: li
     for spp in sorted(spps, reverse=True):  # the reference for the most samples serves for all
         folder = comparison_folder(directory, spp)
         with lock_folder(folder) as lock:
-            code, summaries[spp] = _compare(_request(options, preset, spp), folder, lock, first)
+            code, summaries[spp] = _compare(_request(options, preset, spp), folder, lock, workers, first)
         if code != EXIT_DONE:
             break
     write_series(directory, spps, summaries, _print)
@@ -51,15 +73,18 @@ def _compare_series(options: argparse.Namespace, preset: Preset | None, spps: li
 
 
 def _compare(
-    request: Request, directory: Path, lock: FolderLock, shared: Path | None = None
+    request: Request,
+    directory: Path,
+    lock: FolderLock,
+    workers: "ClusterWorkers | None",
+    shared: Path | None = None,
 ) -> tuple[int, dict | None]:
     """One comparison in `directory`, with the references of another one in the folder `shared`.
 
     Returns the exit code and the summary; None if no run is finished.
     """
-    _check_packages(request)
     stored = read_plan(directory)
-    plan = make_plan(request, stored)
+    plan = make_plan(request, stored, workers and workers.common_device(stored and stored.device))
     if any(needs_variance(strategy.spec) for strategy in plan.strategies):
         with_variance("oracle", directory.resolve())
     _begin(directory, stored, plan)
@@ -71,7 +96,8 @@ def _compare(
 
         share_references(shared, directory, plan)
     try:
-        run_plan(plan, lock, request.device, _print, _warn)
+        # with workers the option names their device, and this process takes its default
+        run_plan(plan, lock, None if workers else request.device, _print, _warn, workers)
         return EXIT_DONE, _report(directory)
     except (KeyboardInterrupt, UserError) as error:
         has_runs = any((directory / "runs").glob("*/*/[0-9]*.npz"))
