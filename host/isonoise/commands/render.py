@@ -235,6 +235,7 @@ def _make_renderer(options: argparse.Namespace, cluster) -> Renderer:
         return Renderer(
             options.scene,
             device=None if cluster else options.device,  # with a cluster that of its workers
+            cluster=cluster,
             seed=options.seed,
             size=options.size,
             max_depth=options.max_depth,
@@ -244,7 +245,6 @@ def _make_renderer(options: argparse.Namespace, cluster) -> Renderer:
             memory=options.memory,
             view=view_of(options),
             on_compile=display.update,
-            **({"cluster": cluster} if cluster else {}),
             **strategy,
         )
     finally:

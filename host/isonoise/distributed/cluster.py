@@ -131,10 +131,6 @@ class Cluster:
         with deferred():
             self._stack.close()
 
-    def device_of(self, name: object) -> DeviceChoice:
-        """What the worker with this name (`name` of Dask's scheduler_info) renders on."""
-        return self._devices(name)
-
     @property
     def name(self) -> str:
         """What it is, for people."""
