@@ -309,8 +309,9 @@ class _Plan:
         is left.
         """
         part_s = self._wave_end() - self._busy_until[name]
-        task_s = max(MAX_TASK_SHARE * part_s, MIN_TASK_S)
-        return max(0.0, min(task_s, part_s, self._max_task_s)) * self.speeds[name]
+        if part_s >= 1.5 * MIN_TASK_S:
+            part_s = min(max(MAX_TASK_SHARE * part_s, MIN_TASK_S), self._max_task_s)
+        return max(part_s, 0.0) * self.speeds[name]
 
     def max_samples(self, name: str, shard_samples: int) -> float:
         """Samples that a worker can trace before it would be too late: see `MAX_DELAY`.
