@@ -136,6 +136,10 @@ class Cluster:
         """What it is, for people."""
         return f"{self.size} local workers" if self.size else f"Dask cluster at {self.client.scheduler.address}"
 
+    def device_of(self, name: object) -> DeviceChoice:
+        """What the worker with this name (`name` of Dask's scheduler_info) renders on."""
+        return self._devices(name)
+
     def pool(
         self,
         scene: CompiledScene,
