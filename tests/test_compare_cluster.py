@@ -1,8 +1,19 @@
-"""Runs of `isonoise compare` on a cluster: which worker renders which run, and what the runs show."""
+"""Runs of `isonoise compare` on a cluster: which worker renders which run, what the tables show, lost workers."""
 
-from isonoise.comparison.plan import SceneEntry, StrategyEntry
+import re
+from concurrent.futures import Future
+from types import SimpleNamespace
+
+import pytest
+
+from isonoise import __version__
+from isonoise.comparison.cluster_workers import ClusterWorkers
+from isonoise.comparison.plan import SEVERAL_DEVICES, SceneEntry, StrategyEntry
 from isonoise.comparison.run_dealer import MAX_LOSSES, RunDealer
 from isonoise.comparison.run_order import PlannedRun
+from isonoise.comparison.run_worker import WorkerDescription
+from isonoise.comparison.timing import timing_notes, timing_rows, worker_table
+from isonoise.errors import DeviceError
 
 SCENES = [SceneEntry(name, name, name, name, 4, 3, f"{name}.exr", None) for name in ("a", "b")]
 STRATEGIES = [StrategyEntry(name, name, name, name) for name in ("uniform", "pooled", "tsallis")]
@@ -89,3 +100,116 @@ def test_a_run_that_ends_its_workers_fails():
         assert not dealer.has_failed(run)
         dealer.lost(f"w{number}")
     assert dealer.has_failed(run)
+
+
+def facts(device, worker=None, parts=1, samples=1000, seconds=0.5):
+    return {"device": device, "worker": worker, "parts": parts, "samples": samples, "elapsed_s": seconds}
+
+
+def scene_of_summary(*facts_of_runs, devices=()):
+    timing = timing_rows(facts_of_runs)
+    return {"slug": "a", "name": "a", "timing": timing, "devices": [*{row["device"] for row in timing}, *devices]}
+
+
+def test_the_table_of_workers_counts_runs_and_samples_per_second():
+    runs = [facts("d", "tcp://x"), facts("d", "tcp://x", seconds=1.5), facts("d", "tcp://y", samples=5_000_000)]
+    (first, second) = worker_table({"scenes": [scene_of_summary(*runs)]}).rows
+    assert [str(cell) for cell in first] == ["tcp://x", "d", "2 (1 k/s)"]
+    assert [str(cell) for cell in second] == ["tcp://y", "d", "1 (10 M/s)"]
+    assert worker_table({"scenes": [scene_of_summary(facts("d"))]}).rows == []
+
+
+def test_different_devices_or_drivers_are_a_warning():
+    assert timing_notes(scene_of_summary(facts("d, driver 1", "x"), facts("d, driver 1", "y"))) == []
+    (note,) = timing_notes(scene_of_summary(facts("d, driver 1"), *3 * [facts("d, driver 2")]))
+    assert note.startswith("Warning: the runs of this scene were timed on different devices or drivers")
+    assert "(d, driver 1: 1; d, driver 2: 3)" in note
+
+
+def test_parts_of_a_device_and_mitsuba_beside_workers_are_notes():
+    assert timing_notes(scene_of_summary(facts("d"), devices=["CPU (Mitsuba 3)"])) == []
+    notes = timing_notes(scene_of_summary(facts("d", "x", parts=2), devices=["CPU (Mitsuba 3)"]))
+    assert [note[:20] for note in notes] == ["A run had one of 2 p", "Mitsuba 3 was timed "]
+
+
+class FakeClient:
+    """The scheduler's list of workers, as Dask's client returns it."""
+
+    status = "running"
+    scheduler = SimpleNamespace(identity=None)
+
+    def __init__(self):
+        self.workers = {}
+
+    def sync(self, _):
+        return {"workers": {address: {"name": address, "status": "running"} for address in self.workers}}
+
+
+class FakeWorkers(ClusterWorkers):
+    """Workers that describe themselves at once: `client.workers` has the description, or the error, of each."""
+
+    def __init__(self, warnings, **workers):
+        client = FakeClient()
+        client.workers = workers
+        super().__init__(SimpleNamespace(client=client, device_of=lambda name: name, size=None), warnings.append)
+
+    def start(self, found):
+        future = Future()
+        if isinstance(found, Exception):
+            future.set_exception(found)
+        else:
+            future.set_result(found)
+        return future
+
+    def _describe(self, address):
+        return self.cluster.client.workers[address]
+
+    def update(self):
+        self._next_poll = 0.0
+        return super().update()
+
+
+def test_workers_with_another_device_than_the_plan_get_no_runs():
+    warnings = []
+    workers = FakeWorkers(warnings, x=WorkerDescription(__version__, "gpu"))
+    assert workers.common_device(None) == "gpu"
+    workers.cluster.client.workers["y"] = WorkerDescription(__version__, "cpu")
+    workers.cluster.client.workers["z"] = WorkerDescription(__version__, "gpu")
+    assert workers.update() == set()
+    assert workers.devices == {"x": "gpu", "z": "gpu"}
+    assert warnings == ["worker y gets no runs: its device is cpu, and the comparison's gpu"]
+    del workers.cluster.client.workers["x"]
+    assert workers.update() == {"x"}
+    assert workers.devices == {"z": "gpu"}
+
+
+def test_a_comparison_that_begins_with_several_devices_takes_any():
+    descriptions = {name: WorkerDescription(__version__, name) for name in ("gpu", "cpu")}
+    workers = FakeWorkers([], **descriptions)
+    assert workers.common_device(None) == SEVERAL_DEVICES
+    assert workers.devices == {"gpu": "gpu", "cpu": "cpu"}
+    assert FakeWorkers([], cpu=descriptions["cpu"]).common_device(SEVERAL_DEVICES) == SEVERAL_DEVICES
+
+
+@pytest.mark.parametrize(
+    ("found", "reason"),
+    [
+        (WorkerDescription("0.0.1", "gpu"), "it has isonoise 0.0.1, and this machine"),
+        (DeviceError("no OpenCL device found"), "no OpenCL device found"),
+        (ModuleNotFoundError("No module named 'isonoise'"), "ModuleNotFoundError: No module named 'isonoise'"),
+    ],
+)
+def test_a_worker_that_cannot_render_is_named(found, reason):
+    with pytest.raises(DeviceError, match=f"no worker of the cluster can render: x: {re.escape(reason)}"):
+        FakeWorkers([], x=found).common_device(None)
+    warnings = []
+    workers = FakeWorkers(warnings, x=found, y=WorkerDescription(__version__, "gpu"))
+    assert workers.common_device(None) == "gpu"
+    assert reason in warnings[0]
+
+
+def test_a_lost_connection_is_a_message():
+    workers = FakeWorkers([], x=WorkerDescription(__version__, "gpu"))
+    workers.cluster.client.status = "closed"
+    with pytest.raises(DeviceError, match="connection to the Dask scheduler is lost"):
+        workers.common_device(None)

@@ -20,6 +20,7 @@ from isonoise.comparison.report_tables import (
 )
 from isonoise.comparison.results import Results
 from isonoise.comparison.summary import summarise, write_summary
+from isonoise.comparison.timing import worker_table
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 
@@ -49,6 +50,7 @@ def write_report(directory: Path) -> dict:
         scenes=[_scene(results, summary, scene) for scene in scenes],
         poster=_poster(results, summary),
         across=tables_across_scenes(summary),
+        workers=worker_table(summary),
         columns=[*SCENE_COLUMNS, *SINGLE_IMAGE_COLUMNS],
         noisy_reference=NOISY_REFERENCE,
         dates=_dates(results),

@@ -13,6 +13,7 @@ from isonoise.comparison.metric_columns import (
     summary_cell,
     time_cell,
 )
+from isonoise.comparison.timing import timing_notes, worker_table
 from isonoise.tables import LEFT, Cell, Column, Table, markdown_table, text_table
 
 STRATEGY = Column("strategy", LEFT)
@@ -133,14 +134,14 @@ def _scene_notes(summary: Mapping, scene: Mapping) -> list[str]:
             "uniform sampling with as many samples. It is mean(√V)² / mean(V), V / n the relative variance of the mean "
             "of n samples (of the luminance, over the floor)."
         )
-    return notes + _warm_up_notes(summary, scene)
+    return notes + timing_notes(scene) + _warm_up_notes(summary, scene)
 
 
 def text_tables(summary: Mapping) -> str:
     """All tables for a terminal."""
     scenes = [scene_table(summary, scene, in_terminal=True) for scene in summary["scenes"]]
     parts = []
-    for table in [*tables_across_scenes(summary), *scenes]:
+    for table in [*tables_across_scenes(summary), *scenes, *_worker_tables(summary)]:
         parts += [table.title, *(f"  {note}" for note in table.notes)]
         if table.rows:
             parts += [text_table(table), ""]
@@ -150,7 +151,8 @@ def text_tables(summary: Mapping) -> str:
 def markdown_tables(summary: Mapping) -> str:
     """All tables as Markdown, with the meanings of the columns at the end."""
     parts = []
-    for table in [*tables_across_scenes(summary), *(scene_table(summary, scene) for scene in summary["scenes"])]:
+    scenes = [scene_table(summary, scene) for scene in summary["scenes"]]
+    for table in [*tables_across_scenes(summary), *scenes, *_worker_tables(summary)]:
         parts += [f"### {table.title}", *table.notes]
         if table.rows:
             rows = [[replace(first, text=f"`{first.text}`"), *cells] for first, *cells in table.rows]
@@ -163,6 +165,11 @@ def tables_across_scenes(summary: Mapping) -> list[Table]:
     """The tables with a column per scene."""
     tables = [*(time_table(summary, metric) for metric in TIME_METRICS), summary_table(summary), sampler_table(summary)]
     return [table for table in tables if table.rows]
+
+
+def _worker_tables(summary: Mapping) -> list[Table]:
+    table = worker_table(summary)
+    return [table] if table.rows else []
 
 
 def strategy_titles(summary: Mapping) -> dict[str, str]:

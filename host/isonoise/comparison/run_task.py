@@ -106,6 +106,7 @@ def render_run(
         "scene": task.scene_name,
         "seed": task.seed,
         "device": f"{device.kind}, {renderer.driver}",
+        "parts": device.parts,
         "worker": worker,
         "setup_s": task.load_s + sum(renderer.setup_times.values()),
         "samples": outcome.statistics.samples,

@@ -16,7 +16,8 @@ from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.recorder import RUN_COLUMNS
 from isonoise.comparison.report_tables import markdown_tables, text_tables
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
-from isonoise.comparison.strategy_specs import independent_counterpart
+from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, independent_counterpart
+from isonoise.comparison.timing import timing_rows
 from isonoise.film.files import write_atomically
 from isonoise.strategies.registry import DEFAULT_STRATEGY
 
@@ -35,6 +36,7 @@ def summarise(directory: Path) -> dict:
     | `budget` | `time` (seconds per run) and `spp` (samples per pixel per run); one of them is None |
     | `seeds`, `strategies`, `baseline`, `default` | as planned; slugs of the two strategies (`default` may be None) |
     | `scenes` | list of the scenes with finished runs: `slug`, `name`, `width`, `height`, `floor`, `devices`, and: |
+    | .. `timing` | where isonoise's own runs were timed: `timing.timing_rows` |
     | .. `seeds`, `runs`, `planned_runs` | seeds that all strategies with runs have: the figures use only these |
     | .. `reference` | `has_standard_error`; `p50`, `p95`, `p99` of se / max(r, floor); `mean_relative_se` of the mean;
       `rel_mse`, what it adds to the relMSE |
@@ -107,6 +109,7 @@ def _scene(results: Results, scene: SceneEntry, runs: dict[str, dict[int, Run]])
     variance = results.variance(scene)
     seeds = common_seeds(runs)
     height, width = reference.luminance.shape
+    specs = {strategy.slug: strategy.spec for strategy in results.plan.strategies}
     measured = (
         {slug: _Measurement([by_seed[seed] for seed in seeds], reference) for slug, by_seed in runs.items()}
         if seeds
@@ -121,6 +124,9 @@ def _scene(results: Results, scene: SceneEntry, runs: dict[str, dict[int, Run]])
         "height": height,
         "floor": reference.floor,
         "devices": sorted({str(run.facts.get("device")) for by_seed in runs.values() for run in by_seed.values()}),
+        "timing": timing_rows(
+            run.facts for slug in runs if specs[slug] not in MITSUBA_SAMPLERS for run in runs[slug].values()
+        ),
         "seeds": seeds,
         "runs": sum(len(by_seed) for by_seed in runs.values()),
         "planned_runs": len(results.plan.strategies) * len(results.plan.seeds),
