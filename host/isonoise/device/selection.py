@@ -75,19 +75,22 @@ def select_device(choice: str | int | None = None) -> SelectedDevice:
     return selected[0]
 
 
-def select_devices(choice: str | int | None = None) -> list[SelectedDevice]:
+def select_devices(choice: str | int | SelectedDevice | None = None) -> list[SelectedDevice]:
     """The OpenCL devices that `choice` selects, at least one.
 
     Parameters
     ----------
-    choice : as for `select_device`; DEVICE/N: the device as N devices, each with an equal share of its compute units;
-        `all`: every device, the CPU with its preferred driver alone; or several of these, separated by commas.
+    choice : as for `select_device`; a SelectedDevice: itself; DEVICE/N: the device as N devices, each with an equal
+        share of its compute units; `all`: every device, the CPU with its preferred driver alone; or several of these,
+        separated by commas.
 
     Raises
     ------
     DeviceError
         If nothing matches, a device is selected twice, or cannot be split.
     """
+    if isinstance(choice, SelectedDevice):
+        return [choice]
     devices = list_devices()
     if not devices:
         folder = pocl_folder()
