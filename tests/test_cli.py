@@ -88,6 +88,8 @@ def test_json_is_one_object_and_equals_the_header(capsys):
     assert outcome["stopped_by"] == "spp"
     assert outcome["last_wave"]["samples"] == outcome["samples"]
     assert outcome["setup_s"]["load"] >= 0
+    assert outcome["workers"] == []  # one device
+    assert outcome["client_share"] is None
     assert outcome["time_s"] == float(header["isonoise.time_s"])
 
 

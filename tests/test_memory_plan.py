@@ -1,8 +1,10 @@
 """The memory that a render takes: computed, limited, and too little of it."""
 
+import weakref
+
 import numpy as np
 import pytest
-from small_scene import assert_same_bits, lamp_over_floor
+from small_scene import HEIGHT, WIDTH, assert_same_bits, lamp_over_floor
 
 from isonoise import Renderer, argument_types
 from isonoise.device.opencl import Device
@@ -133,6 +135,18 @@ def test_statistics_in_use_keep_their_image():
     first.step()
     assert np.array_equal(in_use.rgb, expected)
     assert not np.array_equal(first.image(), expected)
+
+
+def test_a_closed_renderer_has_freed_its_buffers():
+    with Renderer(lamp_over_floor(), strategy="uniform:wave_spp=2", seed=4) as renderer:
+        renderer.step()
+        expected, statistics = renderer.image().copy(), renderer.statistics()
+        renderer.step()
+        accumulator = weakref.ref(renderer._wavefront.accumulator)
+        assert np.array_equal(renderer.statistics().count, np.full((HEIGHT, WIDTH), 4))
+    assert accumulator() is None
+    assert np.array_equal(statistics.rgb, expected)
+    renderer.close()
 
 
 def test_a_large_image_gives_memory_back_and_stays_the_same(monkeypatch):

@@ -80,10 +80,10 @@ def render(
     >>> outcome.reason, outcome.rgb.shape, len(outcome.rows)
     ('spp', (48, 64, 3), 9)
     """
-    renderer = Renderer(scene, **options)
-    if spp is None and time is None and error is None:
-        spp = float(renderer.scene.sample_count)
-    return render_loop(renderer, Stops(spp, time, error, quantile, confidence))
+    with Renderer(scene, **options) as renderer:
+        if spp is None and time is None and error is None:
+            spp = float(renderer.scene.sample_count)
+        return render_loop(renderer, Stops(spp, time, error, quantile, confidence))
 
 
 def render_loop(renderer: Renderer, stops: Stops, **options) -> Outcome:

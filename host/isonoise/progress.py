@@ -41,9 +41,13 @@ class ProgressBar:
 class RenderProgressBar(ProgressBar):
     """Progress bar of a render."""
 
-    def update(self, elapsed_s: float, samples: int, stated_error: float | None, remaining_s: float | None) -> None:
-        """Show the render loop's progress (`on_progress`); None is unknown."""
+    def update(
+        self, elapsed_s: float, samples: int, stated_error: float | None, remaining_s: float | None, workers: int = 0
+    ) -> None:
+        """Show the render loop's progress (`on_progress`; None is unknown), and how many workers there are, if any."""
         parts = [format_duration(elapsed_s), f"{format_count(samples)} samples"]
+        if workers:
+            parts.append(f"{workers:,} worker{'s' * (workers > 1)}")
         if stated_error is not None:
             parts.append(f"error {format_percent(stated_error)}")
         if remaining_s is not None:

@@ -205,7 +205,7 @@ class Renderer:
             self._statistics.forget()
         if self._distributed is not None:
             self._distributed.close()
-        self._wavefront = self._distributed = None
+        self._wavefront = self._distributed = self._statistics = None
 
     @contextlib.contextmanager
     def _measured(self, name: str) -> Iterator[None]:

@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
         log = _Log(options.log, reference is not None, checkpoints.rows)
         stack.callback(log.close)
         cluster = stack.enter_context(cluster_of(options))
-        renderer = _make_renderer(options, cluster)
+        renderer = stack.enter_context(_make_renderer(options, cluster))
         check_no_input([*options.output, options.log, options.checkpoint], renderer.files)
         checkpoints.check(renderer)
         _check_reference_size(options, reference, renderer)
@@ -71,7 +71,7 @@ class _Render:
                 self._renderer,
                 self._stops,
                 on_wave=lambda row, _: self._log.write(row),
-                on_progress=bar.update,
+                on_progress=lambda *progress: bar.update(*progress, self._count_workers()),
                 reference=self._reference,
                 should_stop=lambda: bool(received),
                 periodic=self._periodic(),
@@ -89,6 +89,10 @@ class _Render:
                 if outcome is None:
                     raise
         return self._end(outcome, failure)
+
+    def _count_workers(self) -> int:
+        """How many workers are there; 0 on one device."""
+        return sum(worker.is_ready for worker in self._renderer.worker_reports())
 
     def _periodic(self) -> list[Periodic]:
         images = [Periodic(self._options.save_every, self._save)] if self._options.save_every else []

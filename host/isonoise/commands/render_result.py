@@ -3,12 +3,13 @@
 import argparse
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 from isonoise import __version__
 from isonoise.film.log import row_values
 from isonoise.outcome import Outcome
-from isonoise.progress import format_duration, format_number, format_percent, shorten_numbers
+from isonoise.progress import format_count, format_duration, format_number, format_percent, shorten_numbers
 from isonoise.renderer import Renderer
 from isonoise.stops import Stops
 from isonoise.strategies import describe
@@ -30,6 +31,10 @@ HEADER_FIELDS = (
 """Fields of the result that are written to the header of an .exr file, with the prefix 'isonoise.'."""
 
 
+MAX_WORKER_LINES = 8
+"""Workers that the result has a line for; the others share one."""
+
+
 def result_fields(options: argparse.Namespace, renderer: Renderer, stops: Stops, outcome: Outcome) -> dict[str, object]:
     """The fields of --json; they include `HEADER_FIELDS`."""
     statistics = outcome.statistics
@@ -44,6 +49,8 @@ def result_fields(options: argparse.Namespace, renderer: Renderer, stops: Stops,
         "seed": renderer.seed,
         "device": renderer.device_name,
         "setup_s": renderer.setup_times,
+        "workers": [asdict(worker) | {"samples_per_s": worker.samples_per_s} for worker in renderer.worker_reports()],
+        "client_share": outcome.client_share,
         "time_s": outcome.elapsed_s,
         "samples": statistics.samples,
         "spp": statistics.samples / statistics.count.size,
@@ -100,6 +107,8 @@ def print_result(result: Mapping[str, object], as_json: bool) -> None:
         return
     time, samples, spp = format_duration(result["time_s"]), f"{result['samples']:,}", format_number(result["spp"], 4)
     _print_line("rendered", f"{time}, {samples} samples, {spp} per pixel")
+    if result["workers"]:
+        _print_workers(result["workers"], result["client_share"])
     reasons = {
         "interrupted": "by a signal",
         "full": "because a pixel's sample count is full",
@@ -130,3 +139,26 @@ def print_result(result: Mapping[str, object], as_json: bool) -> None:
         _print_line("state", result["checkpoint"])
     if result["log"]:
         _print_line("log", result["log"])
+
+
+def _print_workers(workers: Sequence[Mapping[str, object]], client_share: float) -> None:
+    """Print a line for each of those that did most."""
+    total = max(sum(worker["samples"] for worker in workers), 1)
+    several_devices = len({worker["device"] for worker in workers}) > 1
+    _print_line("workers", f"{len(workers):,}; the client was busy {format_percent(client_share or 0.0)} of the time")
+    ranked = sorted(workers, key=lambda worker: worker["samples"], reverse=True)
+    for worker in ranked[:MAX_WORKER_LINES]:
+        text = f"{worker['name']}: {format_percent(worker['samples'] / total)} of the samples"
+        if worker["samples_per_s"]:
+            text += f", {format_count(worker['samples_per_s'])} samples/s"
+        if worker["lost"]:
+            text += f", {worker['lost']:,} tasks lost"
+        if not worker["is_ready"]:
+            text += ", no longer there"
+        if several_devices:
+            text += f"; {worker['device']}"
+        _print_line("", text)
+    rest = ranked[MAX_WORKER_LINES:]
+    if rest:
+        share = format_percent(sum(worker["samples"] for worker in rest) / total)
+        _print_line("", f"and {len(rest):,} more: {share} of the samples")
