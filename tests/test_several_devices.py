@@ -90,6 +90,46 @@ def test_halves_of_a_device_have_its_bits(needs):
     assert_same_state(expected, state_of_devices(select_devices("0/2"), needs))
 
 
+SPIN = """__kernel void spin(__global float* x, uint count) {
+    float y = get_global_id(0);
+    for (uint i = 0; i < count; i++)
+        y = y * 0.999f + 0.5f;
+    x[get_global_id(0)] = y;
+}"""
+
+
+def thread_times_ns() -> dict[str, int]:
+    """Time that each thread of this process has run."""
+    tasks = Path("/proc/self/task").iterdir()
+    return {task.name: int((task / "schedstat").read_text().split()[0]) for task in tasks}
+
+
+def busy_threads(device: Device) -> set[str]:
+    """Threads that run a kernel on the device."""
+    kernel, buffer = device.build(SPIN, ())["spin"], device.buffer(4 * 2**16, "a test")
+
+    def spin(count: int) -> None:
+        device.launch(kernel, 2**16, (buffer, np.uint32(count)))
+        device.finish()
+
+    spin(1)  # compiles
+    before = thread_times_ns()
+    spin(600)
+    spent = {name: time_ns - before.get(name, 0) for name, time_ns in thread_times_ns().items()}
+    return {name for name, time_ns in spent.items() if time_ns > 0.05 * sum(spent.values())}
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="needs the times of threads")
+def test_parts_of_a_cpu_run_on_cores_of_their_own():
+    whole = Device(0)
+    if not whole.is_pocl or max_parts(whole.device) < 2:
+        pytest.skip("needs PoCL on several cores")
+    parts = [Device(each) for each in select_devices(f"0/{whole.compute_units}")[:2]]
+    threads = [busy_threads(part) for part in parts]
+    assert [len(each) for each in threads] == [part.compute_units for part in parts] == [1, 1]
+    assert threads[0].isdisjoint(threads[1])
+
+
 TWO_DRIVERS = """
 import json
 from isonoise.device.selection import select_devices

@@ -135,7 +135,8 @@ class Device:
     def _open_queue(self, profile: bool) -> None:
         self.profile = profile
         properties = self._cl.command_queue_properties.PROFILING_ENABLE if profile else 0
-        self.queue = self._cl.CommandQueue(self.context, properties=properties)
+        # PoCL's context of a sub-device names the whole device, which the queue would take by default
+        self.queue = self._cl.CommandQueue(self.context, self.device, properties=properties)
         # launches must not outlive the memory that is freed with this object
         self._finalizer = weakref.finalize(self, _finish, self.queue)
 
