@@ -1,14 +1,13 @@
 """Workers of a Dask cluster as a `WorkerPool`. `Cluster.pool` makes it.
 
-The coroutines of this file run in the thread of Dask's client. Each known worker has one that prepares it, and each
-task one that sends it, waits for its result and fetches it. Tasks are bound to the worker that the caller has chosen:
-when a worker is lost, its tasks are reported as lost, and the caller deals them anew.
+The coroutines of this file run in the thread of Dask's client. Each known worker has one that prepares it: it makes a
+`TracerActor` there. Each task has one that calls the actor. Tasks run on the worker that the caller has chosen: when a
+worker is lost, its tasks are reported as lost, and the caller deals them anew.
 """
 
 import asyncio
 import queue
 import time
-import uuid
 import warnings
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import CancelledError
@@ -16,11 +15,10 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
-from distributed import Client, Future
+from distributed import Actor, Client, Future
 
 from isonoise import __version__
-from isonoise.distributed import dask_worker
-from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings
+from isonoise.distributed.dask_worker import DeviceChoice, TracerActor, TracerSettings
 from isonoise.distributed.packing import PackingError, pack_scene, pack_task, unpack_result
 from isonoise.distributed.task import Task
 from isonoise.distributed.worker_pool import Finished, Lost, Worker
@@ -48,8 +46,8 @@ class _KnownWorker:
     address: str
     preparation: asyncio.Task
     is_local: bool = False  # on this machine: compression would cost more than it saves
-    is_direct: bool = False  # data goes to it, not through the scheduler
-    tracer: Future | None = None  # of its tracer, once it is ready
+    future: Future | None = None  # of its `TracerActor`
+    actor: Actor | None = None  # once it is ready
     tasks: dict[int, asyncio.Task] = field(default_factory=dict)
     failures: int = 0  # tasks in sequence
 
@@ -82,7 +80,6 @@ class DaskPool:
         self._client, self._device_of = client, device_of
         self._scene, self._settings, self._starting_workers = scene, settings, starting_workers
         self._loop = self._client.loop.asyncio_loop
-        self._render = uuid.uuid4().hex
         self._known: dict[str, _KnownWorker] = {}
         self._ready: dict[str, Worker] = {}
         self._refused: dict[str, str] = {}  # worker -> why it cannot render
@@ -142,7 +139,7 @@ class DaskPool:
     def stop(self) -> None:
         """Ask the workers to end their tasks early."""
         self._stops += 1
-        asyncio.run_coroutine_threadsafe(self._send_to_all(dask_worker.stop, self._stops), self._loop)
+        asyncio.run_coroutine_threadsafe(self._stop_tasks(self._stops), self._loop)
 
     def close(self) -> None:
         """Drop all tasks, and let the workers free the scene."""
@@ -249,14 +246,12 @@ class DaskPool:
                 raise DeviceError(f"it {has}, and this machine {__version__}; install the same version on both")
             known = self._known[address]
             known.is_local = address.partition("://")[2].startswith(_LOOPBACK_HOSTS)
-            known.is_direct = await self._is_reachable(address)
             compress = not known.is_local
             scene = await self._scene_on_cluster(compress)
             async with self._compilation(address):
-                arguments = scene, compress, self._render, self._settings, self._device_of(info["name"])
-                tracer = self._client.submit(dask_worker.prepare, *arguments, pure=False, workers=[address])
-                device = await self._client.submit(dask_worker.device_name, tracer, pure=False, workers=[address])
-            known.tracer = tracer
+                arguments = scene, compress, self._settings, self._device_of(info["name"])
+                await self._make_actor(known, *arguments)
+                device = await known.actor.device_name()
             self._ready[address] = Worker(address, device)
             self._events.put(list)
         except Exception as error:
@@ -284,8 +279,20 @@ class DaskPool:
             raise DeviceError(f"it does not answer ({answer})")
         return answer["packages"].get("isonoise")
 
+    async def _make_actor(self, known: _KnownWorker, *arguments) -> None:
+        """Make the `TracerActor` of a worker."""
+        client = self._client
+        if client.direct_to_workers is None:
+            client.direct_to_workers = await self._is_reachable(known.address)
+        known.future = client.submit(TracerActor, *arguments, actor=True, pure=False, workers=[known.address])
+        await _done(known.future)
+        if known.future.status != "finished":
+            await known.future  # raises
+        with client.as_current():
+            known.actor = Actor(TracerActor, known.address, known.future.key)
+
     async def _is_reachable(self, address: str) -> bool:
-        """Whether this machine can connect to the worker, not to the scheduler alone."""
+        """Whether this machine can connect to the worker. If not, all data go through the scheduler."""
         try:
             await asyncio.wait_for(self._client.rpc(address).identity(), _DIRECT_TIMEOUT_S)
         except Exception:
@@ -295,34 +302,30 @@ class DaskPool:
     async def _scene_on_cluster(self, compress: bool):
         """The packed scene, sent once: workers fetch it from those that have it."""
         sending = self._scene_bytes.get(compress)
-        if sending is not None:
-            scene = await sending
-            if scene.status == "finished":
-                return scene
-        data = pack_scene(self._scene, compress)
-        self._scene_bytes[compress] = self._loop.create_task(self._client.scatter(data))
-        return await self._scene_bytes[compress]
+        if sending is None or (sending.done() and (sending.exception() or sending.result().status != "finished")):
+            sending = self._scene_bytes[compress] = self._loop.create_task(self._send_scene(compress))
+        return await asyncio.shield(sending)
+
+    async def _send_scene(self, compress: bool) -> Future:
+        data = await self._loop.run_in_executor(None, pack_scene, self._scene, compress)
+        return await self._client.scatter(data)
 
     def _begin_task(self, address: str, number: int, data: bytes, stops: int) -> None:
         known = self._known.get(address)
-        if known is None or known.tracer is None:
+        if known is None or known.actor is None:
             self._lose(address, number, "it has left the cluster")
         else:
             known.tasks[number] = self._loop.create_task(self._run_task(known, number, data, stops))
 
     async def _run_task(self, known: _KnownWorker, number: int, data: bytes, stops: int) -> None:
-        """Send a task, wait for its result and fetch it."""
-        address, client = known.address, self._client
+        """Send a task and wait for its result."""
+        address = known.address
         try:
-            sent = await client.scatter(data, workers=[address], direct=known.is_direct, hash=False)
-            arguments = known.tracer, sent, stops, not known.is_local
-            future = client.submit(dask_worker.trace_task, *arguments, pure=False, workers=[address])
-            await _done(future)
-            result = await client.gather(future, direct=known.is_direct)
+            result = await known.actor.trace(data, stops, not known.is_local)
             known.failures = 0
             self._events.put(lambda: self._take_result(address, number, result))
         except Exception as error:  # no cancellation: `_drop` has reported the loss
-            if client.status == "running":
+            if self._client.status == "running":
                 self._on_task_failure(known, number, _reason(error))
         finally:
             known.tasks.pop(number, None)
@@ -335,24 +338,22 @@ class DaskPool:
             return
         if known.failures >= _MAX_FAILURES:
             self._refuse(known.address, reason)
-        elif known.tracer.status != "finished":  # its process has begun anew: prepare it again
+        elif known.future.status != "finished":  # its process has begun anew: prepare it again
             self._drop(known.address, reason)
 
-    async def _send_to_all(self, function: Callable, *arguments) -> None:
-        addresses = list(self._ready)
-        if addresses:
-            with suppress(Exception):
-                await self._client.run(function, self._render, *arguments, workers=addresses, on_error="ignore")
+    async def _stop_tasks(self, stops: int) -> None:
+        """Tell all workers to end the tasks early that were submitted before this stop."""
+        actors = [known.actor for known in self._known.values() if known.actor is not None]
+        await asyncio.gather(*(actor.stop(stops) for actor in actors), return_exceptions=True)
 
     async def _close(self) -> None:
         self._following.cancel()
         self._client.unsubscribe_topic("all")
-        await self._send_to_all(dask_worker.stop, self._stops + 1)
+        await self._stop_tasks(self._stops + 1)
         for known in self._known.values():
             known.preparation.cancel()
             for running in known.tasks.values():
                 running.cancel()
-        await self._send_to_all(dask_worker.forget)
         self._known.clear()
         self._scene_bytes.clear()
 

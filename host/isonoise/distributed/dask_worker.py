@@ -1,7 +1,7 @@
-"""What the workers of a Dask cluster run: `prepare` once a render, then `trace_task` for each of its tasks.
+"""What the workers of a Dask cluster run for `dask_pool`: a `TracerActor` for each render.
 
-`dask_pool` submits these functions. The tracer that `prepare` returns stays on its worker, in Dask's own store, and
-is freed with the future of the pool: when the render ends, or its process is gone.
+An actor is an object that stays on its worker, and whose methods the client calls. Data go from the client to the
+worker and back, and not through the scheduler. Dask frees the actor when the pool drops it, or its process is gone.
 """
 
 import threading
@@ -11,9 +11,7 @@ from isonoise.distributed.packing import pack_result, unpack_scene, unpack_task
 from isonoise.statistics import Needs
 
 _tracing = threading.Lock()
-"""A process traces one task at a time, whatever the number of its threads: its device is busy with one."""
-_stopped: dict[str, int] = {}
-"""Number of a render -> tasks up to this number of stops end early."""
+"""A process compiles or traces one thing at a time: its device is busy with it."""
 
 
 @dataclass(frozen=True)
@@ -23,17 +21,10 @@ class DeviceChoice:
     choice: str | None = None
     number: int = 0
 
-    def select(self):
-        """The device, a `SelectedDevice` of this process."""
-        from isonoise.device.selection import select_devices
-
-        devices = select_devices(self.choice)
-        return devices[self.number % len(devices)]
-
 
 @dataclass(frozen=True)
 class TracerSettings:
-    """What a `ShardTracer` depends on besides scene and device; its parameters."""
+    """What a `ShardTracer` depends on besides scene and device: its parameters."""
 
     needs: Needs
     seed: int
@@ -43,50 +34,36 @@ class TracerSettings:
     def make_tracer(self, device: DeviceChoice, scene):
         """The tracer on a device of this process."""
         from isonoise.device.opencl import Device
+        from isonoise.device.selection import select_devices
         from isonoise.distributed.shard_tracer import ShardTracer
 
-        return ShardTracer(Device(device.select()), scene, self.needs, self.seed, self.pool_size, self.memory)
+        devices = select_devices(device.choice)
+        selected = devices[device.number % len(devices)]
+        return ShardTracer(Device(selected), scene, self.needs, self.seed, self.pool_size, self.memory)
 
 
-class WorkerTracer:
-    """A tracer of this process. A copy in another process, which Dask makes of a retiring worker's, is of no use."""
+class TracerActor:
+    """A scene on the device of a worker. `scene` is what `pack_scene` has packed."""
 
-    def __init__(self, render: str, tracer=None):
-        self.render, self.tracer = render, tracer
+    def __init__(self, scene: bytes, is_compressed: bool, settings: TracerSettings, device: DeviceChoice):
+        with _tracing:
+            self._tracer = settings.make_tracer(device, unpack_scene(scene, is_compressed))
+        self._stops = 0
 
-    def __reduce__(self):
-        return WorkerTracer, (self.render,)
+    def device_name(self) -> str:
+        """Name of the device."""
+        return self._tracer.device.name
 
+    def trace(self, data: bytes, stops: int, compress: bool) -> bytes:
+        """Compute a task that `pack_task` has packed; return its result, packed.
 
-def prepare(
-    scene: bytes, is_compressed: bool, render: str, settings: TracerSettings, device: DeviceChoice
-) -> WorkerTracer:
-    """Compile a scene for the device of this worker. `render` is a number of the render, unique in the cluster."""
-    with _tracing:
-        return WorkerTracer(render, settings.make_tracer(device, unpack_scene(scene, is_compressed)))
+        `stops` counts how often the pool was stopped before it submitted the task.
+        """
+        task = unpack_task(data)
+        with _tracing:
+            result = self._tracer.trace(task, lambda: self._stops <= stops)
+        return pack_result(result, compress)
 
-
-def device_name(tracer: WorkerTracer) -> str:
-    """Name of the device that a prepared worker traces on."""
-    return tracer.tracer.device.name
-
-
-def trace_task(tracer: WorkerTracer, data: bytes, stops: int, compress: bool) -> bytes:
-    """Compute a task that `pack_task` has packed; return its result, packed.
-
-    `stops` counts how often the render was stopped before the task was submitted.
-    """
-    task = unpack_task(data)
-    with _tracing:
-        result = tracer.tracer.trace(task, lambda: _stopped.get(tracer.render, 0) <= stops)
-    return pack_result(result, compress)
-
-
-def stop(render: str, stops: int) -> None:
-    """Let the tasks of a render that were submitted before its stop number `stops` end early."""
-    _stopped[render] = max(stops, _stopped.get(render, 0))
-
-
-def forget(render: str) -> None:
-    """The render has ended."""
-    _stopped.pop(render, None)
+    async def stop(self, stops: int) -> None:
+        """Let tasks that were submitted before the stop of this number end early. Runs beside `trace`."""
+        self._stops = max(self._stops, stops)
