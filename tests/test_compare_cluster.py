@@ -1,19 +1,25 @@
 """Runs of `isonoise compare` on a cluster: which worker renders which run, what the tables show, lost workers."""
 
 import re
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from isonoise import __version__
+from isonoise.comparison.checked_files import InvalidFileError
+from isonoise.comparison.cluster_runs import ClusterRuns
 from isonoise.comparison.cluster_workers import ClusterWorkers
 from isonoise.comparison.plan import SEVERAL_DEVICES, SceneEntry, StrategyEntry
 from isonoise.comparison.run_dealer import MAX_LOSSES, RunDealer
 from isonoise.comparison.run_order import PlannedRun
+from isonoise.comparison.run_progress import RunProgress
+from isonoise.comparison.run_task import RunStoppedError
 from isonoise.comparison.run_worker import WorkerDescription
 from isonoise.comparison.timing import timing_notes, timing_rows, worker_table
-from isonoise.errors import DeviceError
+from isonoise.errors import DeviceError, UserError
+from isonoise.loop import Stops
 
 SCENES = [SceneEntry(name, name, name, name, 4, 3, f"{name}.exr", None) for name in ("a", "b")]
 STRATEGIES = [StrategyEntry(name, name, name, name) for name in ("uniform", "pooled", "tsallis")]
@@ -213,3 +219,93 @@ def test_a_lost_connection_is_a_message():
     workers.cluster.client.status = "closed"
     with pytest.raises(DeviceError, match="connection to the Dask scheduler is lost"):
         workers.common_device(None)
+
+
+class FakeRuns(ClusterRuns):
+    """Workers answer at once with what `answers` has for their runs, the last answer again and again."""
+
+    def __init__(self, workers, answers, warnings):
+        local = SimpleNamespace(execute=lambda runs, *_: self.rendered.extend(("here", run) for run in runs))
+        super().__init__(None, workers, local, warnings.append)
+        self.answers, self.rendered, self.finished = answers, [], []
+
+    def _prepared(self, worker, run):
+        return ()
+
+    def _render(self, worker, run):
+        self.rendered.append((worker, run))
+        answers = self.answers.get(worker, [b"content"])
+        return answers.pop(0) if len(answers) > 1 else answers[0]
+
+    def run(self, runs):
+        def on_finished(run, content):
+            if content == b"damaged":
+                raise InvalidFileError(Path("0.npz"), "it is damaged")
+            self.finished.append(run)
+
+        self.execute(runs, RunProgress(Stops(time=1)), on_finished)
+        return self.finished
+
+
+def fake_runs(answers, *names):
+    warnings = []
+    workers = FakeWorkers(warnings, **{name: WorkerDescription(__version__, "gpu") for name in names})
+    workers.wait = lambda *_: None
+    workers.common_device(None)
+    return FakeRuns(workers, answers, warnings), warnings
+
+
+@pytest.mark.parametrize("answer", [b"damaged", CancelledError(), RunStoppedError("the run was stopped")])
+def test_a_run_without_a_sound_result_is_rendered_again(answer):
+    runs = planned(2)
+    cluster, warnings = fake_runs({"x": [b"content", answer, b"content"]}, "x", "y")
+    assert set(cluster.run(runs)) == set(runs)
+    assert len(cluster.rendered) == len(runs) + 1
+    (lost, again) = (run for _, run in cluster.rendered if [run for _, run in cluster.rendered].count(run) == 2)
+    assert lost == again
+    assert warnings[0].startswith(f"{lost.title} is rendered again: worker x is lost, ")
+
+
+@pytest.mark.parametrize("answer", [DeviceError("the device is lost"), RuntimeError("driver")])
+def test_a_worker_that_fails_gets_no_more_runs(answer):
+    runs = planned(2)
+    cluster, warnings = fake_runs({"x": [answer]}, "x", "y")
+    assert set(cluster.run(runs)) == set(runs)
+    assert [worker for worker, _ in cluster.rendered].count("x") == 1
+    assert warnings[0].startswith("worker x gets no runs: ")
+    cluster, _ = fake_runs({"x": [answer]}, "x")
+    with pytest.raises(DeviceError, match="no worker of the cluster can render: x: "):
+        cluster.run(runs)
+
+
+def test_a_worker_that_is_gone_loses_its_run():
+    runs = planned(2)
+    cluster, warnings = fake_runs({}, "x", "y")
+    pending, start = Future(), cluster._workers.start
+
+    def start_with_pending(content):
+        cluster._workers.start = start
+        return pending
+
+    cluster._workers.start = start_with_pending  # the first run, on x, does not end
+    cluster._workers.wait = lambda *_: cluster._workers.cluster.client.workers.pop("x", None)
+    assert set(cluster.run(runs)) == set(runs)
+    assert pending.cancelled()
+    assert warnings == [f"{runs[0].title} is rendered again: worker x is lost, it has left the cluster"]
+
+
+def test_errors_that_every_worker_would_have_end_the_comparison():
+    cluster, _ = fake_runs({"x": [UserError("strategy oracle: it is 4x3")]}, "x", "y")
+    with pytest.raises(UserError, match="seed 0, worker x: strategy oracle: it is 4x3"):
+        cluster.run(planned(2))
+    cluster, _ = fake_runs({"x": [b"damaged"]}, "x")
+    with pytest.raises(UserError, match=f"{MAX_LOSSES} workers were lost while they rendered it"):
+        cluster.run(planned(2))
+
+
+def test_mitsuba_renders_after_the_workers():
+    of_mitsuba = StrategyEntry("m", "m", "mitsuba-independent", "m")
+    runs = [PlannedRun(SCENES[0], of_mitsuba, 0), *planned(1, SCENES[:1])]
+    cluster, _ = fake_runs({}, "x")
+    cluster.run(runs)
+    assert cluster.rendered == [*(("x", run) for run in runs[1:]), ("here", runs[0])]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Future
 from functools import lru_cache
 
+from isonoise.comparison.checked_files import InvalidFileError
 from isonoise.comparison.cluster_workers import ClusterWorkers, first_line
 from isonoise.comparison.local_runs import LocalRuns
 from isonoise.comparison.plan import SceneEntry
@@ -103,23 +104,30 @@ class ClusterRuns:
         return await client.submit(render_on_worker, *arguments, pure=False, workers=[worker])
 
     def _end_run(self, dealer: RunDealer, worker: str, on_finished: Callable[[PlannedRun, bytes], None]) -> None:
-        future, run = self._running.pop(worker), dealer.in_progress[worker]
+        content = self._result(dealer, worker, self._running.pop(worker))
+        if content is not None:
+            try:
+                on_finished(dealer.in_progress[worker], content)
+            except InvalidFileError as error:
+                self._lose(dealer, worker, f"its result is wrong: {error.reason}")
+            else:
+                dealer.finished(worker)
+
+    def _result(self, dealer: RunDealer, worker: str, future: Future) -> bytes | None:
+        """What the worker has returned; None if its run is lost. Raises UserError if no worker can render the run."""
         try:
-            content = future.result()
+            return future.result()
         except (CancelledError, RunStoppedError):
             self._lose(dealer, worker, "it has dropped the run")
         except DeviceError as error:
             self._workers.refuse(worker, str(error))
             self._lose(dealer, worker, "its device has failed")
         except UserError as error:
-            raise UserError(f"{run.title}: worker {worker}: {error}") from error
-        except (
-            Exception
-        ) as error:  # whatever Dask or the worker's installation raises; the next worker may have neither
+            raise UserError(f"{dealer.in_progress[worker].title}, worker {worker}: {error}") from error
+        except Exception as error:  # whatever Dask or the installation of the worker raises
             self._workers.refuse(worker, first_line(error))
             self._lose(dealer, worker, "it has failed")
-        else:
-            on_finished(dealer.finished(worker), content)
+        return None
 
     def _drop_lost(self, dealer: RunDealer) -> None:
         """Other workers render what workers that are gone have not finished."""
