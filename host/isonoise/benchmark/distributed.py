@@ -1,0 +1,288 @@
+"""Measures what a distributed render costs on this machine, and predicts renders with more workers and larger images.
+
+`python -m isonoise.benchmark.distributed` prints the tables of host/docs/distributed.md.
+"""
+
+import argparse
+import itertools
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from statistics import median
+
+import numpy as np
+
+from isonoise.benchmark.wave_costs import measure_wave_costs
+from isonoise.device.opencl import Device
+from isonoise.distributed.cluster import Cluster
+from isonoise.distributed.distributed_wavefront import DistributedWavefront
+from isonoise.distributed.packing import pack_result, pack_task, unpack_result, unpack_task
+from isonoise.distributed.shards import Shards
+from isonoise.distributed.simulation import Costs, SimulatedWave, SimulatedWorker, Simulation
+from isonoise.distributed.task import Task, TaskResult
+from isonoise.distributed.worker_pool import Finished, Lost, Worker, WorkerPool
+from isonoise.integrator.reduction_state import state_planes
+from isonoise.scene import compile_scene, load
+from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.statistics import BASIC_NEEDS, Needs
+from isonoise.tables import Table, columns, label_lines, text_table
+
+SEED = 1
+REPEAT = 5
+"""Times that everything is measured; the median counts."""
+FIRST_SAMPLES, MORE_SAMPLES = 1, 32
+"""Samples per pixel of the first of two tasks, and how many more the other one has."""
+IMAGES = (512, 512), (1080, 1920), (4320, 7680)
+"""Height and width of the images that are predicted."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one worker of this machine costs.
+
+    Attributes
+    ----------
+    samples_per_s : float
+        Speed of the worker.
+    costs : Costs
+        Of its tasks, uncompressed as on this machine, without those of a wave.
+    compression : float
+        Compressed size / size, of tasks and results together.
+    client_compression_s, worker_compression_s : float
+        Time that compression adds for a pixel.
+    """
+
+    samples_per_s: float
+    costs: Costs
+    compression: float
+    client_compression_s: float
+    worker_compression_s: float
+
+    def over_network(self, bytes_per_s: float) -> Costs:
+        """The costs with compression and links of this bandwidth."""
+        return replace(
+            self.costs,
+            compression=self.compression,
+            client_pixel_s=self.costs.client_pixel_s + self.client_compression_s,
+            worker_pixel_s=self.costs.worker_pixel_s + self.worker_compression_s,
+            link_bytes_per_s=bytes_per_s,
+            client_bytes_per_s=bytes_per_s,
+        )
+
+
+class FirstWorkers:
+    """The first `number` workers of a pool, as a pool of their own."""
+
+    def __init__(self, pool: WorkerPool, number: int):
+        self._pool, self.number = pool, number
+        self.submit, self.wait, self.stop, self.close = pool.submit, pool.wait, pool.stop, pool.close
+
+    def workers(self) -> list[Worker]:
+        """Those of them that are ready."""
+        return sorted(self._pool.workers(), key=lambda worker: worker.name)[: self.number]
+
+
+class TimedRender:
+    """A render on some of the workers of a pool."""
+
+    def __init__(self, pool: WorkerPool, scene: CompiledScene, needs: Needs):
+        self.pool, self.needs = FirstWorkers(pool, 1), needs
+        self.shape = scene.height, scene.width
+        self._wavefront = DistributedWavefront(Device(), scene, needs, self.pool)
+
+    def time_waves(self, workers: int, samples: int, waves: int) -> list[float]:
+        """Seconds of uniform waves on so many workers, after one that measures their speeds."""
+        self.pool.number = workers
+        seconds = []
+        for _ in range(1 + waves):
+            remaining = np.full(self.shape, samples, np.uint32)
+            start = time.perf_counter()
+            self._wavefront.trace(remaining)
+            seconds.append(time.perf_counter() - start)
+        return seconds[1:]
+
+    def client_seconds(self) -> tuple[float, float]:
+        """CPU time of this process, all its threads together, for a task and for a pixel of a task."""
+        self.pool.number = 1
+        one_pixel = np.zeros(self.shape, np.uint32)
+        one_pixel[0, 0] = 1
+        task_s = _cpu_seconds(lambda: self._wavefront.trace(one_pixel.copy()))
+        tasks = self._tasks()
+        image_s = _cpu_seconds(lambda: self._wavefront.trace(np.ones(self.shape, np.uint32)))
+        tasks = (self._tasks() - tasks) / REPEAT
+        return task_s, max(image_s - tasks * task_s, 0.0) / one_pixel.size
+
+    def _tasks(self) -> int:
+        return sum(report.tasks for report in self._wavefront.worker_reports())
+
+
+class _OneWorker:
+    """Sends tasks to one worker, one at a time."""
+
+    def __init__(self, pool: WorkerPool, needs: Needs):
+        self._pool, self._needs = pool, needs
+        self._name = pool.workers()[0].name
+        self._next_number = 2**20  # no task of a `Dealer` has these
+
+    def empty_state(self, pixels: int) -> dict[str, np.ndarray]:
+        """The state of pixels without samples."""
+        return {
+            name: np.zeros((planes, pixels), np.uint32 if name in ("count", "rejected") else np.float32)
+            for name, planes in state_planes(self._needs).items()
+        }
+
+    def trace(self, pixels: np.ndarray, samples: int, state: dict[str, np.ndarray]) -> tuple[Task, TaskResult, float]:
+        """Trace so many samples of each pixel; return task, result, and the seconds for which this process waited."""
+        self._next_number += 1
+        task = Task(self._next_number, pixels, np.full(len(pixels), samples, np.uint32), state)
+        start, start_cpu = time.perf_counter(), time.process_time()
+        self._pool.submit(self._name, task)
+        events: list[Finished | Lost] = []
+        while not events:
+            events = self._pool.wait(1.0)
+        busy_s = time.process_time() - start_cpu
+        (event,) = events
+        if isinstance(event, Lost):
+            raise RuntimeError(event.reason)
+        return task, event.result, time.perf_counter() - start - busy_s
+
+
+class _Packed:
+    """Bytes of a task and its result, and the time that client and worker take to pack and unpack them."""
+
+    def __init__(self, task: Task, result: TaskResult, compress: bool):
+        task_data, result_data = pack_task(task, compress), pack_result(result, compress)
+        self.task_bytes, self.result_bytes = len(task_data), len(result_data)
+        self.client_s = _cpu_seconds(lambda: pack_task(task, compress))
+        self.client_s += _cpu_seconds(lambda: unpack_result(result_data))
+        self.worker_s = _cpu_seconds(lambda: unpack_task(task_data))
+        self.worker_s += _cpu_seconds(lambda: pack_result(result, compress))
+
+
+def _cpu_seconds(function: Callable[[], object]) -> float:
+    """CPU time of a call, the median of some."""
+    times = []
+    for _ in range(REPEAT):
+        start = time.process_time()
+        function()
+        times.append(time.process_time() - start)
+    return median(times)
+
+
+def measure(render: TimedRender) -> Measurement:
+    """Measure the first worker, while the others are idle."""
+    render.pool.number = 1
+    worker, shards = _OneWorker(render.pool, render.needs), Shards(render.shape)
+    one_pixel = shards.pixels([0])[:1]
+    pixels = shards.pixels(range(max(shards.number // 4, 1)))
+    n = len(pixels)
+    _, first, _ = worker.trace(pixels, 16, worker.empty_state(n))
+    _, first_of_one, _ = worker.trace(one_pixel, 16, worker.empty_state(1))
+    few, many, tiny = [], [], []
+    for _ in range(REPEAT):
+        few.append(worker.trace(pixels, FIRST_SAMPLES, first.state))
+        many.append(worker.trace(pixels, FIRST_SAMPLES + MORE_SAMPLES, first.state))
+        tiny.append(worker.trace(one_pixel, 1, first_of_one.state))
+    few_s, many_s, tiny_s = (median(wait for _, _, wait in tasks) for tasks in (few, many, tiny))
+    speed = MORE_SAMPLES * n / (many_s - few_s)
+    task_s = median(result.seconds for _, result, _ in tiny)
+    client_task_s, client_pixel_s = render.client_seconds()
+    plain, compressed = (_Packed(*few[0][:2], compress) for compress in (False, True))
+    costs = Costs(
+        pixel_bytes=plain.task_bytes / n,
+        result_bytes=plain.result_bytes / n,
+        latency_s=max(tiny_s - task_s, 0.0) / 2,
+        worker_task_s=task_s,
+        worker_pixel_s=max(few_s - tiny_s - FIRST_SAMPLES * n / speed, 0.0) / n,
+        client_task_s=client_task_s,
+        client_pixel_s=client_pixel_s,
+    )
+    return Measurement(
+        speed,
+        costs,
+        compression=(compressed.task_bytes + compressed.result_bytes) / (plain.task_bytes + plain.result_bytes),
+        client_compression_s=(compressed.client_s - plain.client_s) / n,
+        worker_compression_s=(compressed.worker_s - plain.worker_s) / n,
+    )
+
+
+def simulate_waves(
+    shape: tuple[int, int], samples: int, workers: int, samples_per_s: float, costs: Costs, waves: int = 1
+) -> list[SimulatedWave]:
+    """What `TimedRender.time_waves` would measure with such workers and costs."""
+    shards = Shards(shape)
+    simulation = Simulation(shards.sizes, [SimulatedWorker(samples_per_s)] * workers, costs)
+    return [simulation.wave(samples * shards.sizes) for _ in range(1 + waves)][1:]
+
+
+def _print_measurement(measured: Measurement) -> None:
+    costs = measured.costs
+    rows = [
+        ("speed of a worker", f"{measured.samples_per_s / 1e6:.2f} M samples/s"),
+        ("task of a pixel, result of a pixel", f"{costs.pixel_bytes:.1f} B, {costs.result_bytes:.1f} B"),
+        ("compressed to", f"{measured.compression:.2f}"),
+        ("latency", f"{costs.latency_s * 1e3:.2f} ms"),
+        ("worker", f"{costs.worker_task_s * 1e3:.2f} ms a task + {costs.worker_pixel_s * 1e9:.0f} ns a pixel"),
+        ("client", f"{costs.client_task_s * 1e3:.2f} ms a task + {costs.client_pixel_s * 1e9:.0f} ns a pixel"),
+        ("client, compression", f"{measured.client_compression_s * 1e9:.0f} ns a pixel"),
+        ("worker, compression", f"{measured.worker_compression_s * 1e9:.0f} ns a pixel"),
+        ("client, statistics and map", f"{costs.client_wave_pixel_s * 1e9:.0f} ns a pixel"),
+    ]
+    print(label_lines(rows), end="\n\n")
+
+
+def _print_check(render: TimedRender, measured: Measurement, cores: int) -> None:
+    """Measured and simulated waves on the workers of this machine."""
+    costs = replace(measured.costs, cores=cores, client_wave_pixel_s=0.0)
+    rows = []
+    for workers, samples in itertools.product((1, 2, 4), (16, 64)):
+        seconds = median(render.time_waves(workers, samples, REPEAT))
+        waves = simulate_waves(render.shape, samples, workers, measured.samples_per_s, costs, REPEAT)
+        simulated = median(wave.seconds for wave in waves)
+        efficiency = waves[0].ideal_s / seconds
+        rows.append((str(workers), str(samples), f"{seconds:.3f}", f"{simulated:.3f}", f"{efficiency:.2f}"))
+    heads = "workers", "spp", "measured [s]", "simulated [s]", "measured efficiency"
+    print(text_table(Table(columns(*heads, left=()), rows)), end="\n\n")
+
+
+def _print_predictions(measured: Measurement, bytes_per_s: float, speedup: float) -> None:
+    """Waves with many workers, each on a machine of its own."""
+    costs, rows = measured.over_network(bytes_per_s), []
+    for (height, width), samples in itertools.product(IMAGES, (16, 256)):
+        for workers in (4, 16, 64, 256, 1024):
+            (wave,) = simulate_waves((height, width), samples, workers, speedup * measured.samples_per_s, costs)
+            row = f"{width}x{height}", str(samples), str(workers), f"{wave.seconds:.2f}", f"{wave.efficiency:.2f}"
+            sizes = (f"{size / 1e6:.0f}" for size in (wave.sent_bytes, wave.received_bytes))
+            rows.append((*row, f"{wave.client_share:.2f}", *sizes))
+    heads = "image", "spp", "workers", "wave [s]", "efficiency", "client", "MB sent", "MB received"
+    print(text_table(Table(columns(*heads), rows)))
+
+
+def main() -> None:
+    """Measure, compare with the simulation, predict."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="cornell")
+    parser.add_argument("--size", type=int, default=512, help="width and height of the image that is measured")
+    parser.add_argument("--bandwidth", type=float, default=10.0, help="of each link of a cluster, in Gbit/s")
+    parser.add_argument("--speedup", type=float, default=16.0, help="speed of a worker of a cluster / one core here")
+    options = parser.parse_args()
+    size = options.size, options.size
+    scene = compile_scene(load(options.scene, size=size), size=size)
+    needs = BASIC_NEEDS.with_sampler(scene.sampler)
+    wave = measure_wave_costs(options.scene, REPEAT, size=size)
+    wave_pixel_s = wave["total_share"]["median"] * wave["wave_s"]["median"] / (size[0] * size[1])
+    with Cluster.local(4) as cluster:
+        pool = cluster.pool(scene, needs, SEED)
+        while len(pool.workers()) < 4:
+            time.sleep(0.1)
+        render = TimedRender(pool, scene, needs)
+        measured = measure(render)
+        measured = replace(measured, costs=replace(measured.costs, client_wave_pixel_s=wave_pixel_s))
+        _print_measurement(measured)
+        _print_check(render, measured, os.cpu_count() or 1)
+    _print_predictions(measured, options.bandwidth * 1e9 / 8, options.speedup)
+
+
+if __name__ == "__main__":
+    main()
