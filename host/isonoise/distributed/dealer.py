@@ -4,6 +4,7 @@
 but arithmetic: the caller gives the time in seconds, of any clock that does not go back.
 """
 
+import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
@@ -18,16 +19,18 @@ MAX_TASK_SHARE = 1 / 3
 """A task is at most this share of what is left for its worker: as speeds change, not all can be planned ahead."""
 MIN_TASK_S = 0.05
 """No task is meant to be shorter than this, unless less is left. Each takes some milliseconds beside its samples."""
-TASKS_PER_S = 200
-"""Tasks are longer than `TASK_S` if the client would have to handle more than this."""
+CLIENT_TASK_S = 0.005
+"""What a task costs the client, which handles them one after the other."""
 MAX_TASKS = 2
 """Tasks of a worker at a time: it computes one, the other is on its way or waits."""
 MEASURED_TASKS = 2
 """Tasks after which the speed of a worker is known. The first one also loads the scene and compiles its kernels."""
+FIRST_WORKERS = 32
+"""Workers that get a task while the speed of none is known."""
 FIRST_TASK_SHARE = 1 / 32
 """Tasks of a worker of unknown speed, as a share of an equal part of the wave."""
 FIRST_TASK_SAMPLES = 4096
-"""They have this many samples, if that is no more than an equal part."""
+"""They have at least this many samples."""
 MAX_DELAY = 0.1
 """A worker gets no task that would end later than all others end, by more than this share of the wave's time."""
 SPEED_TASKS = 4
@@ -198,10 +201,10 @@ class Dealer:
         smallest, largest = self._waiting[0][0], self._waiting[-1][0]
         worker = self._workers[name]
         if worker.planned_speed() is None:
-            if worker.reported + len(worker.tasks) >= MEASURED_TASKS:
+            if worker.reported + len(worker.tasks) >= MEASURED_TASKS or not plan.is_useful(name):
                 return []
             part = self._wave_samples / len(plan.speeds)
-            budget = max(FIRST_TASK_SHARE * part, min(FIRST_TASK_SAMPLES, part))
+            budget = max(FIRST_TASK_SHARE * part, FIRST_TASK_SAMPLES)
             limit = max(2 * budget, smallest)
         else:
             budget, limit = plan.task_samples(name), plan.max_samples(name, smallest)
@@ -263,7 +266,7 @@ class Dealer:
             if not idle:
                 break
             seconds = sum(self._samples[shard] for shard in shards) / plan.speeds[idle[0]]
-            if end - plan.now > 1.25 * seconds + MIN_TASK_S:
+            if end - plan.now > 1.25 * seconds + MIN_TASK_S + CLIENT_TASK_S * len(self._dealt):
                 assignments.append(self._assign(idle.pop(0), shards, plan))
         return assignments
 
@@ -280,12 +283,13 @@ class _Plan:
         self.now = now
         self.waiting_samples = waiting_samples
         speeds = {name: workers[name].planned_speed() for name in ready}
+        self._used = {name for name in ready if speeds[name] is not None or workers[name].tasks}
         self.measured = {name for name, speed in speeds.items() if speed is not None}
         mean = sum(speeds[name] for name in self.measured) / max(len(self.measured), 1)
         self.speeds = {name: mean if speed is None else speed for name, speed in speeds.items()}
         self.names_by_speed = sorted(ready, key=lambda name: -self.speeds[name])
         self._busy_until = {name: _expected_end(worker, now) for name, worker in workers.items()}
-        self._max_task_s = max(TASK_S, len(ready) / TASKS_PER_S)
+        self._max_task_s = max(TASK_S, len(ready) * CLIENT_TASK_S)
         if self.measured:
             self._find_sharing()
             self._tolerance_s = MAX_DELAY * wave_samples / self._total_speed
@@ -309,9 +313,18 @@ class _Plan:
         is left.
         """
         part_s = self._wave_end() - self._busy_until[name]
-        if part_s >= 1.5 * MIN_TASK_S:
-            part_s = min(max(MAX_TASK_SHARE * part_s, MIN_TASK_S), self._max_task_s)
+        min_task_s = max(MIN_TASK_S, self._least_useful_seconds())
+        if part_s >= 1.5 * min_task_s:
+            part_s = min(max(MAX_TASK_SHARE * part_s, min_task_s), self._max_task_s)
         return max(part_s, 0.0) * self.speeds[name]
+
+    def is_useful(self, name: str) -> bool:
+        """Whether the client can keep a worker busy that has not been measured, beside those that are used already."""
+        if not self.measured:
+            workers = FIRST_WORKERS
+        else:
+            workers = self._remaining_samples() / self._total_speed * len(self._sharing) / self._least_useful_seconds()
+        return name in self._used or len(self._used) < workers
 
     def max_samples(self, name: str, shard_samples: int) -> float:
         """Samples that a worker can trace before it would be too late: see `MAX_DELAY`.
@@ -327,6 +340,7 @@ class _Plan:
 
     def add(self, name: str, dealt: _Dealt) -> None:
         """A worker has got a task."""
+        self._used.add(name)
         self.waiting_samples = max(0, self.waiting_samples - dealt.samples)  # a copy was not waiting
         if self.measured:
             self._busy_until[name] += dealt.samples / self.speeds[name]
@@ -337,8 +351,19 @@ class _Plan:
         dealt.expected_end_s = self._busy_until[name]
 
     def _wave_end(self) -> float:
-        """When the wave ends if all workers end at the same time."""
-        return self.now + (self.waiting_samples + self._busy_samples) / self._total_speed
+        """When the wave ends if all workers end at the same time, or as many of them as the client can keep busy."""
+        return self.now + max(self._remaining_samples() / self._total_speed, self._least_useful_seconds())
+
+    def _remaining_samples(self) -> float:
+        return self.waiting_samples + max(self._busy_samples, 0.0)  # where differences of numbers are rounded
+
+    def _least_useful_seconds(self) -> float:
+        """The time of a task below which more tasks for more workers cost the client more time than they save.
+
+        With k workers the rest of a wave takes W / k + k c, W the time of one worker and c `CLIENT_TASK_S`. That is
+        least for k = sqrt(W / c), with tasks of sqrt(W c).
+        """
+        return math.sqrt(CLIENT_TASK_S * self._remaining_samples() * len(self._sharing) / self._total_speed)
 
 
 def _expected_end(worker: _Worker, now: float) -> float:
