@@ -12,7 +12,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 
-from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings
+from isonoise import __version__
+from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings, other_version
 from isonoise.errors import DeviceError, UserError
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.signals import deferred, raise_if_received
@@ -197,14 +198,16 @@ def _connect(distributed, address):
 def _check_scheduler(distributed, address: str) -> None:
     """Raise an error for the user unless a scheduler answers: what `Client` does with one that does not is long."""
 
-    async def identify() -> dict:
+    async def identify() -> tuple[str, str | None]:
+        """What answers, and its version of isonoise."""
         arguments = distributed.Security().get_connection_args("client")
         async with distributed.rpc(address, timeout=CONNECT_TIMEOUT_S, connection_args=arguments) as scheduler:
-            return await asyncio.wait_for(scheduler.identity(), 2 * CONNECT_TIMEOUT_S)
+            kind = (await asyncio.wait_for(scheduler.identity(), 2 * CONNECT_TIMEOUT_S))["type"]
+            return kind, (await scheduler.versions(packages=["isonoise"]))["packages"]["isonoise"]
 
     try:
         with deferred():
-            kind = asyncio.run(identify())["type"]
+            kind, version = asyncio.run(identify())
     except (OSError, asyncio.TimeoutError, MemoryError) as error:  # MemoryError: another service answers
         raise DeviceError(
             f"no Dask scheduler answers at {address} ({_cause(error)}); check the address that `dask scheduler` "
@@ -219,6 +222,8 @@ def _check_scheduler(distributed, address: str) -> None:
     raise_if_received()
     if kind != "Scheduler":
         raise UserError(f"at {address} is no Dask scheduler but a {kind.lower()}; give the address of the scheduler")
+    if version != __version__:
+        raise UserError(f"the Dask scheduler at {address} {other_version(version)}")
 
 
 def _cause(error: BaseException) -> str:

@@ -18,11 +18,11 @@ import numpy as np
 from distributed import Actor, Client, Future
 
 from isonoise import __version__
-from isonoise.distributed.dask_worker import DeviceChoice, TracerActor, TracerSettings
+from isonoise.distributed.dask_worker import DeviceChoice, TracerActor, TracerSettings, other_version
 from isonoise.distributed.packing import PackingError, pack_scene, pack_task, unpack_result
 from isonoise.distributed.task import Task
 from isonoise.distributed.worker_pool import Finished, Lost, Worker
-from isonoise.errors import DeviceError
+from isonoise.errors import DeviceError, UserError
 from isonoise.scene.compiled_scene import CompiledScene
 
 _POLL_S = 0.5
@@ -220,9 +220,10 @@ class DaskPool:
         """Forget a worker; its tasks are lost."""
         known = self._known.pop(address)
         known.preparation.cancel()
-        if self._ready.pop(address, None) is not None:
-            message = f"worker {address} is lost ({reason}); its part is traced again"
-            self._events.put(lambda: self._say(message))
+        was_ready = self._ready.pop(address, None) is not None
+        effect = "its part is traced again" if was_ready else "it was not ready yet"
+        message = f"worker {address} is lost ({reason}); {effect}"
+        self._events.put(lambda: self._say(message))
         for number, running in known.tasks.items():
             running.cancel()
             self._lose(address, number, reason)
@@ -242,8 +243,7 @@ class DaskPool:
         try:
             version = await self._version(address)
             if version != __version__:
-                has = f"has isonoise {version}" if version else "has no isonoise"
-                raise DeviceError(f"it {has}, and this machine {__version__}; install the same version on both")
+                raise DeviceError(f"it {other_version(version)}")
             known = self._known[address]
             known.is_local = address.partition("://")[2].startswith(_LOOPBACK_HOSTS)
             compress = not known.is_local
@@ -366,11 +366,13 @@ async def _done(future: Future) -> None:
 
 
 def _reason(error: BaseException) -> str:
-    """An error of a worker in a line."""
+    """An error of a worker for people."""
     if isinstance(error, CancelledError):
         return "it has left the cluster"
+    if isinstance(error, UserError):
+        return str(error)
     lines = str(error).splitlines() or [type(error).__name__]
-    return lines[0] if isinstance(error, DeviceError) else f"{type(error).__name__}: {lines[0]}"
+    return f"{type(error).__name__}: {lines[0]}"
 
 
 def _form(state: Mapping[str, np.ndarray]) -> _Form:

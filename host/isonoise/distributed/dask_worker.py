@@ -7,11 +7,18 @@ worker and back, and not through the scheduler. Dask frees the actor when the po
 import threading
 from dataclasses import dataclass
 
+from isonoise import __version__
 from isonoise.distributed.packing import pack_result, unpack_scene, unpack_task
 from isonoise.statistics import Needs
 
 _tracing = threading.Lock()
 """A process compiles or traces one thing at a time: its device is busy with it."""
+
+
+def other_version(version: str | None) -> str:
+    """What is wrong with a process of the cluster that has this version of isonoise, or None."""
+    has = f"has isonoise {version}" if version else "has no isonoise"
+    return f"{has}, and this machine {__version__}; install the same version on all machines of the cluster"
 
 
 @dataclass(frozen=True)
