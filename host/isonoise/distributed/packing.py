@@ -22,13 +22,18 @@ _UNCHECKED = 0
 """Messages that stay on a machine have no checksum: to compute it takes as long as to send them."""
 _TYPES = {"<f4": np.float32, "<u4": np.uint32}
 _CONSTANT, _PLAIN, _COMPRESSED = range(3)
-_MAX_PIXELS = 2**32
+_MAX_PIXELS = 2**28
 _MAX_PLANES = 2**10
 _LEVEL = 1  # of zlib
 _MIN_SAVING = 0.9
 """A byte plane stays compressed if it shrinks to at most this share."""
 _TEST_BYTES = 2**12
 """Bytes of a byte plane that are compressed to see whether that is worth it."""
+_DAMAGE = (
+    *(ValueError, LookupError, TypeError, OverflowError, AttributeError),
+    *(RecursionError, MemoryError, struct.error, zlib.error),
+)
+"""What damaged bytes raise."""
 
 
 class PackingError(ValueError):
@@ -48,7 +53,7 @@ def unpack_task(data: bytes) -> Task:
     try:
         pixels, allocation = arrays.pop("pixels"), arrays.pop("allocation")
         return Task(int(values["number"]), pixels[0], allocation[0], _state(arrays))
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise PackingError(f"this is no task: {error}") from error
 
 
@@ -68,7 +73,7 @@ def unpack_result(data: bytes) -> TaskResult:
         remaining = arrays.pop("remaining", (None,))[0]
         times = float(values["seconds"]), float(values["device_seconds"])
         return TaskResult(int(values["number"]), _state(arrays), remaining, *times)
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise PackingError(f"this is no result of a task: {error}") from error
 
 
@@ -138,7 +143,7 @@ def _unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
         arrays = {name: _unpack_array(reader, dtype, planes, pixels) for name, dtype, planes in values["arrays"]}
         reader.check_end()
         return values, arrays
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, struct.error, zlib.error) as error:
+    except _DAMAGE as error:
         raise PackingError(f"the bytes are damaged: {error}") from error
 
 
