@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from isonoise.distributed.dealer import MAX_TASKS, MIN_TASK_S, TASK_S, Dealer
+from isonoise.distributed.dealer import MAX_TASKS, Dealer
+from isonoise.distributed.plan import MIN_TASK_S, TASK_S
 from isonoise.distributed.simulation import Costs, SimulatedWorker, Simulation
 
 SHARD_PIXELS = np.full(256, 1024)
@@ -36,9 +37,9 @@ class CheckedDealer(Dealer):
             assert len(tasks) <= MAX_TASKS
         return assignments
 
-    def finished(self, number, now, remaining=0):
+    def finished(self, number, now, remaining=0, worker_seconds=np.inf):
         self._reported(number)
-        is_used = super().finished(number, now, remaining)
+        is_used = super().finished(number, now, remaining, worker_seconds)
         if is_used:
             self.used += self.shards[number]
         return is_used

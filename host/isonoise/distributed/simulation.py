@@ -223,6 +223,7 @@ class Simulation:
         self._submitted: dict[str, list[_Task]] = {name: [] for name in self._workers}  # and not yet reported
         self._arrived: dict[str, deque[_Task]] = {name: deque() for name in self._workers}  # in the worker's queue
         self._inbox: list[tuple[_Task, bool]] = []  # tasks reported, and whether they are lost
+        self._worker_seconds: dict[int, float] = {}  # by the number of the task
         self._wake: Callable | None = None  # of the client, if it waits
         for name, worker in self._workers.items():
             if worker.vanishes_s < math.inf:
@@ -266,7 +267,9 @@ class Simulation:
                     self.dealer.lost(task.number, self.clock.now)
                 else:
                     yield self._client_seconds(task)
-                    is_used = self.dealer.finished(task.number, self.clock.now)
+                    is_used = self.dealer.finished(
+                        task.number, self.clock.now, worker_seconds=self._worker_seconds.pop(task.number)
+                    )
                     self._dropped += not is_used
                     self._ends |= {task.worker: self.clock.now} if is_used else {}
             for assignment in self.dealer.deal(self._ready(), self.clock.now):
@@ -329,6 +332,7 @@ class Simulation:
         """A worker begins a task."""
         seconds = self._costs.worker_task_s + self._costs.worker_pixel_s * task.pixels
         seconds += self._workers[task.worker].seconds(task.samples, self.clock.now)
+        self._worker_seconds[task.number] = -self.clock.now
         if seconds < math.inf:
             self.clock.work(seconds, partial(self._end, task))
 
@@ -338,6 +342,7 @@ class Simulation:
         if task not in arrived:
             return  # the worker has vanished
         arrived.popleft()
+        self._worker_seconds[task.number] += self.clock.now
         size_bytes = self._costs.result_bytes * self._costs.compression * task.pixels
         self._received.send(task.worker, size_bytes, partial(self._receive, task))
         if arrived:
