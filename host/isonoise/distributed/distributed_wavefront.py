@@ -161,7 +161,7 @@ class DistributedWavefront:
         left = 0 if result.remaining is None else int(result.remaining.sum(dtype=np.int64))
         if task is not None and not _is_exact(task, result):
             return self._receive(Lost(event.worker, result.number, "wrong counts"), {}, remaining, state)
-        is_used = self._dealer.finished(result.number, now, left)
+        is_used = self._dealer.finished(result.number, now, left, result.seconds)
         if task is None or not is_used:
             return 0
         for name, planes in state.items():
