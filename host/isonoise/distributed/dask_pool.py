@@ -30,6 +30,8 @@ _POLL_S = 0.5
 _POLL_WORKERS = 50
 _MAX_FAILURES = 3
 """A worker that has failed so often in sequence gets nothing more."""
+_ALIVE = ("running", "connecting")
+"""States of Dask's client. It tries to connect again for as long as its timeout, then it is closed."""
 _CLOSE_TIMEOUT_S = 2.0
 _DIRECT_TIMEOUT_S = 2.0
 _LOOPBACK_HOSTS = ("127.", "localhost", "[::1]", "::1")
@@ -122,15 +124,14 @@ class DaskPool:
 
     def wait(self, timeout_s: float) -> list[Finished | Lost]:
         """What has happened since the last call, as in `WorkerPool`. Raises DeviceError if the connection is lost."""
-        events = []
-        deadline = time.monotonic() + timeout_s
+        events, deadline = [], time.monotonic() + timeout_s
         while not events:
-            try:
+            with suppress(queue.Empty):
                 call = self._events.get(timeout=max(deadline - time.monotonic(), 0))
                 while True:
                     events += call()
                     call = self._events.get_nowait()
-            except queue.Empty:
+            if not events:
                 self._check()
                 if time.monotonic() >= deadline:
                     break
@@ -174,7 +175,7 @@ class DaskPool:
 
     def _check(self) -> None:
         """Raise DeviceError if the cluster is lost, or all its workers have refused the render."""
-        if self._failure is None and self._client.status != "running":
+        if self._failure is None and self._client.status not in _ALIVE:
             self._failure = "the connection to the Dask scheduler is lost"
         if self._failure is not None:
             raise DeviceError(
@@ -189,32 +190,38 @@ class DaskPool:
 
     async def _follow_workers(self) -> None:
         """Prepare workers that join, drop those that are gone, until the pool is closed or the connection is lost."""
-        self._client.subscribe_topic("all", self._on_event)
-        try:
-            while self._client.status == "running":
+        client, has_topic = self._client, False
+        with suppress(OSError):
+            while client.status in _ALIVE:
                 self._workers_changed.clear()
-                workers = (await self._client.scheduler.identity())["workers"]
-                running = {address for address, each in workers.items() if each["status"] in ("running", "init")}
-                for address in self._known.keys() - running:
-                    self._drop(address, "it has left the cluster")
-                self._refused = {name: why for name, why in self._refused.items() if name in workers}
-                for address in running - self._known.keys() - self._refused.keys():
-                    preparation = self._loop.create_task(self._prepare(address, workers[address]))
-                    self._known[address] = _KnownWorker(address, preparation)
-                interval_s = _POLL_S * max(len(workers) / _POLL_WORKERS, 1)
+                if client.status == "running":
+                    if not has_topic:
+                        client.subscribe_topic("all", self._on_event)
+                    await self._update_workers()
+                has_topic = client.status == "running"  # a new connection has none
+                interval_s = _POLL_S * max(len(self._known) / _POLL_WORKERS, 1)
                 with suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._workers_changed.wait(), interval_s)
-        except OSError:
-            pass
-        self._fail("the connection to the Dask scheduler is lost")
+        self._failure = "the connection to the Dask scheduler is lost"
+        self._events.put(list)
+
+    async def _update_workers(self) -> None:
+        """Prepare the workers that are new in the scheduler's list; drop those that are gone or have lost the scene."""
+        workers = (await self._client.scheduler.identity())["workers"]
+        running = {address for address, each in workers.items() if each["status"] in ("running", "init")}
+        for address, known in list(self._known.items()):
+            if address not in running:
+                self._drop(address, "it has left the cluster")
+            elif known.actor is not None and known.future.status != "finished":
+                self._drop(address, "the connection was interrupted")
+        self._refused = {name: why for name, why in self._refused.items() if name in workers}
+        for address in running - self._known.keys() - self._refused.keys():
+            preparation = self._loop.create_task(self._prepare(address, workers[address]))
+            self._known[address] = _KnownWorker(address, preparation)
 
     def _on_event(self, event: tuple[float, dict]) -> None:
         if event[1].get("action") in ("add-worker", "remove-worker"):
             self._workers_changed.set()
-
-    def _fail(self, message: str) -> None:
-        self._failure = self._failure or message
-        self._events.put(list)
 
     def _drop(self, address: str, reason: str) -> None:
         """Forget a worker; its tasks are lost."""
@@ -325,21 +332,20 @@ class DaskPool:
             known.failures = 0
             self._events.put(lambda: self._take_result(address, number, result))
         except Exception as error:  # no cancellation: `_drop` has reported the loss
-            if self._client.status == "running":
-                self._on_task_failure(known, number, _reason(error))
+            self._on_task_failure(known, number, _reason(error))
         finally:
             known.tasks.pop(number, None)
 
     def _on_task_failure(self, known: _KnownWorker, number: int, reason: str) -> None:
         self._lose(known.address, number, reason)
-        del known.tasks[number]
-        known.failures += 1
         if self._known.get(known.address) is not known:
             return
+        if known.future.status != "finished":  # the connection was interrupted, or its process has begun anew
+            self._drop(known.address, reason)
+            return
+        known.failures += 1
         if known.failures >= _MAX_FAILURES:
             self._refuse(known.address, reason)
-        elif known.future.status != "finished":  # its process has begun anew: prepare it again
-            self._drop(known.address, reason)
 
     async def _stop_tasks(self, stops: int) -> None:
         """Tell all workers to end the tasks early that were submitted before this stop."""
@@ -371,6 +377,8 @@ def _reason(error: BaseException) -> str:
         return "it has left the cluster"
     if isinstance(error, UserError):
         return str(error)
+    if isinstance(error, OSError):
+        return "it does not answer"
     lines = str(error).splitlines() or [type(error).__name__]
     return f"{type(error).__name__}: {lines[0]}"
 
