@@ -16,8 +16,10 @@ from isonoise.comparison.run_dealer import MAX_LOSSES, RunDealer
 from isonoise.comparison.run_order import PlannedRun
 from isonoise.comparison.run_progress import RunProgress
 from isonoise.comparison.run_task import RunStoppedError
-from isonoise.comparison.run_worker import WorkerDescription
+from isonoise.comparison.run_worker import WorkerDescription, describe_worker
 from isonoise.comparison.timing import timing_notes, timing_rows, worker_table
+from isonoise.device.selection import SelectedDevice, select_device
+from isonoise.distributed.dask_worker import DeviceChoice
 from isonoise.errors import DeviceError, UserError
 from isonoise.loop import Stops
 
@@ -136,6 +138,14 @@ def test_parts_of_a_device_and_mitsuba_beside_workers_are_notes():
     assert timing_notes(scene_of_summary(facts("d"), devices=["CPU (Mitsuba 3)"])) == []
     notes = timing_notes(scene_of_summary(facts("d", "x", parts=2), devices=["CPU (Mitsuba 3)"]))
     assert [note[:20] for note in notes] == ["A run had one of 2 p", "Mitsuba 3 was timed "]
+
+
+def test_a_worker_describes_itself_and_parts_of_a_device_are_of_one_kind():
+    description = describe_worker(DeviceChoice())
+    assert description == WorkerDescription(__version__, select_device().kind)
+    device = select_device().device
+    one, other = (SelectedDevice(device, 0, part, 2) for part in (0, 1))
+    assert one.kind == other.kind == one.name.replace("part 1 of 2", "one of 2 parts") != description.device
 
 
 class FakeClient:

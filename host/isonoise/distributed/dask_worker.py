@@ -28,6 +28,13 @@ class DeviceChoice:
     choice: str | None = None
     number: int = 0
 
+    def select(self):
+        """The device, a `SelectedDevice` of this process."""
+        from isonoise.device.selection import select_devices
+
+        devices = select_devices(self.choice)
+        return devices[self.number % len(devices)]
+
 
 @dataclass(frozen=True)
 class TracerSettings:
@@ -41,12 +48,9 @@ class TracerSettings:
     def make_tracer(self, device: DeviceChoice, scene):
         """The tracer on a device of this process."""
         from isonoise.device.opencl import Device
-        from isonoise.device.selection import select_devices
         from isonoise.distributed.shard_tracer import ShardTracer
 
-        devices = select_devices(device.choice)
-        selected = devices[device.number % len(devices)]
-        return ShardTracer(Device(selected), scene, self.needs, self.seed, self.pool_size, self.memory)
+        return ShardTracer(Device(device.select()), scene, self.needs, self.seed, self.pool_size, self.memory)
 
 
 class TracerActor:
