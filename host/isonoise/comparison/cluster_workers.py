@@ -89,7 +89,8 @@ class ClusterWorkers:
             for address in gone:
                 self._forget(address)
                 self._refused.pop(address, None)
-            for address in listed.keys() - self.devices.keys() - self._describing.keys() - self._refused.keys():
+            known = {*self.devices, *self._describing, *self._refused}
+            for address in [address for address in listed if address not in known]:
                 self.choices[address] = self.cluster.device_of(listed[address]["name"])
                 self._describing[address] = self.start(self._describe(address))
             self._next_poll = time.monotonic() + max(_POLL_S, len(listed) / _LISTED_PER_S)
