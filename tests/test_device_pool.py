@@ -22,7 +22,7 @@ WAIT_S = 20.0
 
 
 def fake_device(label: str, driver: str = "a driver") -> SimpleNamespace:
-    selected = SimpleNamespace(label=label)
+    selected = SimpleNamespace(label=label, whole_name=f"device {label}")
     return SimpleNamespace(selected=selected, name=f"device {label}", program_key=lambda source, options: driver)
 
 

@@ -16,6 +16,7 @@ def test_tasks_are_counted_by_worker():
     tally.finished("1", 300, 1.0)
     tally.finished("0", 100, 0.5)
     tally.lost("0")
+    assert [tally.count_active(), tally.count_active()] == [2, 0]
     tally.update([Worker("1", "GPU"), Worker("2", "GPU")])
     reports = tally.reports()
     assert reports == [

@@ -91,7 +91,7 @@ class Renderer:
     strategy : Strategy
         The strategy in use.
     device_name : str
-        Name of the OpenCL device and its platform.
+        Name of the OpenCL device and its platform, of several devices, or of the cluster.
     driver : str
         Version of its driver, and the CPU that the driver's compiler emits code for, if that is known.
     seed : int
@@ -166,7 +166,6 @@ class Renderer:
         self.samples = 0
         uniform = UniformSamples(shape) if needs.uniform else None
         self._statistics = CurrentStatistics(self._wavefront.accumulator, self.scene.radiance_scale, uniform)
-        self._worker_samples: dict[str, int] = {}  # of every worker, up to the last wave
 
     def _use_device(self, device: Device, scene, needs, seed, pool_size, memory, is_adaptive, report) -> None:
         """Set up the wavefront on one device."""
@@ -182,14 +181,17 @@ class Renderer:
         """Set up a wavefront on several devices, or on the workers of a cluster."""
         from isonoise.distributed import set_up  # a render on one device does not need it
 
-        with self._measured("compile"):
-            self.device_name, self.driver = set_up.describe_workers(selected, cluster)
-            settings[-1]("", 0, 0)  # reports the names
-            if cluster:
-                self._wavefront = set_up.use_cluster(cluster, *settings)
-            else:
-                self._wavefront = set_up.use_devices(selected, *settings)
-        self._distributed = self._wavefront
+        try:
+            with self._measured("compile"):
+                self.device_name, self.driver = set_up.describe_workers(selected, cluster)
+                settings[-1]("", 0, 0)  # reports the names
+                use = set_up.use_cluster if cluster else set_up.use_devices
+                self._distributed = use(cluster or selected, *settings)
+        except BaseException:  # a signal ends the set-up late
+            if self._distributed is not None:
+                self._distributed.close()
+            raise
+        self._wavefront = self._distributed
 
     def __enter__(self) -> "Renderer":
         return self
@@ -231,9 +233,16 @@ class Renderer:
 
     @property
     def device_seconds(self) -> float | None:
-        """Seconds that kernels ran on the device, without set-up; None unless `profile` is set."""
+        """Seconds that kernels ran on the device, without set-up; None without `profile`, and with several devices."""
         device = self._wavefront.device
         return sum(device.seconds.values()) if device.profile else None
+
+    @property
+    def devices(self) -> list[str]:
+        """Names of the devices that trace, each once; of a cluster those of the workers that have been ready so far."""
+        if self._distributed is None:
+            return [self._wavefront.device.selected.whole_name]
+        return sorted({report.device for report in self.worker_reports()})
 
     def worker_reports(self) -> "list[WorkerReport]":
         """What every worker has done so far; empty on one device."""
@@ -305,15 +314,8 @@ class Renderer:
         self._wave = wave.remaining = None
         self._statistics.end_wave()
         seconds = wave.seconds + time.perf_counter() - start
-        return WaveRecord(wave.kind, wave.traced, wave.planned, seconds, self._count_workers())
-
-    def _count_workers(self) -> int:
-        """How many workers have traced samples since the last call."""
-        if self._distributed is None:
-            return 1
-        before = self._worker_samples
-        self._worker_samples = {report.name: report.samples for report in self.worker_reports()}
-        return sum(samples > before.get(name, 0) for name, samples in self._worker_samples.items())
+        workers = 1 if self._distributed is None else self._distributed.count_active_workers()
+        return WaveRecord(wave.kind, wave.traced, wave.planned, seconds, workers)
 
     @functools.cached_property
     def settings(self) -> dict[str, object]:

@@ -74,8 +74,9 @@ class Checkpoints:
             split_strategy_state(renderer.strategy.name, renderer.strategy.state())
             _ = renderer.settings  # hashes the files of the scene: they may change while it is rendered
         before = self.state.settings.get("device") if self.state else None
-        if before not in (None, renderer.device_name):
-            _warn(f"the render was begun on {before}; its last bits may differ on {renderer.device_name}")
+        device = ", ".join(renderer.devices)
+        if before not in (None, device):
+            _warn(f"the render was begun on {before}; its last bits may differ on {device}")
 
     def periodic(self) -> list[Periodic]:
         """What the render loop does at intervals."""

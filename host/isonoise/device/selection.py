@@ -48,6 +48,11 @@ class SelectedDevice(NamedTuple):
         """The name without the number of the part: the same for devices that are equally fast."""
         return self._name(f", one of {self.parts} parts" if self.parts > 1 else "")
 
+    @property
+    def whole_name(self) -> str:
+        """The name without the part: that of the device that was split."""
+        return self._name("")
+
     def _name(self, part: str) -> str:
         return f"{self.device.name.strip()}{part} ({self.device.platform.name.strip()})"
 

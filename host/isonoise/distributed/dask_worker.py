@@ -62,8 +62,8 @@ class TracerActor:
         self._stops = 0
 
     def device_name(self) -> str:
-        """Name of the device."""
-        return self._tracer.device.name
+        """Name of the device, or of the one that it is a part of."""
+        return self._tracer.device.selected.whole_name
 
     def trace(self, data: bytes, stops: int, compress: bool) -> bytes:
         """Compute a task that `pack_task` has packed; return its result, packed.

@@ -138,7 +138,7 @@ class _DeviceThread:
     """
 
     def __init__(self, device: Device, tracer: Tracer, events: SimpleQueue):
-        self.worker = Worker(device.selected.label, device.name)
+        self.worker = Worker(device.selected.label, device.selected.whole_name)
         self.failure: str | None = None
         self._tracer: Tracer | None = tracer
         self._events = events

@@ -173,7 +173,12 @@ class DistributedWavefront:
 
     def worker_reports(self) -> list[WorkerReport]:
         """What each worker has done so far."""
+        self._tally.update(self._pool.workers())
         return self._tally.reports()
+
+    def count_active_workers(self) -> int:
+        """How many workers have traced samples since the last call."""
+        return self._tally.count_active()
 
     def close(self) -> None:
         """Close the pool of workers."""

@@ -1,5 +1,6 @@
 """Sets up renders on several devices of this machine, or on a cluster. Called by `Renderer`."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from isonoise.device.drivers import describe_driver
@@ -20,8 +21,13 @@ def describe_workers(selected: Sequence[SelectedDevice], cluster: Cluster | None
     """Names of the devices, or of the cluster, and versions of their drivers."""
     if cluster:
         return cluster.name, "drivers of the workers"
+    names = Counter((each.whole_name, each.parts > 1) for each in selected)
+    texts = (
+        f"{number} parts of {name}" if is_part else f"{number} x {name}" if number > 1 else name
+        for (name, is_part), number in names.items()
+    )
     drivers = dict.fromkeys(describe_driver(each.device) for each in selected)
-    return ", ".join(each.name for each in selected), "; ".join(drivers)
+    return ", ".join(texts), "; ".join(drivers)
 
 
 def use_devices(

@@ -15,7 +15,7 @@ class Worker:
     name : str
         Unique in the pool: the address of a process, or the number of a device.
     device : str
-        Name of its OpenCL device and platform.
+        Name of its OpenCL device, or of the one that it has a part of, and of the platform.
     """
 
     name: str

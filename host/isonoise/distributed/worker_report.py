@@ -44,6 +44,7 @@ class WorkerTally:
     def __init__(self):
         self._counts: dict[str, _Counts] = {}
         self._ready: set[str] = set()
+        self._active: set[str] = set()  # since the last call of `count_active`
 
     def update(self, ready: Collection[Worker]) -> None:
         """Note the workers that are there now; before they are given tasks."""
@@ -57,10 +58,18 @@ class WorkerTally:
         counts.samples += samples
         counts.seconds += seconds
         counts.tasks += 1
+        if samples:
+            self._active.add(worker)
 
     def lost(self, worker: str) -> None:
         """Count a lost task."""
         self._counts[worker].lost += 1
+
+    def count_active(self) -> int:
+        """How many workers have traced samples since the last call."""
+        number = len(self._active)
+        self._active.clear()
+        return number
 
     def reports(self) -> list[WorkerReport]:
         """A report for every worker that has been there, in the order in which they came."""

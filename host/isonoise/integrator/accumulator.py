@@ -106,9 +106,9 @@ class Accumulator:
     @contextmanager
     def mapped_state(self) -> Iterator[dict[str, np.ndarray]]:
         """The state within the `with` block, to read and to add samples: name -> (planes, pixels)."""
+        self.expire_luminance()
         with self.reduction.mapped() as state:
             yield state
-        self.expire_luminance()
 
     def statistics(self, scale: float = 1.0, defer_rgb: bool = False) -> Statistics:
         """Read the statistics as read-only arrays, in the scene's units. Waits for the device.

@@ -58,7 +58,7 @@ def render_settings(renderer) -> dict[str, object]:
         "exposure": scene.exposure,
         "overrides": renderer.overrides,
         "needs": asdict(renderer.strategy.needs.with_sampler(scene.sampler)),
-        "device": renderer.device_name,
+        "device": ", ".join(renderer.devices),
     }
 
 
