@@ -222,7 +222,7 @@ with handle_signals():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("end", ["exit", "wait"])
+@pytest.mark.parametrize("end", ["wait", pytest.param("exit", marks=pytest.mark.long)])
 def test_the_process_ends_while_a_device_is_busy(end):
     """By its own end, and by Ctrl-C while it waits: the running task ends early, and no other begins."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}

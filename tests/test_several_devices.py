@@ -5,89 +5,85 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pyopencl
 import pytest
-from small_scene import lamp_over_floor
+from small_scene import assert_same_bits, lamp_over_floor
 
+from isonoise.cli import main
 from isonoise.device.opencl import Device
-from isonoise.device.selection import SelectedDevice, max_parts, select_device, select_devices
-from isonoise.distributed.device_pool import DevicePool
+from isonoise.device.selection import max_parts, select_device, select_devices
 from isonoise.distributed.shard_tracer import ShardTracer
-from isonoise.distributed.task import Task
-from isonoise.integrator.reduction_state import state_planes
-from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import compile_scene, load
-from isonoise.scene.accel.build import build_scene_bvh
-from isonoise.statistics import Needs
+from isonoise.errors import DeviceError
+from isonoise.renderer import Renderer
 
 WHEEL_FOLDER = Path(pyopencl.__file__).parent.parent / "pocl_binary_distribution"
-SEED, TASKS, WAVES = 5, 7, 3
+STRATEGIES = ["uniform", *(pytest.param(name, marks=pytest.mark.long) for name in ("pooled", "relative-median"))]
 
 
-def small_scene():
-    return compile_scene(load(lamp_over_floor(width=31, height=17)))
-
-
-def allocations(pixels: int) -> list[np.ndarray]:
-    """Samples per pixel of each wave; adaptive ones leave pixels out."""
-    random = np.random.default_rng(1)
-    return [random.integers(wave == 0, 40, pixels).astype(np.uint32) for wave in range(WAVES)]
-
-
-def state_of_one_device(needs: Needs) -> dict[str, np.ndarray]:
-    scene = small_scene()
-    wavefront = Wavefront(Device(0), scene, build_scene_bvh(scene), needs, SEED)
-    for allocation in allocations(scene.width * scene.height):
-        wavefront.trace(allocation.copy())
-    return wavefront.accumulator.reduction.read()
-
-
-def state_of_devices(devices: Sequence[SelectedDevice], needs: Needs) -> dict[str, np.ndarray]:
-    """Of the same samples, in tasks of random pixels that the devices compute in turn."""
-    scene = small_scene()
-    pixels = scene.width * scene.height
-    state = {
-        name: np.zeros((planes, pixels), np.uint32 if name in ("count", "rejected") else np.float32)
-        for name, planes in state_planes(needs).items()
-    }
-    pool = DevicePool(
-        [Device(each) for each in devices], lambda device, progress: ShardTracer(device, scene, needs, SEED)
-    )
-    workers, number = [worker.name for worker in pool.workers()], 0
-    for wave, allocation in enumerate(allocations(pixels)):
-        tasks = {}
-        for shard in np.array_split(np.random.default_rng(wave).permutation(pixels), TASKS):
-            shard = shard[allocation[shard] > 0].astype(np.uint32)
-            shard_state = {name: np.ascontiguousarray(planes[:, shard]) for name, planes in state.items()}
-            tasks[number] = Task(number, shard, allocation[shard], shard_state)
-            pool.submit(workers[number % len(workers)], tasks[number])
-            number += 1
-        while tasks:
-            for event in pool.wait(60.0):
-                assert event.result.remaining is None
-                task = tasks.pop(event.result.number)
-                for name, planes in event.result.state.items():
-                    state[name][:, task.pixels] = planes
-    pool.close()
-    return state
-
-
-def assert_same_state(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
-    assert list(one) == list(other)
-    for name, planes in one.items():
-        assert planes.tobytes() == other[name].tobytes(), name
-
-
-@pytest.mark.parametrize("needs", [Needs(), pytest.param(Needs(median=True, nets=True), marks=pytest.mark.long)])
-def test_halves_of_a_device_have_its_bits(needs):
+@pytest.fixture
+def halves():
+    """Skips the test if the default device cannot be split."""
     if max_parts(select_device(0).device) < 2:
         pytest.skip("the default device cannot be split")
-    expected = state_of_one_device(needs)
-    assert_same_state(expected, state_of_devices(select_devices("0/2"), needs))
+    return "0/2"
+
+
+def small_renderer(device: str, strategy: str = "uniform") -> Renderer:
+    return Renderer(lamp_over_floor(width=45, height=37), device=device, strategy=strategy, seed=5)
+
+
+def rendered(renderer: Renderer, waves: int = 4) -> Renderer:
+    for _ in range(waves):
+        renderer.step()
+    return renderer
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_halves_of_a_device_have_its_bits(halves, strategy):
+    one = rendered(small_renderer("0", strategy))
+    with rendered(small_renderer(halves, strategy)) as both:
+        reports = both.worker_reports()
+        assert [report.name for report in reports] == ["0/2:1", "0/2:2"]
+        assert sum(report.samples for report in reports) == both.samples == one.samples
+        assert all(report.tasks for report in reports)
+        assert both.devices == one.devices  # no warning if the render goes on with the other
+        assert_same_bits(one.statistics(), both.statistics())
+
+
+def fail_on(monkeypatch, *parts: int) -> None:
+    """Let these parts fail at their second task."""
+    trace, tasks = ShardTracer.trace, []
+
+    def failing(self, task, should_continue):
+        tasks.append(part := self.device.selected.part)
+        if part in parts and tasks.count(part) == 2:
+            raise DeviceError(f"part {part} was lost")
+        return trace(self, task, should_continue)
+
+    monkeypatch.setattr(ShardTracer, "trace", failing)
+
+
+def test_a_part_that_fails_loses_no_samples(halves, monkeypatch):
+    one = rendered(small_renderer("0"))
+    fail_on(monkeypatch, 1)
+    with small_renderer(halves) as both:
+        with pytest.warns(UserWarning, match="device 0/2:2 is left out from now on: part 1 was lost"):
+            rendered(both)
+        assert_same_bits(one.statistics(), both.statistics())
+        assert [report.is_ready for report in both.worker_reports()] == [True, False]
+
+
+@pytest.mark.filterwarnings("ignore:device")
+def test_what_was_rendered_is_written_if_all_devices_fail(halves, monkeypatch, tmp_path, capsys):
+    fail_on(monkeypatch, 0, 1)
+    image = tmp_path / "image.exr"
+    options = ["--size", "45x37", "--spp", "64", "--strategy", "uniform", "--device", halves]
+    assert main(["render", "cornell", "-o", str(image), *options]) == 2
+    assert "part 0 was lost\npart 1 was lost" in capsys.readouterr().err
+    assert image.exists()
 
 
 SPIN = """__kernel void spin(__global float* x, uint count) {
@@ -133,17 +129,16 @@ def test_parts_of_a_cpu_run_on_cores_of_their_own():
 TWO_DRIVERS = """
 import json
 from isonoise.device.selection import select_devices
-from isonoise.distributed.device_pool import DevicePool
-from isonoise.statistics import Needs
-from test_several_devices import state_of_devices, state_of_one_device
+from test_several_devices import rendered, small_renderer
 
-devices = select_devices("0,1")
-states = state_of_one_device(Needs()), state_of_devices(devices, Needs())
+one, several = rendered(small_renderer("0")).statistics(), rendered(small_renderer("0/2,1"))
 print(json.dumps({
-    "drivers": [each.device.driver_version for each in devices],
-    "same counts": all((states[0][name] == states[1][name]).all() for name in ("count", "rejected")),
-    "sums": [state["sums"][:5].sum(axis=1, dtype=float).tolist() for state in states],
+    "drivers": [each.device.driver_version for each in select_devices("0/2,1")],
+    "tasks": [report.tasks for report in several.worker_reports()],
+    "same counts": (one.count == several.statistics().count).all().item(),
+    "means": [each.rgb.mean(axis=(0, 1)).tolist() for each in (one, several.statistics())],
 }))
+several.close()
 """
 
 
@@ -159,5 +154,7 @@ def test_two_drivers_in_one_process(tmp_path):
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert len(set(found["drivers"])) == 2
+    assert len(found["tasks"]) == 3
+    assert all(found["tasks"])
     assert found["same counts"]
-    np.testing.assert_allclose(*found["sums"], rtol=1e-5)
+    np.testing.assert_allclose(*found["means"], rtol=1e-5)

@@ -40,8 +40,11 @@ def use_devices(
     is_adaptive: bool,
     on_compile: OnCompile,
 ) -> DistributedWavefront:
-    """A wavefront on several devices. The first one also computes the statistics. Arguments as for `ShardTracer`."""
-    client = Device(selected[0])
+    """A wavefront on several devices. Arguments as for `ShardTracer`.
+
+    The first one also computes the statistics, while no wave is traced: the whole of it, if a part is selected.
+    """
+    client = Device(selected[0].number)
     bvh = build_scene_bvh(scene)
     memory_each = memory
     if memory is not None and client.shares_memory:
