@@ -29,7 +29,7 @@ class FakeTracer:
     """Counts samples. What it does depends on the task's number."""
 
     def __init__(self, device: DeviceChoice):
-        self.device = SimpleNamespace(name=f"device {device.number}")
+        self.device = SimpleNamespace(selected=SimpleNamespace(whole_name=f"device {device.number}"))
 
     def trace(self, task: Task, should_continue) -> TaskResult:
         if task.number >= 3000:
