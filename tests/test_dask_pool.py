@@ -1,5 +1,6 @@
 """`DaskPool` with workers in this process: results, losses, joins, stops, errors. Nothing is rendered."""
 
+import sys
 import threading
 import time
 import warnings
@@ -11,6 +12,7 @@ import pytest
 
 distributed = pytest.importorskip("distributed", reason="Dask is in the extra 'cluster'")
 
+from isonoise.cli import main  # noqa: E402
 from isonoise.distributed import cluster as clusters  # noqa: E402
 from isonoise.distributed.dask_pool import DaskPool  # noqa: E402
 from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings  # noqa: E402
@@ -220,6 +222,7 @@ def test_after_an_interrupted_connection_workers_are_prepared_again(make_pool):
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore:worker .* is lost")
 def test_a_lost_scheduler_is_an_error():
     with clusters._quiet_logs(), make_local(1) as cluster:
         client = distributed.Client(cluster, set_as_default=False, timeout=0.2)
@@ -246,6 +249,25 @@ def test_wrong_addresses(address, error, message, monkeypatch):
     monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 0.2)
     with pytest.raises(error, match=message):
         clusters.Cluster.connect(address)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--workers", "0"), "0 must be 1 or more"),
+        (("--workers", "2", "--dask", "tcp://127.0.0.1:1"), "not allowed with"),
+    ],
+)
+def test_wrong_options(options, message, capsys):
+    with pytest.raises(SystemExit):
+        main(["render", "cornell", "-o", "image.exr", *options])
+    assert message in capsys.readouterr().err
+
+
+def test_without_dask_the_message_says_what_to_install(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["render", "cornell", "-o", str(tmp_path / "image.exr"), "--workers", "2"]) == 2
+    assert "pip install 'isonoise[cluster]'" in capsys.readouterr().err
 
 
 def test_a_worker_is_no_scheduler(local):

@@ -12,7 +12,7 @@ import small_files
 import isonoise
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(isonoise.__file__).parents[1])}
-HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex"}
+HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex", "dask", "distributed"}
 SHARED = {
     f"isonoise.strategies.{name}"
     for name in (
@@ -28,7 +28,7 @@ SHARED = {
 """Modules that all strategies use, and `measures` for the floor of the stated error."""
 UNUSED = (
     *("benchmark", "comparison", "convert", "selftest", "integrator.feature_superset", "integrator.feature_costs"),
-    *("scene.formats", "scene.other_files", "scene.volume."),
+    *("distributed", "scene.formats", "scene.other_files", "scene.volume."),
 )
 """Beginnings of the names of modules that a render of `cornell` does not use."""
 MAX_START_CPU_S = 1.0

@@ -223,13 +223,12 @@ class DaskPool:
         if event[1].get("action") in ("add-worker", "remove-worker"):
             self._workers_changed.set()
 
-    def _drop(self, address: str, reason: str) -> None:
+    def _drop(self, address: str, reason: str, effect: str = "is lost") -> None:
         """Forget a worker; its tasks are lost."""
         known = self._known.pop(address)
         known.preparation.cancel()
-        was_ready = self._ready.pop(address, None) is not None
-        effect = "its part is traced again" if was_ready else "it was not ready yet"
-        message = f"worker {address} is lost ({reason}); {effect}"
+        again = "; its part is traced again" if self._ready.pop(address, None) else ""
+        message = f"worker {address} {effect} ({reason}){again}"
         self._events.put(lambda: self._say(message))
         for number, running in known.tasks.items():
             running.cancel()
@@ -242,8 +241,7 @@ class DaskPool:
         """Give a worker nothing more: it cannot render, or has failed."""
         self._refused[address] = reason
         if address in self._known:
-            self._drop(address, reason)
-        self._events.put(list)
+            self._drop(address, reason, "is not used")
 
     async def _prepare(self, address: str, info: dict) -> None:
         """Make a worker ready: check its version, send the scene, compile it."""
