@@ -11,8 +11,8 @@ from isonoise import __version__
 from isonoise.comparison.checked_files import InvalidFileError
 from isonoise.comparison.cluster_runs import ClusterRuns
 from isonoise.comparison.cluster_workers import ClusterWorkers
+from isonoise.comparison.job_dealer import MAX_LOSSES, JobDealer
 from isonoise.comparison.plan import SEVERAL_DEVICES, SceneEntry, StrategyEntry
-from isonoise.comparison.run_dealer import MAX_LOSSES, RunDealer
 from isonoise.comparison.run_order import PlannedRun
 from isonoise.comparison.run_progress import RunProgress
 from isonoise.comparison.run_task import RunStoppedError
@@ -32,30 +32,35 @@ def planned(seeds, scenes=SCENES):
     return [PlannedRun(scene, strategy, seed) for scene in scenes for seed in range(seeds) for strategy in STRATEGIES]
 
 
+def scene_and_seed(run):
+    return run.scene, run.seed
+
+
 def simulate(dealer, workers, seconds):
     """Let workers, each with a device, render until all is done; return pairs of worker and run in order."""
     ends, done, now = {}, [], 0.0
     while not dealer.is_done:
         for worker, device in workers.items():
-            if worker not in ends and (run := dealer.next_run(worker, device)):
+            if worker not in ends and (run := dealer.next_job(worker, device)):
                 ends[worker] = now + seconds(worker, run)
         assert ends
         worker = min(ends, key=ends.get)
         now = ends.pop(worker)
-        done.append((worker, dealer.finished(worker)))
+        done.append((worker, dealer.in_progress[worker]))
+        dealer.finished(worker)
     return done
 
 
 def test_one_worker_renders_in_the_order_of_the_plan():
     runs = planned(3)
-    assert [run for _, run in simulate(RunDealer(runs), {"w": "d"}, lambda *_: 1)] == runs
+    assert [run for _, run in simulate(JobDealer(runs, scene_and_seed), {"w": "d"}, lambda *_: 1)] == runs
 
 
 def test_all_strategies_of_a_seed_go_to_one_worker_while_others_are_left():
     """Three workers, one of them three times slower: only the last seeds may be shared."""
     runs = planned(20)
     seconds = {"x": 1.0, "y": 1.1, "z": 3.0}
-    done = simulate(RunDealer(runs), dict.fromkeys(seconds, "d"), lambda worker, _: seconds[worker])
+    done = simulate(JobDealer(runs, scene_and_seed), dict.fromkeys(seconds, "d"), lambda worker, _: seconds[worker])
     assert len(done) == len(runs)
     assert {run for _, run in done} == set(runs)
     workers = {}
@@ -67,7 +72,7 @@ def test_all_strategies_of_a_seed_go_to_one_worker_while_others_are_left():
 
 
 def test_strategies_alternate_on_every_worker():
-    done = simulate(RunDealer(planned(8)), {"x": "d", "y": "e"}, lambda worker, _: 1 + (worker == "y"))
+    done = simulate(JobDealer(planned(8), scene_and_seed), {"x": "d", "y": "e"}, lambda worker, _: 1 + (worker == "y"))
     for name in ("x", "y"):
         order = [run.strategy for worker, run in done if worker == name]
         assert order == STRATEGIES * (len(order) // 3)
@@ -75,36 +80,38 @@ def test_strategies_alternate_on_every_worker():
 
 def test_workers_with_another_device_do_not_share_a_seed():
     runs = planned(1, SCENES[:1])
-    same, other = RunDealer(runs), RunDealer(runs)
-    assert same.next_run("x", "d") == runs[0]
-    assert same.next_run("y", "d") == runs[-1]
-    assert other.next_run("x", "d") == runs[0]
-    assert other.next_run("y", "e") is None
+    same, other = JobDealer(runs, scene_and_seed), JobDealer(runs, scene_and_seed)
+    assert same.next_job("x", "d") == runs[0]
+    assert same.next_job("y", "d") == runs[-1]
+    assert other.next_job("x", "d") == runs[0]
+    assert other.next_job("y", "e") is None
     assert not other.is_done
 
 
 def test_what_a_lost_worker_has_not_finished_is_rendered_next():
     runs = planned(3, SCENES[:1])
-    dealer = RunDealer(runs)
-    assert dealer.next_run("x", "d") == runs[0]
-    assert dealer.next_run("y", "d") == runs[3]
-    assert dealer.finished("x") == runs[0]
-    assert dealer.next_run("x", "d") == runs[1]
+    dealer = JobDealer(runs, scene_and_seed)
+    assert dealer.next_job("x", "d") == runs[0]
+    assert dealer.next_job("y", "d") == runs[3]
+    dealer.finished("x")
+    assert dealer.next_job("x", "d") == runs[1]
     assert dealer.lost("x") == runs[1]
     assert dealer.lost("x") is None
-    assert dealer.next_run("z", "d") == runs[1]
-    assert dealer.finished("z") == runs[1]
-    assert dealer.next_run("z", "d") == runs[2]
-    finished = [runs[0], runs[1], dealer.finished("y"), dealer.finished("z")]
+    assert dealer.next_job("z", "d") == runs[1]
+    dealer.finished("z")
+    assert dealer.next_job("z", "d") == runs[2]
+    finished = [runs[0], runs[1], *dealer.in_progress.values()]
+    dealer.finished("y")
+    dealer.finished("z")
     finished += [run for _, run in simulate(dealer, {"y": "d", "z": "d"}, lambda *_: 1)]
     assert len(finished) == len(runs)
     assert set(finished) == set(runs)
 
 
 def test_a_run_that_ends_its_workers_fails():
-    dealer = RunDealer(planned(1, SCENES[:1]))
+    dealer = JobDealer(planned(1, SCENES[:1]), scene_and_seed)
     for number in range(MAX_LOSSES):
-        run = dealer.next_run(f"w{number}", "d")
+        run = dealer.next_job(f"w{number}", "d")
         assert not dealer.has_failed(run)
         dealer.lost(f"w{number}")
     assert dealer.has_failed(run)
@@ -236,13 +243,10 @@ class FakeRuns(ClusterRuns):
 
     def __init__(self, workers, answers, warnings):
         local = SimpleNamespace(execute=lambda runs, *_: self.rendered.extend(("here", run) for run in runs))
-        super().__init__(None, workers, local, warnings.append)
+        super().__init__(None, workers, SimpleNamespace(forget=lambda worker: None), local, warnings.append)
         self.answers, self.rendered, self.finished = answers, [], []
 
-    def _prepared(self, worker, run):
-        return ()
-
-    def _render(self, worker, run):
+    def _begin(self, worker, run):
         self.rendered.append((worker, run))
         answers = self.answers.get(worker, [b"content"])
         return answers.pop(0) if len(answers) > 1 else answers[0]

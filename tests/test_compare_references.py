@@ -20,7 +20,8 @@ import isonoise
 from isonoise.comparison.mitsuba_scene import mitsuba_xml
 from isonoise.comparison.mitsuba_worker import MitsubaWorker, _rounded_spp
 from isonoise.comparison.recorder import RUN_COLUMNS, SNAPSHOTS
-from isonoise.comparison.references import BatchSums, reference_allocation
+from isonoise.comparison.reference_batch import reference_allocation
+from isonoise.comparison.references import BatchSums
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr, read_reference
 from isonoise.loop import Stops

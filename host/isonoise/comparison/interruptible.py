@@ -1,4 +1,4 @@
-"""Renders that a signal ends by KeyboardInterrupt after the paths in flight; called by `run_task` and `references`.
+"""Renders that a signal ends after the paths in flight, by KeyboardInterrupt; for `run_task` and `reference_batch`.
 
 The signal is deferred while the device works: Python drops a KeyboardInterrupt in callbacks of drivers.
 """
@@ -20,9 +20,9 @@ def interruptible_render(
     return outcome
 
 
-def interruptible_step(renderer: Renderer) -> WaveRecord:
+def interruptible_step(renderer: Renderer, should_stop: Callable[[], bool] = lambda: False) -> WaveRecord:
     """`Renderer.step`."""
     with deferred() as received:
-        record = renderer.step(should_continue=lambda _: not received)
+        record = renderer.step(should_continue=lambda _: not (received or should_stop()))
     raise_if_received()
     return record

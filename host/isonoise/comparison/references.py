@@ -5,9 +5,10 @@ that is fixed before its first sample. So no sample influences the number of sam
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -20,42 +21,30 @@ from isonoise.comparison.checked_files import (
     write_packed,
 )
 from isonoise.comparison.identity import reference_identity
-from isonoise.comparison.interruptible import interruptible_render, interruptible_step
-from isonoise.comparison.plan import (
-    FIRST_REFERENCE_SEED,
-    REFERENCE_BUDGET_FACTOR,
-    Plan,
-    SceneEntry,
-    variance_path,
-)
+from isonoise.comparison.plan import FIRST_REFERENCE_SEED, Plan, SceneEntry, variance_path
+from isonoise.comparison.reference_batch import BATCHES, PILOT_SHARE, Batch, Pilot
 from isonoise.loop import Stops
 from isonoise.luminance import luminance
 from isonoise.progress import format_duration, format_number, format_percent
-from isonoise.renderer import Renderer
 from isonoise.statistics import Statistics
-from isonoise.strategies import Strategy, Wave
-from isonoise.strategies.allocation import deficit
-from isonoise.strategies.measures import image_floor, relative_mean, variance_per_sample
+from isonoise.strategies.measures import image_floor
 
-BATCHES = 32
-"""Independent renders of a reference: its standard errors have 31 degrees of freedom, a relative error of 13 %."""
 MIN_BATCHES = 8
 """Rendered even if the time is over."""
-PILOT_SHARE = 0.05
-"""Share of a reference's budget for the pilot run, which determines the allocation map."""
-MAX_ALLOCATION_RATIO = 16
-"""Maximum samples of a pixel, over those of the uniform half of the map.
-
-In `penumbra` 16 reduces the p99 of the relative standard error to 0.41 of a uniform map's and 4 to 0.71. In
-`bright-spots` 64 makes it worse than uniform, because the pilot run has missed most of the spots.
-"""
-VARIANCE_CLIP_QUANTILE = 0.999
-"""The map clips the pilot run's variance at this quantile over the pixels."""
 _PILOT_SEEDS = {"reference": FIRST_REFERENCE_SEED, "variance": FIRST_REFERENCE_SEED + 2**62}
 """Seed of the pilot run; the batches have the next ones."""
 
-MakeRenderer = Callable[..., Renderer]
 Show = Callable[[float, float, str], None]
+
+
+class RenderBatches(Protocol):
+    """What `LocalBatches` and `ClusterBatches` have in common. Methods raise UserError."""
+
+    def allocation(self, scene: SceneEntry, pilot: Pilot) -> np.ndarray:
+        """The allocation map of a batch."""
+
+    def render(self, scene: SceneEntry, allocation: np.ndarray, seeds: range) -> Iterable[Batch]:
+        """Batches with the first of these seeds, at least one, in their order."""
 
 
 @dataclass
@@ -71,7 +60,7 @@ class BatchSums:
     mean: np.ndarray | float = 0.0  # luminance, mean over the batches
     mean_m2: np.ndarray | float = 0.0  # sum over the batches of squared deviations of the luminance
 
-    def add(self, statistics: Statistics, seconds: float) -> None:
+    def add(self, statistics: Statistics | Batch, seconds: float) -> None:
         """Add a batch (Welford 1962)."""
         self.seconds += seconds
         self.batches += 1
@@ -103,8 +92,8 @@ class ReferenceRenderer:
 
     Parameters
     ----------
-    make : callable
-        Makes a renderer from a scene and keyword arguments of `Renderer`.
+    batches : LocalBatches or ClusterBatches
+        Renders pilot runs and batches.
     plan : Plan
         Its `reference_time` is the budget in seconds; None: REFERENCE_BUDGET_FACTOR times the samples of a run.
     directory : Path
@@ -115,13 +104,13 @@ class ReferenceRenderer:
 
     def __init__(
         self,
-        make: MakeRenderer,
+        batches: RenderBatches,
         plan: Plan,
         directory: Path,
         log: Callable[[str], None],
         warn: Callable[[str], None],
     ):
-        self._make, self._plan, self._directory, self._log, self._warn = make, plan, directory, log, warn
+        self._batches, self._plan, self._directory, self._log, self._warn = batches, plan, directory, log, warn
         self._budget = Stops(time=plan.reference_time, spp=plan.spp if plan.reference_time is None else None)
 
     def ensure_reference(self, scene: SceneEntry, show: Show) -> None:
@@ -182,17 +171,18 @@ class ReferenceRenderer:
             sums = _load(partial, identity)
         except InvalidFileError as error:
             self._warn_of_invalid(partial, error)
-            sums = BatchSums(_batch_allocation(self._make, scene, self._budget, kind))
+            pilot = Pilot(kind, _PILOT_SEEDS[kind], self._budget)
+            sums = BatchSums(self._batches.allocation(scene, pilot))
             _save(partial, sums, identity)
         while (missing := _missing(sums, self._budget)) > 0:
             total = sums.batches + missing
+            first_seed = _PILOT_SEEDS[kind] + 1 + sums.batches
+            rendered = self._batches.render(scene, sums.allocation, range(first_seed, first_seed + missing))
             show(sums.batches, total, f"{scene.name}, {kind}, batch {sums.batches + 1} of {total}")
-            seed = _PILOT_SEEDS[kind] + 1 + sums.batches
-            # one wave of the whole map; its time excludes set-up and readback
-            renderer = self._make(scene, strategy=_FixedAllocation(sums.allocation), seed=seed)
-            seconds = interruptible_step(renderer).seconds
-            sums.add(renderer.statistics(), seconds)
-            _save(partial, sums, identity)
+            for batch in rendered:
+                sums.add(batch, batch.seconds)
+                _save(partial, sums, identity)
+                show(sums.batches, total, f"{scene.name}, {kind}, batch {sums.batches + 1} of {total}")
         return sums
 
     def _warn_of_invalid(self, path: Path, error: InvalidFileError) -> None:
@@ -208,53 +198,6 @@ def _missing(sums: BatchSums, budget: Stops) -> int:
         return MIN_BATCHES - sums.batches
     remaining = (1 - PILOT_SHARE) * budget.time - sums.seconds
     return round(remaining / (sums.seconds / sums.batches))
-
-
-def _batch_allocation(make: MakeRenderer, scene: SceneEntry, budget: Stops, kind: str) -> np.ndarray:
-    """The allocation map of a batch, from a pilot run whose samples are discarded."""
-    strategy = "relative-mean" if kind == "reference" else "uniform"
-    by_time = budget.time is not None
-    if by_time:
-        stops = Stops(time=PILOT_SHARE * budget.time)
-    else:
-        stops = Stops(spp=max(PILOT_SHARE * REFERENCE_BUDGET_FACTOR * budget.spp, 16))
-    outcome = interruptible_render(make(scene, strategy=strategy, seed=_PILOT_SEEDS[kind]), stops)
-    statistics = outcome.statistics
-    pixels = statistics.count.size
-    if by_time:
-        speed = statistics.samples / outcome.elapsed_s
-        spp = speed * (1 - PILOT_SHARE) * budget.time / BATCHES / pixels
-    else:
-        spp = REFERENCE_BUDGET_FACTOR * budget.spp / BATCHES
-    # every pixel needs a sample in every batch, and a batch must fit into one wave
-    spp = min(max(round(spp), 2), 2**20)
-    if kind == "variance":
-        return np.full(statistics.shape, spp, np.uint32)
-    return reference_allocation(statistics, spp)
-
-
-def reference_allocation(statistics: Statistics, spp: int) -> np.ndarray:
-    """Map of `spp` (at least 2) samples per pixel on average: half uniform, half by the pilot run's errors."""
-    uniform = np.full(statistics.shape, (spp + 1) // 2, np.uint32)
-    variance = variance_per_sample(statistics, relative_mean(statistics, image_floor(statistics.mean)))
-    adaptive = spp * uniform.size - int(uniform.sum(dtype=np.int64))
-    return uniform + deficit(uniform, variance, adaptive, 0, clip=VARIANCE_CLIP_QUANTILE, cap=MAX_ALLOCATION_RATIO)
-
-
-class _FixedAllocation(Strategy):
-    """Every wave has the same allocation map."""
-
-    name = "fixed"
-
-    def __init__(self, allocation: np.ndarray):
-        self._allocation = allocation
-
-    def waves(self) -> Iterator[Wave]:
-        while True:
-            yield Wave("adaptive", float(self._allocation.mean(dtype=np.float64)))
-
-    def allocate(self, statistics: Statistics, budget: int) -> np.ndarray:
-        return self._allocation
 
 
 def _partial_path(path: Path) -> Path:

@@ -1,10 +1,17 @@
-"""What the workers of a cluster do for a comparison: say what they are, render a run. `cluster_runs` submits these."""
+"""What the workers of a cluster do for a comparison: say what they are, render runs and batches.
+
+`cluster_workers`, `cluster_runs` and `cluster_batches` submit these functions.
+"""
 
 import pickle
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from isonoise import __version__
+from isonoise.comparison.reference_batch import Batch, Pilot, render_batch, render_pilot
 from isonoise.comparison.run_task import RunTask, render_run, warm_up
 from isonoise.distributed.dask_worker import DeviceChoice
 from isonoise.distributed.packing import unpack_scene
@@ -48,19 +55,39 @@ def render_on_worker(
     is_first : bool
         Whether it is the worker's first run of this strategy on this scene, before which it renders a second.
     """
+    with _rendering:
+        compiled, device = unpack_scene(scene, is_compressed), choice.select()
+        worker, is_dropped = _this_worker()
+        if is_first:
+            warm_up(task, compiled, device, is_dropped)
+        arrays = pickle.loads(reference)
+        return render_run(task, compiled, arrays, device, should_stop=is_dropped, worker=worker)
+
+
+def render_batch_on_worker(
+    allocation: np.ndarray, seed: int, scene: bytes, is_compressed: bool, choice: DeviceChoice
+) -> Batch:
+    """`render_batch` on this worker."""
+    with _rendering:
+        compiled, device = unpack_scene(scene, is_compressed), choice.select()
+        return render_batch(allocation, seed, compiled, device, _this_worker()[1])
+
+
+def render_pilot_on_worker(pilot: Pilot, scene: bytes, is_compressed: bool, choice: DeviceChoice) -> np.ndarray:
+    """`render_pilot` on this worker."""
+    with _rendering:
+        return render_pilot(pilot, unpack_scene(scene, is_compressed), choice.select(), _this_worker()[1])
+
+
+def _this_worker() -> tuple[str, Callable[[], bool]]:
+    """The worker's address; and whether the client is gone, or does not want this task any more."""
     from distributed import get_worker
 
     worker = get_worker()
     key = worker.get_current_task()
 
-    def is_cancelled() -> bool:
-        """Whether the client is gone, or does not want the run any more."""
+    def is_dropped() -> bool:
         state = worker.state.tasks.get(key)
         return state is None or state.state not in ("executing", "long-running")
 
-    with _rendering:
-        compiled, device = unpack_scene(scene, is_compressed), choice.select()
-        if is_first:
-            warm_up(task, compiled, device, is_cancelled)
-        arrays = pickle.loads(reference)
-        return render_run(task, compiled, arrays, device, should_stop=is_cancelled, worker=worker.address)
+    return worker.address, is_dropped

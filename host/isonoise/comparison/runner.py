@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from isonoise.comparison.checked_files import make_folder, unpack_npz, write_packed
 from isonoise.comparison.folder_lock import FolderLock
+from isonoise.comparison.local_batches import LocalBatches
 from isonoise.comparison.local_runs import LocalRuns
 from isonoise.comparison.plan import Plan, SceneEntry, run_path
 from isonoise.comparison.reference_files import read_digests
@@ -27,8 +28,6 @@ from isonoise.comparison.run_order import (
 from isonoise.comparison.run_progress import RunProgress
 from isonoise.comparison.strategy_specs import needs_variance
 from isonoise.progress import ProgressBar, format_count, format_duration, format_number, format_percent
-from isonoise.renderer import Renderer
-from isonoise.samplers import SAMPLERS
 
 if TYPE_CHECKING:
     from isonoise.comparison.cluster_workers import ClusterWorkers
@@ -63,16 +62,20 @@ class _Runner:
         warn: Callable[[str], None],
         workers: "ClusterWorkers | None",
     ):
-        self.plan, self.lock, self.device, self.log, self.warn = plan, lock, device, log, warn
+        self.plan, self.lock, self.log, self.warn = plan, lock, log, warn
         self.directory = lock.directory
         self.inputs = RunInputs(plan, self.directory)
-        self.execution = LocalRuns(self.inputs, device)
+        self.execution, batches = LocalRuns(self.inputs, device), LocalBatches(self.inputs, device)
         self.has_cluster = workers is not None
         if workers is not None:
+            from isonoise.comparison.cluster_batches import ClusterBatches
+            from isonoise.comparison.cluster_data import ClusterData
             from isonoise.comparison.cluster_runs import ClusterRuns
 
-            self.execution = ClusterRuns(self.inputs, workers, self.execution, warn)
-        self.references = ReferenceRenderer(self._renderer, plan, self.directory, log, warn)
+            data = ClusterData(self.inputs, workers)
+            self.execution = ClusterRuns(self.inputs, workers, data, self.execution, warn)
+            batches = ClusterBatches(workers, data, warn)
+        self.references = ReferenceRenderer(batches, plan, self.directory, log, warn)
         self.progress = RunProgress(self.inputs.stops)
 
     def run(self) -> None:
@@ -106,10 +109,6 @@ class _Runner:
                 self.references.ensure_variance(scene, bar.show)
         self.inputs.digests[scene.slug] = read_digests(self.directory, self.plan, scene)
         self.progress.start += time.perf_counter() - start  # the remaining time is estimated from the runs alone
-
-    def _renderer(self, scene: SceneEntry, **options) -> Renderer:
-        """A renderer with the size, depth and device of the comparison; the sampler of the scene is ignored."""
-        return Renderer(self.inputs.scene(scene), self.device, sampler=SAMPLERS[0], **options)
 
     def _finish(self, run: PlannedRun, content: bytes) -> None:
         """Write the file of a run."""
