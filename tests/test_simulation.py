@@ -1,9 +1,14 @@
 """The simulation of distributed renders against closed forms."""
 
+import os
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from isonoise.distributed.simulation import Costs, SimulatedWorker, Simulation
+from isonoise.scene import compile_scene, load
+from isonoise.statistics import BASIC_NEEDS
 
 SHARD_PIXELS = np.full(256, 1024)
 PIXELS = SHARD_PIXELS.sum()
@@ -103,3 +108,24 @@ def test_a_worker_that_changes_its_speed():
     assert worker.seconds(270, 0.0) == 5.0
     assert worker.seconds(50, 4.5) == 1.0
     assert SimulatedWorker(100, changes=((2.0, 0.0),)).seconds(150, 1.0) == np.inf
+
+
+@pytest.mark.long
+def test_prediction_for_four_workers():
+    """Local worker processes, from what one of them costs: within 10 %. Other work on the machine makes it fail."""
+    pytest.importorskip("distributed")
+    from isonoise.benchmark.distributed import TimedRender, measure, simulate_waves, wait_for_workers
+    from isonoise.distributed.cluster import Cluster
+
+    size, samples, waves = (512, 512), 64, 7
+    scene = compile_scene(load("cornell", size=size), size=size)
+    needs = BASIC_NEEDS.with_sampler(scene.sampler)
+    with Cluster.local(4) as cluster:
+        pool = cluster.pool(scene, needs, seed=1)
+        wait_for_workers(pool, 4)
+        render = TimedRender(pool, scene, needs)
+        one_worker = measure(render)
+        measured = np.median(render.time_waves(4, samples, waves))
+    costs = replace(one_worker.costs, cores=len(os.sched_getaffinity(0)))
+    simulated = simulate_waves(size, samples, 4, one_worker.samples_per_s, costs, waves)
+    assert np.median([wave.seconds for wave in simulated]) == pytest.approx(measured, rel=0.1)

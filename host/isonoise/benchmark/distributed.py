@@ -7,7 +7,7 @@ import argparse
 import itertools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -26,11 +26,15 @@ from isonoise.integrator.reduction_state import state_planes
 from isonoise.scene import compile_scene, load
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs
-from isonoise.tables import Table, columns, label_lines, text_table
+from isonoise.tables import Table, columns, markdown_table
 
 SEED = 1
 REPEAT = 5
 """Times that everything is measured; the median counts."""
+WORKERS = (4, 16, 64, 256, 1024)
+"""Numbers of workers that are predicted."""
+CLIENTS = 8
+"""Clients of the last prediction."""
 FIRST_SAMPLES, MORE_SAMPLES = 1, 32
 """Samples per pixel of the first of two tasks, and how many more the other one has."""
 IMAGES = (512, 512), (1080, 1920), (4320, 7680)
@@ -207,6 +211,12 @@ def measure(render: TimedRender) -> Measurement:
     )
 
 
+def wait_for_workers(pool: WorkerPool, number: int) -> None:
+    """Wait until so many workers of a pool are ready."""
+    while len(pool.workers()) < number:
+        time.sleep(0.1)
+
+
 def simulate_waves(
     shape: tuple[int, int], samples: int, workers: int, samples_per_s: float, costs: Costs, waves: int = 1
 ) -> list[SimulatedWave]:
@@ -220,16 +230,30 @@ def _print_measurement(measured: Measurement) -> None:
     costs = measured.costs
     rows = [
         ("speed of a worker", f"{measured.samples_per_s / 1e6:.2f} M samples/s"),
-        ("task of a pixel, result of a pixel", f"{costs.pixel_bytes:.1f} B, {costs.result_bytes:.1f} B"),
-        ("compressed to", f"{measured.compression:.2f}"),
-        ("latency", f"{costs.latency_s * 1e3:.2f} ms"),
-        ("worker", f"{costs.worker_task_s * 1e3:.2f} ms a task + {costs.worker_pixel_s * 1e9:.0f} ns a pixel"),
-        ("client", f"{costs.client_task_s * 1e3:.2f} ms a task + {costs.client_pixel_s * 1e9:.0f} ns a pixel"),
-        ("client, compression", f"{measured.client_compression_s * 1e9:.0f} ns a pixel"),
-        ("worker, compression", f"{measured.worker_compression_s * 1e9:.0f} ns a pixel"),
-        ("client, statistics and map", f"{costs.client_wave_pixel_s * 1e9:.0f} ns a pixel"),
+        ("a pixel on its way to a worker, and back", f"{costs.pixel_bytes:.0f} B, {costs.result_bytes:.0f} B"),
+        ("compressed to", f"{100 * measured.compression:.0f} %"),
+        ("latency of a message", _milliseconds(costs.latency_s)),
+        ("worker, for a task", _milliseconds(costs.worker_task_s)),
+        ("worker, for a pixel of a task", _nanoseconds(costs.worker_pixel_s)),
+        ("client, for a task", _milliseconds(costs.client_task_s)),
+        ("client, for a pixel of a task", _nanoseconds(costs.client_pixel_s)),
+        ("compression, for a pixel, of the client", _nanoseconds(measured.client_compression_s)),
+        ("compression, for a pixel, of the worker", _nanoseconds(measured.worker_compression_s)),
+        ("statistics, errors and map, for a pixel of the image", _nanoseconds(costs.client_wave_pixel_s)),
     ]
-    print(label_lines(rows), end="\n\n")
+    _print_table(("what", "measured"), rows)
+
+
+def _milliseconds(seconds: float) -> str:
+    return f"{1e3 * seconds:.1f} ms"
+
+
+def _nanoseconds(seconds: float) -> str:
+    return f"{1e9 * seconds:.0f} ns"
+
+
+def _print_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    print(markdown_table(Table(columns(*heads), rows)), end="\n\n")
 
 
 def _print_check(render: TimedRender, measured: Measurement, cores: int) -> None:
@@ -242,21 +266,46 @@ def _print_check(render: TimedRender, measured: Measurement, cores: int) -> None
         simulated = median(wave.seconds for wave in waves)
         efficiency = waves[0].ideal_s / seconds
         rows.append((str(workers), str(samples), f"{seconds:.3f}", f"{simulated:.3f}", f"{efficiency:.2f}"))
-    heads = "workers", "spp", "measured [s]", "simulated [s]", "measured efficiency"
-    print(text_table(Table(columns(*heads, left=()), rows)), end="\n\n")
+    _print_table(("workers", "spp", "measured [s]", "simulated [s]", "measured efficiency"), rows)
 
 
-def _print_predictions(measured: Measurement, bytes_per_s: float, speedup: float) -> None:
+def _print_predictions(speed: float, costs: Costs) -> None:
     """Waves with many workers, each on a machine of its own."""
-    costs, rows = measured.over_network(bytes_per_s), []
-    for (height, width), samples in itertools.product(IMAGES, (16, 256)):
-        for workers in (4, 16, 64, 256, 1024):
-            (wave,) = simulate_waves((height, width), samples, workers, speedup * measured.samples_per_s, costs)
-            row = f"{width}x{height}", str(samples), str(workers), f"{wave.seconds:.2f}", f"{wave.efficiency:.2f}"
-            sizes = (f"{size / 1e6:.0f}" for size in (wave.sent_bytes, wave.received_bytes))
-            rows.append((*row, f"{wave.client_share:.2f}", *sizes))
-    heads = "image", "spp", "workers", "wave [s]", "efficiency", "client", "MB sent", "MB received"
-    print(text_table(Table(columns(*heads), rows)))
+    rows = []
+    for (height, width), samples in itertools.product(IMAGES, (16, 256, 4096)):
+        waves = [simulate_waves((height, width), samples, workers, speed, costs)[0] for workers in WORKERS]
+        size_mb = (waves[0].sent_bytes + waves[0].received_bytes) / 1e6
+        efficiencies = (f"{wave.efficiency:.2f}" for wave in waves)
+        rows.append((f"{width}x{height}", str(samples), f"{size_mb:.0f}", f"{waves[0].client_s:.2f}", *efficiencies))
+    _print_table(("image", "spp", "MB", "client [s]", *map(str, WORKERS)), rows)
+
+
+def _print_changes(measured: Measurement, speed: float, bytes_per_s: float) -> None:
+    """The largest image on the most workers, with one change after the other."""
+    compressed = measured.over_network(bytes_per_s)
+    plain = replace(measured.costs, link_bytes_per_s=bytes_per_s, client_bytes_per_s=bytes_per_s)
+    # Workers keep the state: they get an allocation, and return count, mean and variance. The client's time for a pixel
+    # is taken to be in proportion to the bytes.
+    share = (8 + 12) / (plain.pixel_bytes + plain.result_bytes)
+    cached = replace(plain, pixel_bytes=8, result_bytes=12, client_pixel_s=share * plain.client_pixel_s)
+    tiles = replace(cached, client_wave_pixel_s=0.0)
+    clients = replace(
+        tiles,
+        client_task_s=tiles.client_task_s / CLIENTS,
+        client_pixel_s=tiles.client_pixel_s / CLIENTS,
+        client_bytes_per_s=tiles.client_bytes_per_s * CLIENTS,
+    )
+    rows = []
+    for change, costs in (
+        ("none", compressed),
+        ("no compression", plain),
+        ("workers keep the state", cached),
+        ("workers compute statistics and map", tiles),
+        (f"{CLIENTS} clients", clients),
+    ):
+        waves = [simulate_waves(IMAGES[-1], samples, WORKERS[-1], speed, costs)[0] for samples in (256, 4096)]
+        rows.append((change, *(f"{wave.seconds:.1f} s, {wave.efficiency:.2f}" for wave in waves)))
+    _print_table(("change", "256 spp", "4096 spp"), rows)
 
 
 def main() -> None:
@@ -274,14 +323,15 @@ def main() -> None:
     wave_pixel_s = wave["total_share"]["median"] * wave["wave_s"]["median"] / (size[0] * size[1])
     with Cluster.local(4) as cluster:
         pool = cluster.pool(scene, needs, SEED)
-        while len(pool.workers()) < 4:
-            time.sleep(0.1)
+        wait_for_workers(pool, 4)
         render = TimedRender(pool, scene, needs)
         measured = measure(render)
         measured = replace(measured, costs=replace(measured.costs, client_wave_pixel_s=wave_pixel_s))
         _print_measurement(measured)
-        _print_check(render, measured, os.cpu_count() or 1)
-    _print_predictions(measured, options.bandwidth * 1e9 / 8, options.speedup)
+        _print_check(render, measured, len(os.sched_getaffinity(0)))
+    speed, bytes_per_s = options.speedup * measured.samples_per_s, options.bandwidth * 1e9 / 8
+    _print_predictions(speed, measured.over_network(bytes_per_s))
+    _print_changes(measured, speed, bytes_per_s)
 
 
 if __name__ == "__main__":
