@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isonoise.distributed.dealer import MAX_TASKS, Dealer
-from isonoise.distributed.plan import MIN_TASK_S, TASK_S
+from isonoise.distributed.plan import CLIENT_TASK_S, MIN_TASK_S, TASK_S
 from isonoise.distributed.simulation import Costs, SimulatedWorker, Simulation
 
 SHARD_PIXELS = np.full(256, 1024)
@@ -179,6 +179,18 @@ def test_the_largest_shard_is_first():
     samples[200] = samples.sum() // 3
     _, wave = simulate([FAST] * 4, [uniform(4), samples])
     assert wave.seconds < 1.1 * ideal_seconds(samples, 4 * SPEED)
+
+
+def test_no_more_workers_than_the_client_keeps_busy():
+    """W seconds of work and c of the client per task: about sqrt(W / c) workers, known or not. Workers that wait for
+    the client are not taken to be slow."""
+    costs = Costs(latency_s=0.003, client_task_s=CLIENT_TASK_S)
+    for spp in (4, 64, 1024):
+        waves = simulate([FAST] * 1000, [uniform(1), uniform(spp), uniform(spp), uniform(spp)], costs)
+        work_s = ideal_seconds(uniform(spp), SPEED)
+        best_s = 2 * np.sqrt(work_s * CLIENT_TASK_S)
+        assert waves[-1].seconds < 1.5 * best_s + 0.05
+        assert waves[-1].tasks < 2.5 * np.sqrt(work_s / CLIENT_TASK_S) + 2
 
 
 def test_tasks_are_limited_by_pixels():
