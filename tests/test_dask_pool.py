@@ -87,8 +87,8 @@ def make_pool(local):
     local.scale(2)
     pools = []
 
-    def make(is_refused: bool = False) -> DaskPool:
-        client = distributed.Client(local, set_as_default=False)
+    def make(is_refused: bool = False, direct: bool | None = None) -> DaskPool:
+        client = distributed.Client(local, set_as_default=False, direct_to_workers=direct)
         settings = FakeSettings(BASIC_NEEDS, 0, is_refused=is_refused)
         pool = DaskPool(client, lambda name: DeviceChoice(None, int(name)), "the scene", settings)
         pools.append((client, pool))
@@ -119,8 +119,10 @@ def wait_for(pool: DaskPool, count: int) -> list[Finished | Lost]:
     return events
 
 
-def test_every_task_is_reported_once_with_its_result(make_pool):
-    pool = make_pool()
+@pytest.mark.parametrize("direct", [None, False])
+def test_every_task_is_reported_once_with_its_result(direct, make_pool):
+    """Data go to the workers, or through the scheduler where this machine does not reach the workers."""
+    pool = make_pool(direct=direct)
     assert sorted(worker.device for worker in pool.workers()) == ["device 0", "device 1"]
     names = [worker.name for worker in pool.workers()]
     for number in range(20):
