@@ -62,9 +62,11 @@ class ClusterBatches:
                     yield job, result
 
     async def _render(
-        self, worker: str, scene: SceneEntry, missing: dict[str, bytes], function: Callable, *arguments
+        self, worker: str, scene: SceneEntry, missing: dict[str, bytes], function: Callable, first: object, *arguments
     ) -> object:
+        """Send the job, wait for its result and fetch it. `first` may be large."""
         data, client = self._data, self._workers.cluster.client
         await data.send(worker, scene, missing)
+        sent = await client.scatter(first, workers=[worker], hash=False)
         arguments += (data.on_worker(worker, SCENE), data.is_compressed, self._workers.choices[worker])
-        return await client.submit(function, *arguments, pure=False, workers=[worker])
+        return await client.submit(function, sent, *arguments, pure=False, workers=[worker])

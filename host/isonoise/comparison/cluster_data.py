@@ -26,8 +26,12 @@ class ClusterData:
 
     def missing(self, worker: str, scene: SceneEntry, *kinds: str) -> dict[str, bytes]:
         """What has to be sent to the worker, for `send`."""
-        sent = {kind: self._sent.get((worker, kind), (None, None))[0] for kind in kinds}
-        return {kind: self._packed(scene, kind) for kind in kinds if sent[kind] != scene}
+        return {kind: self._packed(scene, kind) for kind in kinds if not self._is_there(worker, kind, scene)}
+
+    def _is_there(self, worker: str, kind: str, scene: SceneEntry) -> bool:
+        """After an interrupted connection Dask has dropped what was sent."""
+        sent, future = self._sent.get((worker, kind), (None, None))
+        return sent == scene and future.status == "finished"
 
     async def send(self, worker: str, scene: SceneEntry, missing: dict[str, bytes]) -> None:
         """In the thread of Dask's client."""

@@ -84,8 +84,9 @@ class ClusterRuns:
         await data.send(worker, run.scene, missing)
         scene, reference = (data.on_worker(worker, kind) for kind in (SCENE, REFERENCE))
         device = self._workers.choices[worker]
-        arguments = (task, scene, data.is_compressed, reference, device, is_first)
         client = self._workers.cluster.client
+        sent = await client.scatter(task, workers=[worker], hash=False)  # an oracle has an image
+        arguments = (sent, scene, data.is_compressed, reference, device, is_first)
         return await client.submit(render_on_worker, *arguments, pure=False, workers=[worker])
 
     def _forget(self, worker: str) -> None:

@@ -7,6 +7,7 @@ import asyncio
 import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future, wait
+from contextlib import suppress
 
 from isonoise import __version__
 from isonoise.comparison.plan import SEVERAL_DEVICES
@@ -48,6 +49,7 @@ class ClusterWorkers:
         self.choices: dict[str, DeviceChoice] = {}
         self._describing: dict[str, Future] = {}
         self._refused: dict[str, str] = {}  # address -> why
+        self._list: dict[str, dict] = {}  # of the scheduler
         self._required_device: str | None = None
         self._next_poll = 0.0
 
@@ -84,7 +86,7 @@ class ClusterWorkers:
         raise_if_received()
         gone: set[str] = set()
         if time.monotonic() >= self._next_poll:
-            listed = self._listed()
+            listed = self._read_list()
             gone = {*self.devices, *self._describing, *self._refused} - listed.keys()
             for address in gone:
                 self._forget(address)
@@ -115,16 +117,19 @@ class ClusterWorkers:
         else:
             time.sleep(timeout_s)
 
-    def _listed(self) -> dict[str, dict]:
-        """The workers of the scheduler's list that take tasks, by address."""
+    def _read_list(self) -> dict[str, dict]:
+        """The workers of the scheduler's list that take tasks, by address; the last list while there is no connection.
+
+        Dask tries to connect again for as long as its timeout, and then closes the client.
+        """
         client = self.cluster.client
-        try:
+        with suppress(OSError):
             if client.status == "running":
                 workers = client.sync(client.scheduler.identity)["workers"]
-                return {name: each for name, each in workers.items() if each["status"] in ("running", "init")}
-        except OSError:  # the connection was lost just now
-            pass
-        raise DeviceError("the connection to the Dask scheduler is lost")
+                self._list = {name: each for name, each in workers.items() if each["status"] in ("running", "init")}
+        if client.status not in ("running", "connecting"):
+            raise DeviceError("the connection to the Dask scheduler is lost")
+        return self._list
 
     def _forget(self, address: str) -> None:
         self.devices.pop(address, None)
