@@ -168,6 +168,25 @@ def test_an_exception_loses_no_samples(monkeypatch):
         assert_same_bits(renderer.statistics(), one_device.statistics())
 
 
+def test_a_worker_that_hangs_does_not_hold_up_a_stop(monkeypatch):
+    """Its samples remain, and another worker traces them."""
+    one_device = Renderer(lamp_over_floor(), size=SIZE, seed=SEED, strategy="uniform")
+    one_device.step()
+    with distributed_renderer(monkeypatch, "uniform") as renderer:
+        monkeypatch.setattr(distributed_wavefront, "STOP_TIMEOUT_S", 0.05)
+        pool = renderer._wavefront._pool
+        renderer.begin_wave()
+        answer = pool.wait
+        monkeypatch.setattr(pool, "wait", lambda timeout_s: [])
+        assert not renderer.continue_wave(lambda traced: False)
+        assert renderer.samples == 0
+        monkeypatch.setattr(pool, "wait", answer)
+        while not renderer.continue_wave():
+            pass
+        renderer.end_wave()
+        assert_same_bits(renderer.statistics(), one_device.statistics())
+
+
 def test_memory_is_planned_for_the_client_and_each_device():
     with pytest.raises(DeviceError, match="of memory"):
         Renderer(lamp_over_floor(), size=SIZE, device="0/2", memory=2**20)

@@ -28,6 +28,8 @@ from isonoise.statistics import Needs
 
 POLL_S = 0.05
 """Longest wait for a result before `should_continue` is called again."""
+STOP_TIMEOUT_S = 10.0
+"""Longest wait for tasks after a stop: a worker may hang."""
 
 
 @dataclass
@@ -111,15 +113,15 @@ class DistributedWavefront:
     ) -> None:
         """Trace the samples that remain of a wave. Arguments as for `Wavefront.trace`.
 
-        Once `should_continue` returns False, the tasks that are on their way are finished. If an exception ends the
-        call, they are dropped, and their samples remain.
+        Once `should_continue` returns False, the tasks that are on their way end early. Those of workers that do not
+        answer within `STOP_TIMEOUT_S` are dropped, and all if an exception ends the call; their samples remain.
         """
-        flat, is_stopped = remaining.reshape(-1), False
+        flat, stopped_s = remaining.reshape(-1), None
         self._dealer.begin_wave(self._shards.sums(remaining))
         sent: dict[int, _Sent] = {}
         with self.accumulator.mapped_state() as state:
-            while not self._dealer.is_done and not (is_stopped and self._dealer.is_idle):
-                if not is_stopped:
+            while not self._dealer.is_done and not self._has_stopped(stopped_s):
+                if stopped_s is None:
                     workers = self._pool.workers()
                     self._tally.update(workers)
                     for assignment in self._dealer.deal([worker.name for worker in workers], time.monotonic()):
@@ -131,9 +133,15 @@ class DistributedWavefront:
                     samples = self._receive(event, sent, flat, state)
                     if samples:
                         on_reduced(samples)
-                if not is_stopped and not should_continue():
-                    is_stopped = True
+                if stopped_s is None and not should_continue():
+                    stopped_s = time.monotonic()
                     self._pool.stop()
+
+    def _has_stopped(self, stopped_s: float | None) -> bool:
+        """Whether nothing more is to be waited for after a stop at this time."""
+        if stopped_s is None:
+            return False
+        return self._dealer.is_idle or time.monotonic() > stopped_s + STOP_TIMEOUT_S
 
     def _submit(self, assignment: Assignment, remaining: np.ndarray, state: dict[str, np.ndarray]) -> _Sent:
         """Send a task to its worker: the pixels of its shards that have samples to trace."""
