@@ -6,6 +6,7 @@ machines is started with Dask's own tools, and `Cluster.connect` gets the addres
 
 import asyncio
 import logging
+import multiprocessing
 import os
 import signal
 import threading
@@ -87,6 +88,8 @@ class Cluster:
     def local(cls, workers: int, device: str | None = None) -> "Cluster":
         """Start worker processes on this machine. They listen on 127.0.0.1 alone, and end with this process.
 
+        A script that calls this needs `if __name__ == "__main__":`, because each process imports it.
+
         Parameters
         ----------
         workers : int
@@ -101,6 +104,11 @@ class Cluster:
         """
         if workers < 1:
             raise UserError(f"workers = {workers} must be 1 or more")
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            raise UserError(
+                "a worker process has run the script that started it: put the start of the cluster below the line "
+                "`if __name__ == '__main__':`"
+            )
         distributed = _load_distributed()
         choice = _split_device(device, workers)
         import dask
@@ -144,6 +152,16 @@ class Cluster:
         """What the worker with this name (`name` of Dask's scheduler_info) renders on."""
         return self._devices(name)
 
+    def check_processes(self) -> None:
+        """Raise DeviceError if all processes of `local` have failed to start."""
+        processes = self.client.cluster.workers.values() if self.size else ()
+        if processes and all(each.status.name in ("failed", "closed") for each in processes):
+            raise DeviceError("the worker processes have failed to start; their messages above say why")
+
+    def _while_waiting(self, workers: int) -> None:
+        self.check_processes()
+        self.on_wait(workers)
+
     def pool(
         self,
         scene: CompiledScene,
@@ -173,7 +191,7 @@ class Cluster:
         settings = TracerSettings(needs, seed, pool_size, memory)
         pool = DaskPool(self.client, self.device_of, scene, settings, self.size or 0)
         try:
-            pool.wait_for_worker(self.on_wait)
+            pool.wait_for_worker(self._while_waiting)
         except BaseException:
             pool.close()
             raise
