@@ -39,8 +39,6 @@ def handle_signals() -> Iterator[None]:
         yield
         return
     with deferred():
-        _received.clear()
-        _raised.clear()
         end_watch = _install_handlers()
         hook, sys.unraisablehook = sys.unraisablehook, _without_interrupts(sys.unraisablehook)
     try:
@@ -52,6 +50,8 @@ def handle_signals() -> Iterator[None]:
             for number, handler in _handlers.items():
                 signal.signal(number, handler)
             _handlers.clear()
+            _received.clear()
+            _raised.clear()
 
 
 def _without_interrupts(hook: Callable) -> Callable:
