@@ -62,7 +62,7 @@ def pack_result(result: TaskResult, compress: bool) -> bytes:
     arrays = {f"state/{name}": array for name, array in result.state.items()}
     if result.remaining is not None:
         arrays["remaining"] = result.remaining[None]
-    values = {"number": result.number, "seconds": result.seconds, "device_seconds": result.device_seconds}
+    values = {"number": result.number, "seconds": result.seconds}
     return _pack(values, arrays, compress)
 
 
@@ -71,8 +71,7 @@ def unpack_result(data: bytes) -> TaskResult:
     values, arrays = _unpack(data)
     try:
         remaining = arrays.pop("remaining", (None,))[0]
-        times = float(values["seconds"]), float(values["device_seconds"])
-        return TaskResult(int(values["number"]), _state(arrays), remaining, *times)
+        return TaskResult(int(values["number"]), _state(arrays), remaining, float(values["seconds"]))
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise PackingError(f"this is no result of a task: {error}") from error
 

@@ -56,18 +56,8 @@ class ShardTracer:
 
     def trace(self, task: Task, should_continue: Callable[[], bool] = lambda: True) -> TaskResult:
         """Trace the samples of a task, until `should_continue` returns False; the state of its pixels with them."""
-        start, device_start = time.perf_counter(), self._device_seconds()
-        remaining = task.allocation.copy()
+        start, remaining = time.perf_counter(), task.allocation.copy()
         self._wavefront.set_pixels(task.pixels, task.state)
         self._wavefront.trace(remaining, should_continue)
         state = self._wavefront.reduction.read()
-        return TaskResult(
-            task.number,
-            state,
-            remaining if remaining.any() else None,
-            time.perf_counter() - start,
-            self._device_seconds() - device_start,
-        )
-
-    def _device_seconds(self) -> float:
-        return sum(self.device.seconds.values())
+        return TaskResult(task.number, state, remaining if remaining.any() else None, time.perf_counter() - start)

@@ -47,12 +47,9 @@ class TaskResult:
         Samples that were not traced, because the worker was asked to stop; None: all were traced.
     seconds : float
         Wall-clock time that the worker took.
-    device_seconds : float
-        Time that its kernels ran; 0 unless they are profiled.
     """
 
     number: int
     state: Mapping[str, np.ndarray]
     remaining: np.ndarray | None
     seconds: float
-    device_seconds: float = 0.0
