@@ -308,6 +308,20 @@ def test_a_worker_that_is_gone_loses_its_run():
     assert warnings == [f"{runs[0].title} is rendered again: worker x is lost, it has left the cluster"]
 
 
+def test_a_lost_scheduler_is_no_failure_of_its_workers():
+    cluster, warnings = fake_runs({"x": [OSError("timed out")]}, "x")
+
+    def lose_connection(*_):
+        cluster._workers.cluster.client.status = "closed"
+
+    cluster._workers.wait = lose_connection
+    with pytest.raises(DeviceError, match="connection to the Dask scheduler is lost"):
+        cluster.run(planned(1))
+    assert [text.partition(" is rendered again: ")[2] for text in warnings] == [
+        "worker x is lost, there is no connection to it"
+    ]
+
+
 def test_errors_that_every_worker_would_have_end_the_comparison():
     cluster, _ = fake_runs({"x": [UserError("strategy oracle: it is 4x3")]}, "x", "y")
     with pytest.raises(UserError, match="seed 0, worker x: strategy oracle: it is 4x3"):

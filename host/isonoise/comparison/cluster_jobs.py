@@ -72,9 +72,8 @@ class ClusterJobs(Generic[Job]):
                 if worker in self._running:
                     self._running.pop(worker).cancel()
                 self.report_loss(worker, "it has left the cluster")
-            for worker, device in self._workers.devices.items():
-                if worker not in self._running and (job := self._dealer.next_job(worker, device)) is not None:
-                    self._running[worker] = self._workers.start(self._begin(worker, job))
+            if self._workers.is_connected:
+                self._start_idle_workers()
             show(f"{len(self._running)} of {len(self._workers.devices)} workers are rendering")
             self._workers.wait(self._running.values(), _WAIT_S)
         done = []
@@ -83,6 +82,11 @@ class ClusterJobs(Generic[Job]):
             if result is not None:
                 done.append((worker, self._dealer.in_progress[worker], result))
         return done
+
+    def _start_idle_workers(self) -> None:
+        for worker, device in self._workers.devices.items():
+            if worker not in self._running and (job := self._dealer.next_job(worker, device)) is not None:
+                self._running[worker] = self._workers.start(self._begin(worker, job))
 
     def accept(self, worker: str) -> None:
         """The result of the worker's job is sound."""
@@ -110,6 +114,7 @@ class ClusterJobs(Generic[Job]):
         except UserError as error:
             raise UserError(f"{self._dealer.in_progress[worker].title}, worker {worker}: {error}") from error
         except Exception as error:  # whatever Dask or the installation of the worker raises
-            self._workers.refuse(worker, first_line(error))
-            self.report_loss(worker, "it has failed")
+            if self._workers.is_connected:
+                self._workers.refuse(worker, first_line(error))
+            self.report_loss(worker, "it has failed" if self._workers.is_connected else "there is no connection to it")
         return None

@@ -53,6 +53,10 @@ class ClusterWorkers:
         self._required_device: str | None = None
         self._next_poll = 0.0
 
+    @property
+    def is_connected(self) -> bool:
+        return self.cluster.client.status == "running"
+
     def start(self, coroutine: Coroutine) -> Future:
         """Run a coroutine in the thread of Dask's client."""
         return asyncio.run_coroutine_threadsafe(coroutine, self.cluster.client.loop.asyncio_loop)
@@ -124,7 +128,7 @@ class ClusterWorkers:
         """
         client = self.cluster.client
         with suppress(OSError):
-            if client.status == "running":
+            if self.is_connected:
                 workers = client.sync(client.scheduler.identity)["workers"]
                 self._list = {name: each for name, each in workers.items() if each["status"] in ("running", "init")}
         if client.status not in ("running", "connecting"):
