@@ -34,16 +34,28 @@ def make(directory, **more):
     return folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def no_plots_of_scenes():
+    """Reports have the poster's figures only; test_compare_report.py tests the others, which take most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("isonoise.comparison.plots.METRICS", ())
+        patch.setattr("isonoise.comparison.report._map_grids", lambda results, summary, scene: {})
+        yield
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    directory = make(tmp_path_factory.mktemp("poster") / "out")
-    write_report(directory)
-    return directory
+    return make(tmp_path_factory.mktemp("poster") / "out")
 
 
 @pytest.fixture(scope="module")
-def figures(folder):
-    return poster_figures(Results(folder), summarise(folder))
+def summary(folder):
+    return write_report(folder)
+
+
+@pytest.fixture(scope="module")
+def figures(folder, summary):
+    return poster_figures(Results(folder), summary)
 
 
 def runs_of(folder, scene, spec):
@@ -102,11 +114,11 @@ def test_a_single_run_has_its_own_numbers(folder, figures):
     )
 
 
-def test_the_map_of_equal_errors_is_simulated(folder, figures):
+def test_the_map_of_equal_errors_is_simulated(figures, summary):
     """Quantiles of 2,000 simulated pixels: p50 within 5 standard errors (1.5 %), p99/p50 within 4 (3 % each)."""
     row = figures[2].rows[0]
     ideal = row.grid.maps[-1].values
-    rows = {row["strategy"]: row for row in summarise(folder)["scenes"][2]["rows"]}
+    rows = {row["strategy"]: row for row in summary["scenes"][2]["rows"]}
     assert len(row.grid.maps) == len(figures[2].design.panels) + 1
     assert np.median(ideal) == pytest.approx(rows[DEFAULT_STRATEGY]["rms"]["p50"], rel=0.075)
     assert np.quantile(ideal, 0.99) / np.median(ideal) == pytest.approx(ideal_uniformity(8), rel=0.12)
@@ -114,6 +126,7 @@ def test_the_map_of_equal_errors_is_simulated(folder, figures):
     assert row.captions[-1][-1] == "p99/p50 1.65"
 
 
+@pytest.mark.usefixtures("summary")
 def test_figures_are_written_and_shown(folder):
     from PIL import Image
 
@@ -145,13 +158,12 @@ def test_missing_runs_are_named(tmp_path):
     shutil.rmtree(folder / "runs" / "penumbra")
     (folder / "runs" / "cornell" / "tsallis" / "1.npz").unlink()
     (folder / "runs" / "cornell" / "uniform" / "2.npz").unlink()
-    found = poster_figures(Results(folder), summarise(folder))
+    found = poster_figures(Results(folder), write_report(folder))
     assert [figure.missing for figure in found] == [
         "no run of bright-spots is finished with relative-mean, relative-median:kappa=inf,batch=1",
         "no run of penumbra is finished",
         "no seed of cornell is finished with every strategy",
     ]
-    write_report(folder)
     assert not list((folder / "plots").glob("poster*"))
     page = (folder / "report.html").read_text()
     for figure in found:
