@@ -118,4 +118,5 @@ def one_lane(monkeypatch):
     from isonoise.device.form import FORMS
     from isonoise.device.opencl import Device
 
-    monkeypatch.setattr(Device, "form", FORMS["cpu"])
+    # other programs stay those of the default form, which most tests share
+    monkeypatch.setattr(Device, "form", FORMS["lanes"]._replace(lanes=1, shade_lanes=1))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from isonoise import renderer
+from isonoise.integrator import set_up
 from isonoise.integrator.features import features
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.statistics import BASIC_NEEDS
@@ -17,12 +17,12 @@ def share_programs(*feature_sets: tuple[str, ...]):
     """Returns a fixture: renders of scenes that use only features of one of the sets have all features of the set.
 
     Other scenes keep their own programs. Features that a scene does not use change no bit of its image:
-    tests/test_features.py. Only scenes for `volpath` get VOLPATH, MEDIA and HETEROGENEOUS.
+    tests/test_features.py. Only scenes for `volpath` get VOLPATH, MEDIA and HETEROGENEOUS. Each keeps its sampler.
     """
 
     def create(device, scene, bvh, needs=BASIC_NEEDS, seed=0, pool_size=None, **options):
         chosen = features(scene, needs)
-        used = {name for name, on in chosen.items() if on}
+        used = {name for name, on in chosen.items() if on} - {"SOBOL", "NET_MEANS"}
         for feature_set in feature_sets:
             if used <= {*feature_set}:
                 volpath = ("VOLPATH", "MEDIA", "HETEROGENEOUS")
@@ -32,6 +32,6 @@ def share_programs(*feature_sets: tuple[str, ...]):
 
     @pytest.fixture(autouse=True)
     def shared_programs(monkeypatch):
-        monkeypatch.setattr(renderer, "Wavefront", create)
+        monkeypatch.setattr(set_up, "Wavefront", create)
 
     return shared_programs

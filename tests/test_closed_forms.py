@@ -18,7 +18,7 @@ import isonoise
 from isonoise.luminance import luminance
 from isonoise.selftest.scenes import area_light, diffuse, look_at, rgb, transform
 
-shared_programs = share_programs((*SHAPES, *LIGHTS, "DIFFUSE", "TWOSIDED"))
+shared_programs = share_programs((*SHAPES, *LIGHTS, "DIFFUSE", "DIELECTRIC", "TWOSIDED"))
 
 Z = 5.2
 ROUNDING = 1e-5

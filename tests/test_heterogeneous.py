@@ -11,7 +11,7 @@ from shared_programs import share_programs
 import isonoise
 
 pytestmark = pytest.mark.long  # they compile programs of their own
-shared_programs = share_programs((*PLAIN, "HETEROGENEOUS"), (*PLAIN, "HETEROGENEOUS", "SOBOL"))
+shared_programs = share_programs((*PLAIN, "HETEROGENEOUS"))
 
 BOX = transform(x=-2, y=-2, scale=(4.0, 4.0, 2.0))  # the unit cube becomes [-2, 2]^2 x [0, 2]
 SHELL = {"type": "cube", "to_world": transform(z=1.0, scale=(2.0, 2.0, 1.0)), "bsdf": NULL}

@@ -11,7 +11,6 @@ import small_files
 
 import isonoise
 
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(isonoise.__file__).parents[1])}
 HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex", "dask", "distributed"}
 SHARED = {
     f"isonoise.strategies.{name}"
@@ -60,7 +59,8 @@ main(sys.argv[1:])
 def python(code: str, *arguments) -> str:
     """The last line that a Python process prints."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT)
+    environment = os.environ | {"PYTHONPATH": str(Path(isonoise.__file__).parents[1])}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()[-1]
 

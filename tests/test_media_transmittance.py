@@ -30,7 +30,7 @@ SHEETS_AND_LAMP = (
     *("DIFFUSE", "NULL", "DIELECTRIC", "THIN_DIELECTRIC", "MASK", "BLEND", "BUMP"),
     *("POINT_LIGHTS", "AREA_LIGHTS", "PARALLELOGRAM_LIGHTS", "MANY_LIGHTS", "NEXT_EVENT"),
 )
-shared_programs = share_programs(PLAIN, SHEETS_AND_LAMP)
+shared_programs = share_programs(SHEETS_AND_LAMP, PLAIN)
 
 THIN, FOG = 2.0**-20, medium(0.25)
 LAYERS = {  # (shapes, optical depth)
@@ -143,15 +143,21 @@ def test_path_casts_full_shadows_of_masks():
     assert (radiance(sheets([HALF], "path"))[0] == 0).all()
 
 
-@pytest.mark.usefixtures("one_lane")
-def test_what_is_seen_through_sheets_is_seen_in_full():
-    """A lamp behind a mask of opacity 1/4, at max_depth 1: passing through is no bounce in `volpath`, but in `path` it
-    is. The mask itself is black because it is lit from behind."""
+def lamp_behind_a_sheet(integrator: str) -> dict:
+    """A lamp behind a mask of opacity 1/4, which is black because it is lit from behind; max_depth 1."""
     lamp = {"type": "rectangle", "to_world": transform(z=2.0) @ np.diag([1, 1, -1, 1]), "emitter": {"type": "area"}}
     scene = sheets([HALF | {"opacity": 0.25}]) | {"lamp": lamp}
     del scene["floor"]
-    scene["sensor"] = one_ray((0.21, 0.12, 0.1), (0.21, 0.12, 1.0))
-    scene["integrator"] = {"type": "volpath", "max_depth": 1}
-    seen, error = radiance(scene, spp=4096)
+    sensor = one_ray((0.21, 0.12, 0.1), (0.21, 0.12, 1.0))
+    return scene | {"sensor": sensor, "integrator": {"type": integrator, "max_depth": 1}}
+
+
+def test_what_is_seen_through_sheets_is_seen_in_full():
+    """Passing through is no bounce in `volpath`."""
+    seen, error = radiance(lamp_behind_a_sheet("volpath"), spp=4096)
     assert seen == pytest.approx([0.75] * 3, rel=5 * error)
-    assert radiance(scene | {"integrator": {"type": "path", "max_depth": 1}}, spp=64)[0].max() == 0
+
+
+@pytest.mark.usefixtures("one_lane")
+def test_path_counts_sheets_as_bounces():
+    assert radiance(lamp_behind_a_sheet("path"), spp=64)[0].max() == 0
