@@ -1,5 +1,7 @@
 """The check of a driver by the kernels of a render: correct kernels pass, broken ones are refused."""
 
+import functools
+
 import numpy as np
 import pytest
 from kernel_faults import source_with_fault
@@ -11,9 +13,11 @@ from isonoise.device.opencl import Device
 from isonoise.errors import DeviceError
 from isonoise.integrator import driver_check, stages
 from isonoise.integrator.check_scene import SIDE, check_scenes
+from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.renderer import Renderer
 from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS
 from isonoise.strategies import make_strategy
 
@@ -50,6 +54,7 @@ FAULTS = {
 }
 
 
+CHECK_SCENES = 11
 LONG_FAULTS = {"wrong squares", "rejected samples", "a wrong distance", "a dead vector lane"}
 
 
@@ -74,16 +79,27 @@ def break_kernels(monkeypatch, fault: str) -> None:
     monkeypatch.setattr(program, "kernel_source", source_with_fault(*FAULTS[fault][:3]))
 
 
+def check_scene(number: int) -> CompiledScene:
+    return list(check_scenes())[number].compile(1, "independent", has_filter=False, hide_emitters=False)
+
+
+@functools.cache
+def features_of_all_check_scenes() -> dict[str, bool]:
+    sets = [features(check_scene(number), BASIC_NEEDS) for number in range(CHECK_SCENES)]
+    return {name: any(on[name] for on in sets) or name == "MANY_LIGHTS" for name in FEATURES}
+
+
 @pytest.mark.usefixtures("one_lane")
-@pytest.mark.parametrize("number", range(11))
-def test_check_scenes_have_their_closed_form(number):
-    """The images of all check scenes, by kernels with no feature more than they need."""
-    check = list(check_scenes())[number]
-    scene = check.compile(1, "independent", has_filter=False, hide_emitters=False)
-    wavefront = Wavefront(Device(), scene, build_scene_bvh(scene), BASIC_NEEDS, seed=2)
+@pytest.mark.parametrize("has_more", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("number", range(CHECK_SCENES))
+def test_check_scenes_have_their_closed_form(number, has_more):
+    """The images of all check scenes, by kernels with the features of all, and by such with no more than they need."""
+    scene = check_scene(number)
+    override = features_of_all_check_scenes() if has_more else None
+    wavefront = Wavefront(Device(), scene, build_scene_bvh(scene), BASIC_NEEDS, seed=2, feature_override=override)
     wavefront.trace(np.full((SIDE, SIDE), 64, np.uint32))
     statistics = wavefront.accumulator.statistics(scene.radiance_scale)
-    image = check.image()
+    image = list(check_scenes())[number].image()
     deviation = np.abs((statistics.mean - image).mean())
     assert deviation < 6 * np.sqrt((statistics.variance / 64).sum()) / image.size + 1e-4 * image.mean()
 

@@ -5,6 +5,7 @@ Tolerance: the device rounds an error to a bin, by 0.4 % at most if all pixels h
 
 import numpy as np
 import pytest
+from small_scene import lamp_over_floor
 from synthetic_statistics import make_statistics, statistics_of_samples
 
 from isonoise import Renderer
@@ -75,7 +76,7 @@ def test_work_groups_of_any_size_write_the_same_bits(device):
 
 @pytest.mark.parametrize("sampler", ["sobol", "independent"])
 def test_a_render_has_the_errors_of_its_statistics(sampler):
-    renderer = Renderer("bright-spots", size=(90, 70), sampler=sampler)
+    renderer = Renderer("cornell", size=(90, 70), sampler=sampler)
     for _ in range(3):
         renderer.step()
         statistics = renderer.statistics()
@@ -85,7 +86,9 @@ def test_a_render_has_the_errors_of_its_statistics(sampler):
 
 
 def test_a_black_image_has_no_scale():
-    renderer = Renderer({"type": "scene", "sensor": {"type": "perspective"}, "ball": {"type": "sphere"}}, size=(8, 8))
+    scene = lamp_over_floor()
+    scene["sensor"]["to_world"][:3, :3] = np.eye(3)  # looks away
+    renderer = Renderer(scene, size=(8, 8))
     assert renderer.error_distribution(0.0).quantiles([0.5]).tolist() == [np.inf]  # no sample yet
     renderer.step()
     assert renderer.error_distribution(0.0).quantiles([0.5]).tolist() == [0.0]

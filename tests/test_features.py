@@ -84,6 +84,7 @@ def test_the_rows_cover_every_pair_of_features():
     assert missing <= found
 
 
+@pytest.mark.long
 def test_no_features_run(device, monkeypatch, tmp_path):
     assert_runs_as_specialised(device, monkeypatch, only(), tmp_path)
 

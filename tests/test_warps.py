@@ -5,6 +5,7 @@ must receive its exact share of the density that the map states, and its image m
 map, add a row to `WARPS`.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -21,9 +22,7 @@ GRID = 512  # cells of the fine grid along each axis
 STRATA = 16
 LAST = 1 - 2.0**-24  # largest random number
 KERNEL = """
-#include "path/path_state.h"
-#include "%(header)s"
-__kernel void warp(%(parameters)s __global const float* numbers, __global float* out, uint n)
+__kernel void %(name)s(%(parameters)s __global const float* numbers, __global float* out, uint n)
 {
     const uint i = get_global_id(0);
     if (i >= n) return;
@@ -109,14 +108,25 @@ WARPS = {
 }
 
 
-class WarpKernel:
-    """Runs a map."""
-
-    def __init__(self, warp: Warp):
-        self.device, self.warp = Device(), warp
+def build_warps(device: Device, warps: Sequence[Warp], **constants) -> list:
+    """Kernels of these maps, in one program: to compile one for each takes much longer."""
+    headers = dict.fromkeys(["path/path_state.h", *(warp.header for warp in warps)])
+    kernels = []
+    for number, warp in enumerate(warps):
         parameters = "".join(f"__global const float* array{i}, " for i in range(len(warp.arrays)))
-        text = KERNEL % {"header": warp.header, "parameters": parameters, "code": warp.code}
-        self.kernel = build_kernels(self.device, text, warp.features.split())["warp"]
+        kernels.append(KERNEL % {"name": f"warp{number}", "parameters": parameters, "code": warp.code})
+    text = "\n".join([*(f'#include "{header}"' for header in headers), *kernels])
+    features = sorted({name for warp in warps for name in warp.features.split()})
+    built = build_kernels(device, text, features, **constants)
+    return [built[f"warp{number}"] for number in range(len(warps))]
+
+
+class WarpKernel:
+    """Runs a map, by a kernel of `build_warps` if one is given."""
+
+    def __init__(self, warp: Warp, kernel=None):
+        self.device, self.warp = Device(), warp
+        self.kernel = kernel or build_warps(self.device, [warp])[0]
         self.buffers = [self.device.buffer(array, "an array") for array in warp.arrays]
 
     def run(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -130,8 +140,13 @@ class WarpKernel:
 
 
 @cache
+def all_warps() -> dict:
+    return dict(zip(WARPS, build_warps(Device(), list(WARPS.values())), strict=True))
+
+
+@cache
 def warp_kernel(name: str) -> WarpKernel:
-    return WarpKernel(WARPS[name])
+    return WarpKernel(WARPS[name], all_warps()[name])
 
 
 def grid(steps: np.ndarray) -> np.ndarray:
@@ -282,13 +297,9 @@ def test_environment_map_in_float64(sun):
 
 def test_lanes_find_the_same_positions():
     """Many searches at once, as `shade` makes them, against one by one: the same bits."""
-    warp, lanes = environment_map(), 32
-    text = KERNEL % {
-        "header": warp.header,
-        "parameters": "".join(f"__global const float* array{i}, " for i in range(4)),
-        "code": warp.code.split("envmap_sample")[0]
-        + """
-    if (i %% LANES != 0u) return;
+    lanes = 32
+    code = """
+    if (i % LANES != 0u) return;
     float x[LANES], y[LANES];
     for (uint k = 0u; k < LANES; ++k) { x[k] = numbers[2u * (i + k)]; y[k] = numbers[2u * (i + k) + 1u]; }
     envmap_positions(&map, x, y, LANES);
@@ -296,10 +307,11 @@ def test_lanes_find_the_same_positions():
         const Vec2 alone = envmap_position(&map, vec2(numbers[2u * (i + k)], numbers[2u * (i + k) + 1u]));
         out[4u * (i + k)] = as_uint(x[k]) == as_uint(alone.x) && as_uint(y[k]) == as_uint(alone.y) ? 1.0f : 0.0f;
     }
-    return;""".replace("%%", "%"),
-    }
+    return;"""
+    warp = environment_map()
+    warp = warp._replace(code=warp.code.split("envmap_sample")[0] + code)
     device, n = Device(), 1 << 12
-    kernel = build_kernels(device, text, warp.features.split(), LANES=lanes)["warp"]
+    (kernel,) = build_warps(device, [warp], LANES=lanes)
     numbers = np.random.default_rng(4).random((n, 2), dtype=np.float32)
     buffers = [device.buffer(array, "an array") for array in (*warp.arrays, numbers)]
     out = device.buffer(16 * n, "results")
