@@ -13,7 +13,7 @@ import numpy as np
 from isonoise.device.opencl import Device
 from isonoise.device.precompile import OnCompile
 from isonoise.distributed.dealer import Assignment, Dealer
-from isonoise.distributed.shards import Shards
+from isonoise.distributed.shards import BLOCK_SIZE, Shards
 from isonoise.distributed.task import Task, TaskResult
 from isonoise.distributed.worker_pool import Finished, Lost, WorkerPool
 from isonoise.distributed.worker_report import WorkerReport, WorkerTally
@@ -194,10 +194,15 @@ class DistributedWavefront:
 
 
 def _gather(planes: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """`planes[:, pixels]`. Plane by plane it takes half the time: 12 ms instead of 24 for 22 MB."""
+    """`planes[:, pixels]`. Plane by plane, and by rows of blocks: 5 ms instead of 24 for 22 MB."""
     result = np.empty((len(planes), len(pixels)), planes.dtype)
-    for plane, row in zip(planes, result, strict=True):
-        np.take(plane, pixels, out=row, mode="clip")  # with mode="raise" it fills a copy of `out`
+    firsts, length = pixels[::BLOCK_SIZE], 1
+    if planes.shape[1] % BLOCK_SIZE == len(pixels) % BLOCK_SIZE == 0 and not (firsts % BLOCK_SIZE).any():
+        rows = firsts[:, None] + np.arange(BLOCK_SIZE)
+        length = BLOCK_SIZE if np.array_equal(rows.ravel(), pixels) else 1
+    item, index = np.dtype((np.void, length * planes.itemsize)), pixels[::length] // length
+    for plane, out in zip(planes, result, strict=True):
+        np.take(plane.view(item), index, out=out.view(item), mode="clip")  # with mode="raise" it fills a copy of `out`
     return result
 
 
