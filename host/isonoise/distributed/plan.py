@@ -7,8 +7,11 @@ from dataclasses import dataclass, field
 
 TASK_S = 0.5
 """Time that a task is meant to take in the middle of a wave."""
-MAX_TASK_SHARE = 1 / 3
-"""A task is at most this share of what is left for its worker: as speeds change, not all can be planned ahead."""
+STEADY_TASK_SHARE, TASK_SHARE = 1 / 2, 1 / 3
+"""A task is at most this share of what is left for its worker, if its speed is steady and if not: as speeds change, not
+all can be planned ahead."""
+STEADY = 1.25
+"""A speed is steady if that of the fastest of the last tasks is at most so many times that of the slowest."""
 MIN_TASK_S = 0.05
 """No task is meant to be shorter than this, unless less is left. Each takes some milliseconds beside its samples."""
 CLIENT_TASK_S = 0.005
@@ -69,6 +72,8 @@ class WorkerRecord:
         Samples per second, as the client sees them; None before the first finished task.
     tracing_speed : float
         Samples per second without the time for which the worker waits for the client.
+    task_share : float
+        Share of what is left for the worker that its next task may be.
     """
 
     tasks: deque[DealtTask] = field(default_factory=deque)
@@ -76,6 +81,7 @@ class WorkerRecord:
     last_report_s: float = 0.0
     speed: float | None = None
     tracing_speed: float = 0.0
+    task_share: float = TASK_SHARE
     _measured: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=SPEED_TASKS))
 
     def measure(self, samples: int, seconds: float, worker_seconds: float) -> None:
@@ -86,6 +92,9 @@ class WorkerRecord:
         self.reported += 1
         total_samples, total_s, total_worker_s = map(sum, zip(*self._measured, strict=True))
         self.speed, self.tracing_speed = total_samples / total_s, total_samples / total_worker_s
+        rates = [samples / seconds for samples, seconds, _ in self._measured]
+        is_steady = len(rates) == SPEED_TASKS and max(rates) <= STEADY * min(rates)
+        self.task_share = STEADY_TASK_SHARE if is_steady else TASK_SHARE
 
     @property
     def planned_speed(self) -> float | None:
@@ -107,7 +116,7 @@ class Plan:
         wave_samples: int,
         waiting_samples: int,
     ):
-        self.now = now
+        self.now, self._workers = now, workers
         self.waiting_samples = waiting_samples
         speeds = {name: workers[name].planned_speed for name in ready}
         self.measured = [name for name, speed in speeds.items() if speed is not None]
@@ -151,7 +160,8 @@ class Plan:
             return is_idle * (useful if self.waiting_samples > 1.5 * useful else self.waiting_samples)
         least = max(MIN_TASK_S * self.speeds[name], useful)
         most = self._max_task_s * self.speeds[name]
-        return min(max(MAX_TASK_SHARE * part, least), most) if part >= 1.5 * least else part
+        share = self._workers[name].task_share
+        return min(max(share * part, least), most) if part >= 1.5 * least else part
 
     def is_useful(self, name: str) -> bool:
         """Whether the client can keep a worker busy that has not been measured, beside those that are used already."""
