@@ -157,7 +157,7 @@ class Dealer:
         else:
             budget, limit = plan.task_samples(name), plan.max_samples(name, smallest)
             limit = max(limit, budget)
-            if largest > 2 * budget and largest <= plan.max_samples(name, largest):
+            if largest > 2 * budget > 0 and largest <= plan.max_samples(name, largest):
                 budget = limit = largest  # what takes long begins first
         if budget <= 0 or smallest > limit:
             return []
