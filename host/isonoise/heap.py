@@ -1,4 +1,4 @@
-"""Keeps freed memory in the process. Called by the command line, not by the library."""
+"""Keeps freed memory in the process. Called by the command line and by workers, not by the library."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt(3)
 _MAX_ARRAY_BYTES = 32 * 2**20  # the largest value that glibc takes

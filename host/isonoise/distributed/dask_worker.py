@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from isonoise import __version__
 from isonoise.distributed.packing import pack_result, unpack_scene, unpack_task
+from isonoise.heap import keep_freed_memory
 from isonoise.statistics import Needs
 
 _tracing = threading.Lock()
@@ -57,6 +58,7 @@ class TracerActor:
     """A scene on the device of a worker. `scene` is what `pack_scene` has packed."""
 
     def __init__(self, scene: bytes, is_compressed: bool, settings: TracerSettings, device: DeviceChoice):
+        keep_freed_memory()
         with _tracing:
             self._tracer = settings.make_tracer(device, unpack_scene(scene, is_compressed))
         self._stops = 0

@@ -103,6 +103,7 @@ def _pack(values: dict[str, object], arrays: Mapping[str, np.ndarray], compress:
         planes = [_pack_plane(plane, compress, parts) for plane in np.ascontiguousarray(array).view(np.uint32)]
         table.append([name, array.dtype.str, planes])
     description = json.dumps(values | {"pixels": pixels, "arrays": table}).encode()
+    description += b" " * (-len(description) % 4)  # aligns the planes
     check = 1 if compress else _UNCHECKED
     for part in (description, *parts) if compress else ():
         check = zlib.adler32(part, check)
@@ -166,6 +167,9 @@ class _Reader:
 def _unpack_array(reader: _Reader, dtype: str, planes: list, pixels: int) -> np.ndarray:
     if len(planes) > _MAX_PLANES:
         raise ValueError(f"it has {len(planes)} planes")
+    if planes == [[_PLAIN]] * len(planes):
+        content = reader.read(4 * pixels * len(planes))
+        return np.frombuffer(content, _TYPES[dtype]).reshape(len(planes), pixels)  # without a copy
     array = np.empty((len(planes), pixels), np.uint32)
     for plane, (kind, *rest) in zip(array, planes, strict=True):
         if kind == _CONSTANT:
