@@ -39,6 +39,7 @@ NEEDS = {  # feature -> features that a scene with it always has
     "LIGHT_LIST": {"NEXT_EVENT", "MANY_LIGHTS"},
     "BATCH_MEANS": {"CHUNK_MEDIANS"},
 }
+PARTS = 8
 AREA_LIGHTS = tuple(kind.feature for kind in LIGHT_KINDS.values() if kind.is_area)
 LIGHTS = (*(kind.feature for kind in LIGHT_KINDS.values() if not kind.is_area), *AREA_LIGHTS)
 NON_DELTA = tuple(feature_of(kind) for kind in BSDF_KINDS.values() if kind.scatters and not kind.is_delta)
@@ -169,6 +170,11 @@ def _random_row(fixed: dict[str, bool], names: list[str], rng: random.Random) ->
         if rng.random() < 0.45 and not more & off:
             on = more
     return {name: name in on for name in FEATURES}
+
+
+def part_of_rows(number: int) -> list[dict[str, bool]]:
+    """One of `PARTS` lists of covering rows, which take a second to find: too long for the collection of the tests."""
+    return covering_rows()[number::PARTS]
 
 
 def needs_of(features: dict[str, bool]) -> Needs:

@@ -3,7 +3,18 @@
 from pathlib import Path
 
 import pytest
-from feature_sets import all_but, covering_rows, is_closed, needs_of, only, pairs_of, possible_pairs, scene_with
+from feature_sets import (
+    PARTS,
+    all_but,
+    covering_rows,
+    is_closed,
+    needs_of,
+    only,
+    pairs_of,
+    part_of_rows,
+    possible_pairs,
+    scene_with,
+)
 from small_scene import assert_same_bits
 
 from isonoise.device.form import FORMS
@@ -120,9 +131,10 @@ def test_each_feature_runs_alone(device, monkeypatch, tmp_path, name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", range(len(covering_rows())))
+@pytest.mark.parametrize("number", range(PARTS))
 def test_every_pair_of_features_runs(device, monkeypatch, tmp_path, number):
-    assert_runs_as_specialised(device, monkeypatch, covering_rows()[number], tmp_path)
+    for row in part_of_rows(number):
+        assert_runs_as_specialised(device, monkeypatch, row, tmp_path)
 
 
 @pytest.mark.long

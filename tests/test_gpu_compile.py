@@ -1,7 +1,7 @@
 """The form for GPUs without a GPU: compilers for NVIDIA and AMD accept every kernel, and no kernel uses too much."""
 
 import pytest
-from feature_sets import covering_rows, needs_of
+from feature_sets import PARTS, needs_of, part_of_rows
 from gpu_compile import (
     TARGETS,
     MissingCompilerError,
@@ -57,14 +57,14 @@ def test_kernels_of_built_in_scenes_fit_the_registers(target, scene):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("row", range(len(covering_rows())))
+@pytest.mark.parametrize("number", range(PARTS))
 @pytest.mark.parametrize("target", TARGETS)
-def test_every_pair_of_features_compiles(target, row):
-    on = covering_rows()[row]
+def test_every_pair_of_features_compiles(target, number):
     limits, max_spills = MAX_REGISTERS_OF_ALL_FEATURES[target], MAX_SPILLS_OF_ALL_FEATURES[target]
-    usages = compiled(target, on, needs_of(on))
-    assert {kernel: usage for kernel, usage in usages.items() if usage.spills > max_spills} == {}
-    assert {kernel: usage for kernel, usage in usages.items() if usage.registers > limits.get(kernel, 128)} == {}
+    for on in part_of_rows(number):
+        usages = compiled(target, on, needs_of(on))
+        assert {kernel: usage for kernel, usage in usages.items() if usage.spills > max_spills} == {}
+        assert {kernel: usage for kernel, usage in usages.items() if usage.registers > limits.get(kernel, 128)} == {}
 
 
 def test_the_log_of_ptxas_is_read():

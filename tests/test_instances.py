@@ -5,6 +5,7 @@ import pytest
 import references
 from instance_scenes import FLAT_SHAPES, ROUND_SHAPES, flattened, icosphere, make_transform, with_instances
 from scalar_mitsuba import assert_same_picture
+from shared_programs import share_programs
 
 from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
@@ -13,6 +14,14 @@ from isonoise.integrator.wavefront import Wavefront
 from isonoise.loop import render
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.accel.build import build_scene_bvh
+
+shared_programs = share_programs(
+    (
+        *("TRIANGLES", "ANALYTICS", "DISKS", "INSTANCES", "UVS", "TEXTURES", "CHECKERBOARDS"),
+        *("DIFFUSE", "ROUGH_CONDUCTOR", "BECKMANN", "TWOSIDED"),
+        *("AREA_LIGHTS", "PARALLELOGRAM_LIGHTS", "CONSTANT_LIGHT", "MANY_LIGHTS", "NEXT_EVENT"),
+    )
+)
 
 
 def lamp_and_floor(**more) -> dict:

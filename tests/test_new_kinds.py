@@ -150,17 +150,17 @@ def add_kind(folder: Path, edits: list[tuple[str, str, str]]) -> None:
         path.write_text(text)
 
 
-def run(folder: Path, lines: str) -> None:
-    """Runs Python with the copied package, once as it is and once with one path a work-item."""
-    for form in ("", "cpu"):
-        script = f"import isonoise, numpy\nassert isonoise.__file__.startswith({str(folder)!r})\n{lines}"
-        environment = os.environ | {"PYTHONPATH": str(folder), FORM_VARIABLE: form}
-        done = subprocess.run(
-            [sys.executable, "-c", script], cwd=folder, env=environment, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
+def run(folder: Path, lines: str, form: str) -> None:
+    """Runs Python with the copied package."""
+    script = f"import isonoise, numpy\nassert isonoise.__file__.startswith({str(folder)!r})\n{lines}"
+    environment = os.environ | {"PYTHONPATH": str(folder), FORM_VARIABLE: form}
+    done = subprocess.run([sys.executable, "-c", script], cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize(
+    "form", [pytest.param("", id="default"), pytest.param("cpu", id="one path a work-item", marks=pytest.mark.long)]
+)
 @pytest.mark.parametrize(
     ("edits", "scene"),
     [
@@ -184,11 +184,11 @@ def run(folder: Path, lines: str) -> None:
         ),
     ],
 )
-def test_a_new_kind_takes_a_header_a_row_and_a_plugin(tmp_path, edits, scene):
+def test_a_new_kind_takes_a_header_a_row_and_a_plugin(tmp_path, edits, scene, form):
     assert len(edits) + 1 <= MAX_EDITS
     assert len({file for file, _, _ in edits}) + 1 <= MAX_FILES
     add_kind(tmp_path, edits)
-    run(tmp_path, scene)
+    run(tmp_path, scene, form)
 
 
 def test_plugins_and_rows_belong_together():

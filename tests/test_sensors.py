@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from planes import read_rows
 from scalar_mitsuba import as_mitsuba, assert_same_picture, import_mitsuba
+from small_scene import lamp_over_floor
 from test_random import philox_4x32
 
 from isonoise.device.opencl import Device
@@ -131,7 +132,7 @@ def test_rays_stay_finite(radius, focus):
     origins, directions = generate_rays(scene_with(sensor, {"width": 16, "height": 16}))
     assert np.isfinite(origins).all()
     assert np.linalg.norm(directions[..., :3], axis=-1) == pytest.approx(1, abs=1e-6)
-    statistics = render({**balls_and_wall(sensor), "integrator": {"type": "path", "max_depth": 3}}, spp=4).statistics
+    statistics = render(lamp_over_floor() | {"sensor": sensor}, spp=4, size=(96, 72)).statistics
     assert not statistics.rejected.any()
     assert np.isfinite(statistics.rgb).all()
 

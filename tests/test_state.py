@@ -108,14 +108,17 @@ def test_other_settings_are_refused_by_name(options, message):
 
 
 def test_a_changed_file_is_named(tmp_path):
-    text = '<scene version="3.0.0"><sensor type="perspective"/><shape type="obj">'
-    text += '<string name="filename" value="m.obj"/></shape></scene>'
+    text = (
+        '<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm"><rfilter type="box"/></film></sensor>'
+    )
+    text += '<shape type="rectangle"><emitter type="area"/></shape><shape type="obj">'
+    text += '<boolean name="face_normals" value="true"/><string name="filename" value="m.obj"/></shape></scene>'
     mesh = "v 0 0 0\nv 1 0 0\nv 0 1 {z}\nf 1 2 3\n"
     (tmp_path / "scene.xml").write_text(text)
     (tmp_path / "m.obj").write_text(mesh.format(z=0))
 
     def make():
-        return Renderer(str(tmp_path / "scene.xml"), size=(7, 5), max_depth=1, strategy="uniform")
+        return Renderer(str(tmp_path / "scene.xml"), size=(7, 5), strategy="uniform")
 
     state = make().state()
     (tmp_path / "scene.xml").write_text(text + "<!-- no effect -->")
