@@ -121,7 +121,9 @@ def test_commands_without_plots_import_no_heavy_packages(command):
 
 def test_comparisons_import_plots_only_for_the_report():
     code = "import json, sys, isonoise.commands.compare, isonoise.comparison.runner; print(json.dumps([*sys.modules]))"
-    assert set(json.loads(python(code))).isdisjoint({"matplotlib", "jinja2", "mitsuba"})
+    modules = set(json.loads(python(code)))
+    assert modules.isdisjoint({"matplotlib", "jinja2", "mitsuba", "dask", "distributed"})
+    assert not [name for name in modules if name.startswith("isonoise.distributed")]
 
 
 def test_a_render_starts_within_a_second(tmp_path):

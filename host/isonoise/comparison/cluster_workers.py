@@ -6,7 +6,7 @@ Called by `cluster_runs` and by `isonoise compare`.
 import asyncio
 import time
 from collections.abc import Callable, Coroutine
-from concurrent.futures import Future, wait
+from concurrent.futures import CancelledError, Future, wait
 from contextlib import suppress
 
 from isonoise import __version__
@@ -73,6 +73,8 @@ class ClusterWorkers:
             is_complete = len(self.devices) + len(self._refused) >= size or time.monotonic() > deadline
             if self.devices and is_complete and not self._describing:
                 break
+            if size and time.monotonic() > deadline and not self._describing:
+                raise DeviceError(f"no worker process has started within {START_TIMEOUT_S:.0f} s")
             if not (has_warned or size or self._describing or self._refused):
                 has_warned = True
                 self._warn("the cluster has no workers yet; waiting for the first one")
@@ -108,10 +110,11 @@ class ClusterWorkers:
         return gone
 
     def refuse(self, address: str, reason: str) -> None:
-        """Give a worker nothing more."""
-        self._forget(address)
-        self._refused[address] = reason
-        self._warn(f"worker {address} gets no runs: {reason}")
+        """Give a worker nothing more, unless it has failed because it is gone."""
+        if address in self._read_list():
+            self._forget(address)
+            self._refused[address] = reason
+            self._warn(f"worker {address} gets no runs: {reason}")
 
     def wait(self, futures, timeout_s: float) -> None:
         """Wait until one of the futures is done; Ctrl-C ends the wait."""
@@ -141,12 +144,13 @@ class ClusterWorkers:
             self._describing.pop(address).cancel()
 
     def _add(self, address: str, described: Future) -> None:
-        if described.cancelled():
-            return  # the worker is gone, or will be described once more
-        if described.exception() is not None:
-            self.refuse(address, first_line(described.exception()))
+        try:
+            description = described.result()
+        except CancelledError:  # the worker is gone, or will be described once more
             return
-        description = described.result()
+        except Exception as error:
+            self.refuse(address, first_line(error))
+            return
         if description.version != __version__:
             self.refuse(address, f"it has isonoise {description.version}, and this machine {__version__}")
         elif self._required_device not in (None, description.device):
