@@ -9,6 +9,7 @@ import asyncio
 import queue
 import time
 import warnings
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import CancelledError
 from contextlib import asynccontextmanager, suppress
@@ -85,6 +86,7 @@ class DaskPool:
         self._known: dict[str, _KnownWorker] = {}
         self._ready: dict[str, Worker] = {}
         self._refused: dict[str, str] = {}  # worker -> why it cannot render
+        self._interruptions: Counter[str] = Counter()  # of preparations, by worker
         self._submitted: dict[int, _Form] = {}
         self._stops = 0
         self._events: queue.SimpleQueue = queue.SimpleQueue()  # of calls, which `wait` makes
@@ -263,7 +265,16 @@ class DaskPool:
             self._events.put(list)
         except Exception as error:
             if self._client.status == "running":
-                self._refuse(address, _reason(error))
+                self._on_unprepared(address, error)
+
+    def _on_unprepared(self, address: str, error: Exception) -> None:
+        """A worker cannot render, or was killed meanwhile. If it is still there, it is prepared again."""
+        self._interruptions[address] += 1
+        is_interrupted = isinstance(error, OSError | CancelledError)
+        if is_interrupted and self._interruptions[address] < _MAX_FAILURES:
+            self._drop(address, _reason(error))
+        else:
+            self._refuse(address, _reason(error))
 
     @asynccontextmanager
     async def _compilation(self, address: str) -> AsyncIterator[None]:
@@ -283,7 +294,7 @@ class DaskPool:
         )
         answer = answers.get(address)
         if not isinstance(answer, dict):
-            raise DeviceError(f"it does not answer ({answer})")
+            raise OSError(f"no answer: {answer}")
         return answer["packages"].get("isonoise")
 
     async def _make_actor(self, known: _KnownWorker, *arguments) -> None:
