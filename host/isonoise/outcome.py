@@ -30,8 +30,8 @@ class Outcome:
     error_bound : float or None
         Upper confidence bound of the true error at this quantile. None without `Stops.error` or waves.
     client_share : float or None
-        Share of the time, from 0 to 1, in which this process did not wait for workers: it computed maps, statistics and
-        errors, or exchanged tasks. None on one device.
+        Share of the time, from 0 to 1, in which this process did not wait for workers: its main thread computed maps,
+        statistics and errors, or exchanged tasks. None on one device.
     """
 
     reason: str

@@ -5,7 +5,8 @@ state of their pixels goes to the workers and comes back with the samples added.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +80,7 @@ class DistributedWavefront:
     Attributes
     ----------
     waiting_s : float
-        Seconds that `trace` has waited for workers.
+        Seconds that `trace` has waited for workers, or for a core that they were using.
     """
 
     def __init__(
@@ -119,23 +120,29 @@ class DistributedWavefront:
         flat, stopped_s = remaining.reshape(-1), None
         self._dealer.begin_wave(self._shards.sums(remaining))
         sent: dict[int, _Sent] = {}
-        with self.accumulator.mapped_state() as state:
+        with self._measured_waiting(), self.accumulator.mapped_state() as state:
             while not self._dealer.is_done and not self._has_stopped(stopped_s):
                 if stopped_s is None:
                     workers = self._pool.workers()
                     self._tally.update(workers)
                     for assignment in self._dealer.deal([worker.name for worker in workers], time.monotonic()):
                         sent[assignment.number] = self._submit(assignment, flat, state)
-                before = time.perf_counter()
-                events = self._pool.wait(POLL_S)
-                self.waiting_s += time.perf_counter() - before
-                for event in events:
+                for event in self._pool.wait(POLL_S):
                     samples = self._receive(event, sent, flat, state)
                     if samples:
                         on_reduced(samples)
                 if stopped_s is None and not should_continue():
                     stopped_s = time.monotonic()
                     self._pool.stop()
+
+    @contextmanager
+    def _measured_waiting(self) -> Iterator[None]:
+        """Add the time of the `with` block to `waiting_s`, without that in which this thread computes."""
+        start, computing_start = time.perf_counter(), time.thread_time()
+        try:
+            yield
+        finally:
+            self.waiting_s += time.perf_counter() - start - (time.thread_time() - computing_start)
 
     def _has_stopped(self, stopped_s: float | None) -> bool:
         """Whether nothing more is to be waited for after a stop at this time."""
