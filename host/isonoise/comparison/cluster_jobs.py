@@ -95,6 +95,7 @@ class ClusterJobs(Generic[Job]):
     def report_loss(self, worker: str, reason: str) -> None:
         """The worker's job, if it has one, has to be done again. Raises UserError if that has happened too often."""
         self._on_lost(worker)
+        self._workers.look_again()
         job = self._dealer.lost(worker)
         if job is None:
             return

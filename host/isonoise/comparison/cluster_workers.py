@@ -109,6 +109,10 @@ class ClusterWorkers:
             raise DeviceError(f"no worker of the cluster can render: {address}: {reason}")
         return gone
 
+    def look_again(self) -> None:
+        """Let the next `update` read the scheduler's list: a worker may just have gone."""
+        self._next_poll = 0.0
+
     def refuse(self, address: str, reason: str) -> None:
         """Give a worker nothing more, unless it has failed because it is gone."""
         if address in self._read_list():

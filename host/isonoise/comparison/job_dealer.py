@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Iterable
 from itertools import groupby
 from typing import Generic, TypeVar
 
-MAX_LOSSES = 3
+MAX_LOSSES = 5
 """Workers that a job may lose: one that ends its workers, by their memory for example, would end all of them."""
 
 Job = TypeVar("Job", bound=Hashable)
