@@ -14,7 +14,7 @@ from isonoise.loop import render
 from isonoise.scene import compile_scene, load
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.statistics import Needs, Statistics
+from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
 
@@ -54,17 +54,23 @@ def fog() -> dict:
     return scene | {"integrator": {"type": "volpath", "max_depth": 6}}
 
 
+@pytest.mark.parametrize("scene", [lamp_over_floor, nested_triangles])
+def test_the_form_changes_no_bit(monkeypatch, scene):
+    compiled = compile_scene(load(scene()))
+    needs = BASIC_NEEDS.with_sampler(compiled.sampler)
+    first, *others = statistics_of_all_forms(monkeypatch, compiled, needs)
+    assert_sound(first)
+    for other in others:
+        assert_same_bits(first, other)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scene", "strategy"),
-    [
-        (lamp_over_floor, "uniform"),
-        pytest.param(many_kinds, "uniform", marks=pytest.mark.long),
-        (nested_triangles, "uniform"),
-        pytest.param(fog, "relative-median", marks=pytest.mark.long),
-        pytest.param(many_materials, "pooled", marks=pytest.mark.long),
-    ],
+    [(lamp_over_floor, "uniform"), (many_kinds, "uniform"), (fog, "relative-median"), (many_materials, "pooled")],
 )
-def test_the_form_changes_no_bit(monkeypatch, scene, strategy):
+def test_the_form_changes_no_bit_of_a_render(monkeypatch, scene, strategy):
+    """It also estimates errors, whose kernel takes long to compile."""
     renders = []
     for form in FORMS.values():
         monkeypatch.setattr(Device, "form", form)
@@ -84,8 +90,8 @@ def test_the_form_changes_no_bit_with_every_pair_of_features(monkeypatch, tmp_pa
             assert_same_bits(first, other)
 
 
-def statistics_of_all_forms(monkeypatch, scene: CompiledScene, needs: Needs, on) -> Iterator[Statistics]:
-    """Two waves of 16 samples per pixel by kernels with the features `on`, in a pool smaller than a wave."""
+def statistics_of_all_forms(monkeypatch, scene: CompiledScene, needs: Needs, on=None) -> Iterator[Statistics]:
+    """Two waves of 16 samples per pixel by kernels with the features `on`, if given, in a pool smaller than a wave."""
     size = scene.height, scene.width
     for form in FORMS.values():
         monkeypatch.setattr(Device, "form", form)
