@@ -156,6 +156,7 @@ def test_the_scale_brings_the_brightest_emitter_near_one():
         assert 1.0 <= scene.lights["radiance"][0].astype(float) @ MITSUBA_LUMINANCE * (1 + 1e-6) < 2.0 * (1 + 1e-5)
 
 
+@pytest.mark.long
 def test_a_million_emissive_triangles():
     side = 724
     x, y = np.meshgrid(np.arange(side), np.arange(side))
