@@ -185,7 +185,8 @@ def test_an_interrupt_leaves_nothing(monkeypatch, capsys):
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(bench, "copy_gb_per_s", lambda device, repeat: 1.0)  # takes two seconds
+    rate = {"median": 10.0, "min": 9.0, "max": 11.0}
+    monkeypatch.setattr(bench, "copy_gb_per_s", lambda device, repeat: rate)  # takes two seconds
     monkeypatch.setattr(bench, "measure_scene", interrupted)
     assert run_isonoise("bench", "cornell", "--json", "a.json") == 130
     assert os.listdir() == []
