@@ -226,12 +226,12 @@ def test_counted_bytes_of_known_kernels(prepared, profiled):
     }  # fmt: skip
     survivors = paths - new_paths
     assert moved["intersect"] == paths * (16 + 12 + 4 + 16)
-    assert moved["generate"] == new_paths * (4 + 4 + 4 + 4 + 64 + 12)
+    assert moved["generate"] == new_paths * (4 + 4 + 64 + 12)
     assert moved["shade"] == paths * (16 + 64 + 4) + survivors * (16 + 16 + 16 + 8) + shadow_rays * (16 + 16 + 12)
     assert moved["shadow"] == paths * 4 + shadow_rays * (12 + 16 + 4)
     assert moved["count_alive"] == 4 * paths
     assert moved["list_holes"] == 4 * paths
-    assert moved["list_samples"] == 4 * pixels + 4 * prepared.samples
+    assert moved["list_samples"] == pixels * (4 + 4 + 4) + prepared.samples * (4 + 4)
     assert moved["reduce"] == pixels * (4 + 2 * (4 + 4 + 40 + 8)) + 12 * prepared.samples
     assert moved["summarise"] == kernels["summarise"].items * (4 + 40 + 8 + 12 + 8)
     assert "scan_blocks" not in moved
