@@ -241,7 +241,7 @@ def test_a_lost_scheduler_is_an_error():
 @pytest.mark.parametrize(
     ("address", "error", "message"),
     [
-        ("tcp://127.0.0.1:1", DeviceError, "no Dask scheduler answers .*Connection refused"),
+        ("tcp://127.0.0.1:1", DeviceError, "no Dask scheduler answers at"),
         ("nonsense", UserError, "port"),
         pytest.param("ftp://127.0.0.1:1", UserError, "scheme", marks=pytest.mark.long),
         pytest.param("tls://127.0.0.1:1", UserError, "distributed.comm.tls", marks=pytest.mark.long),
