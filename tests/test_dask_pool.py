@@ -129,7 +129,7 @@ def test_every_task_is_reported_once_with_its_result(direct, make_pool):
         pool.submit(names[number % 2], task(number))
     events = wait_for(pool, 20)
     for worker in names:
-        numbers = [event.result.number for event in events if event.worker == worker]
+        numbers = sorted(event.result.number for event in events if event.worker == worker)
         assert numbers == [number for number in range(20) if names[number % 2] == worker]
     for event in events:
         np.testing.assert_array_equal(event.result.state["count"], task(event.result.number).state["count"] + 2)

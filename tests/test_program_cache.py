@@ -69,7 +69,7 @@ def roots(options=OPTIONS) -> bytes:
 
 
 def roots_in_new_process(monkeypatch, folder) -> bytes:
-    opencl._store_programs()
+    opencl.store_programs()
     forget_programs(monkeypatch, folder)
     return roots()
 
@@ -84,7 +84,7 @@ def test_a_cached_program_gives_the_same_bits(folder, compiled, monkeypatch):
 @pytest.mark.parametrize("damage", ["empty", "cut off", "one bit", "foreign", "no program", "a folder"])
 def test_a_damaged_file_is_replaced(folder, compiled, monkeypatch, damage):
     first = roots()
-    opencl._store_programs()
+    opencl.store_programs()
     (file,) = folder.iterdir()
     whole = file.read_bytes()
     flipped = bytearray(whole)
@@ -184,7 +184,7 @@ def test_every_part_of_the_key_matters():
 
 def test_other_options_are_another_program(folder, compiled, monkeypatch):
     first = roots()
-    opencl._store_programs()
+    opencl.store_programs()
     forget_programs(monkeypatch, folder)
     assert roots((OPTIONS[0], "-DOFFSET=0.4f")) != first
     assert len(compiled) == 2
@@ -223,7 +223,7 @@ def test_a_driver_without_binaries_is_no_error(folder, compiled, monkeypatch):
             raise drivers.load_pyopencl().RuntimeError("clGetProgramInfo failed: INVALID_VALUE")
 
     monkeypatch.setattr(opencl, "_programs_to_store", {"a": WithoutBinaries(), "b": program})
-    opencl._store_programs()
+    opencl.store_programs()
     assert [file.name for file in folder.iterdir()] == ["b"]
 
 

@@ -49,7 +49,7 @@ _programs_to_store: dict[str, object] = {}
 
 
 @atexit.register
-def _store_programs() -> None:
+def store_programs() -> None:
     """Write the compiled programs to the cache; at exit, so that no image is delayed.
 
     By then the binaries include what some drivers compile at a kernel's first launch.

@@ -48,10 +48,14 @@ class TracerSettings:
 
     def make_tracer(self, device: DeviceChoice, scene):
         """The tracer on a device of this process."""
-        from isonoise.device.opencl import Device
+        from isonoise.device.opencl import Device, store_programs
+        from isonoise.device.pocl_cache import store_pocl_kernels
         from isonoise.distributed.shard_tracer import ShardTracer
 
-        return ShardTracer(Device(device.select()), scene, self.needs, self.seed, self.pool_size, self.memory)
+        tracer = ShardTracer(Device(device.select()), scene, self.needs, self.seed, self.pool_size, self.memory)
+        store_programs()  # now, because Dask's processes end without the functions of `atexit`
+        store_pocl_kernels()
+        return tracer
 
 
 class TracerActor:
