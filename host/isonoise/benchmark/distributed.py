@@ -21,7 +21,7 @@ from isonoise.distributed.packing import pack_result, pack_task, unpack_result, 
 from isonoise.distributed.shards import Shards
 from isonoise.distributed.simulation import Costs, SimulatedWave, SimulatedWorker, Simulation
 from isonoise.distributed.task import Task, TaskResult
-from isonoise.distributed.worker_pool import Finished, Lost, Worker, WorkerPool
+from isonoise.distributed.worker_pool import Lost, Worker, WorkerPool
 from isonoise.integrator.reduction_state import state_planes
 from isonoise.scene import compile_scene, load
 from isonoise.scene.compiled_scene import CompiledScene
@@ -37,6 +37,8 @@ CLIENTS = 8
 """Clients of the last prediction."""
 FIRST_SAMPLES, MORE_SAMPLES = 1, 32
 """Samples per pixel of the first of two tasks, and how many more the other one has."""
+MAX_BUSY_SAMPLES = 2**16
+"""Samples per pixel of the tasks that keep workers busy; they are stopped."""
 IMAGES = (512, 512), (1080, 1920), (4320, 7680)
 """Height and width of the images that are predicted."""
 
@@ -122,12 +124,13 @@ class TimedRender:
 
 
 class _OneWorker:
-    """Sends tasks to one worker, one at a time."""
+    """Sends tasks to one worker, one at a time, while others are kept busy as in a render."""
 
     def __init__(self, pool: WorkerPool, needs: Needs):
         self._pool, self._needs = pool, needs
-        self._name = pool.workers()[0].name
+        self._name, *self._others = (worker.name for worker in pool.workers())
         self._next_number = 2**20  # no task of a `Dealer` has these
+        self._submitted: set[int] = set()  # and not yet reported
 
     def empty_state(self, pixels: int) -> dict[str, np.ndarray]:
         """The state of pixels without samples."""
@@ -138,18 +141,40 @@ class _OneWorker:
 
     def trace(self, pixels: np.ndarray, samples: int, state: dict[str, np.ndarray]) -> tuple[Task, TaskResult, float]:
         """Trace so many samples of each pixel; return task, result, and the seconds for which this process waited."""
+        start, start_cpu = time.perf_counter(), time.process_time()
+        task = self._submit(self._name, pixels, samples, state)
+        result = self._wait(task.number)
+        busy_s = time.process_time() - start_cpu
+        return task, result, time.perf_counter() - start - busy_s
+
+    def begin_others(self, pixels: np.ndarray) -> None:
+        """Let the other workers trace until `stop_others`."""
+        for name in self._others:
+            self._submit(name, pixels, MAX_BUSY_SAMPLES, self.empty_state(len(pixels)))
+
+    def stop_others(self) -> None:
+        """Let them stop, and wait until they have."""
+        self._pool.stop()
+        while self._submitted:
+            self._wait(next(iter(self._submitted)))
+
+    def _submit(self, worker: str, pixels: np.ndarray, samples: int, state: dict[str, np.ndarray]) -> Task:
         self._next_number += 1
         task = Task(self._next_number, pixels, np.full(len(pixels), samples, np.uint32), state)
-        start, start_cpu = time.perf_counter(), time.process_time()
-        self._pool.submit(self._name, task)
-        events: list[Finished | Lost] = []
-        while not events:
-            events = self._pool.wait(1.0)
-        busy_s = time.process_time() - start_cpu
-        (event,) = events
-        if isinstance(event, Lost):
-            raise RuntimeError(event.reason)
-        return task, event.result, time.perf_counter() - start - busy_s
+        self._pool.submit(worker, task)
+        self._submitted.add(task.number)
+        return task
+
+    def _wait(self, number: int) -> TaskResult:
+        """Wait for the result of a task; results of others are dropped."""
+        result = None
+        while number in self._submitted:
+            for event in self._pool.wait(1.0):
+                if isinstance(event, Lost):
+                    raise RuntimeError(event.reason)
+                self._submitted.remove(event.result.number)
+                result = event.result if event.result.number == number else result
+        return result
 
 
 class _Packed:
@@ -174,9 +199,9 @@ def _cpu_seconds(function: Callable[[], object]) -> float:
     return median(times)
 
 
-def measure(render: TimedRender) -> Measurement:
-    """Measure the first worker, while the others are idle."""
-    render.pool.number = 1
+def measure(render: TimedRender, workers: int) -> Measurement:
+    """Measure the first of so many workers, while the others trace as well: on one machine they share its memory."""
+    render.pool.number = workers
     worker, shards = _OneWorker(render.pool, render.needs), Shards(render.shape)
     one_pixel = shards.pixels([0])[:1]
     pixels = shards.pixels(range(max(shards.number // 4, 1)))
@@ -184,10 +209,12 @@ def measure(render: TimedRender) -> Measurement:
     _, first, _ = worker.trace(pixels, 16, worker.empty_state(n))
     _, first_of_one, _ = worker.trace(one_pixel, 16, worker.empty_state(1))
     few, many, tiny = [], [], []
+    worker.begin_others(pixels)
     for _ in range(REPEAT):
         few.append(worker.trace(pixels, FIRST_SAMPLES, first.state))
         many.append(worker.trace(pixels, FIRST_SAMPLES + MORE_SAMPLES, first.state))
         tiny.append(worker.trace(one_pixel, 1, first_of_one.state))
+    worker.stop_others()
     few_s, many_s, tiny_s = (median(wait for _, _, wait in tasks) for tasks in (few, many, tiny))
     speed = MORE_SAMPLES * n / (many_s - few_s)
     task_s = median(result.seconds for _, result, _ in tiny)
@@ -318,17 +345,17 @@ def main() -> None:
     options = parser.parse_args()
     size = options.size, options.size
     scene = compile_scene(load(options.scene, size=size), size=size)
-    needs = BASIC_NEEDS.with_sampler(scene.sampler)
+    needs, cores = BASIC_NEEDS.with_sampler(scene.sampler), len(os.sched_getaffinity(0))
     wave = measure_wave_costs(options.scene, REPEAT, size=size)
     wave_pixel_s = wave["total_share"]["median"] * wave["wave_s"]["median"] / (size[0] * size[1])
     with Cluster.local(4) as cluster:
         pool = cluster.pool(scene, needs, SEED)
         wait_for_workers(pool, 4)
         render = TimedRender(pool, scene, needs)
-        measured = measure(render)
+        measured = measure(render, min(cores, 4))
         measured = replace(measured, costs=replace(measured.costs, client_wave_pixel_s=wave_pixel_s))
         _print_measurement(measured)
-        _print_check(render, measured, len(os.sched_getaffinity(0)))
+        _print_check(render, measured, cores)
     speed, bytes_per_s = options.speedup * measured.samples_per_s, options.bandwidth * 1e9 / 8
     _print_predictions(speed, measured.over_network(bytes_per_s))
     _print_changes(measured, speed, bytes_per_s)
