@@ -127,6 +127,7 @@ class Cluster:
                     silence_logs=_SILENT,
                 )
             stack.callback(_suppressed(cluster.close), timeout=_CLOSE_TIMEOUT_S)
+            stack.callback(_kill_workers, cluster)
             cluster.scale(workers)
             client = _connect(distributed, cluster)
             stack.callback(_suppressed(client.close), timeout=_CLOSE_TIMEOUT_S)
@@ -270,6 +271,15 @@ def _split_device(device: str | None, workers: int) -> str | None:
     if len(devices) > 1 or workers == 1 or not is_cpu(devices[0].device):
         return device
     return f"{devices[0].number}/{min(workers, devices[0].device.max_compute_units)}"
+
+
+def _kill_workers(cluster) -> None:
+    """End the processes of a LocalCluster at once: they keep nothing, and one that compiles would end late."""
+    for nanny in list(cluster.workers.values()):
+        nanny.auto_restart = False
+        if nanny.pid:
+            with suppress(OSError):
+                os.kill(nanny.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
 
 def _suppressed(function: Callable[..., None]) -> Callable[..., None]:
