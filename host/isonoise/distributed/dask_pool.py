@@ -193,19 +193,21 @@ class DaskPool:
     async def _follow_workers(self) -> None:
         """Prepare workers that join, drop those that are gone, until the pool is closed or the connection is lost."""
         client, has_topic = self._client, False
-        with suppress(OSError):
+        try:
             while client.status in _ALIVE:
                 self._workers_changed.clear()
                 if client.status == "running":
                     if not has_topic:
                         client.subscribe_topic("all", self._on_event)
-                    await self._update_workers()
+                    with suppress(OSError):  # an interruption, or the end: the state of the client will tell
+                        await self._update_workers()
                 has_topic = client.status == "running"  # a new connection has none
                 interval_s = _POLL_S * max(len(self._known) / _POLL_WORKERS, 1)
                 with suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._workers_changed.wait(), interval_s)
-        self._failure = "the connection to the Dask scheduler is lost"
-        self._events.put(list)
+        finally:
+            self._failure = "the connection to the Dask scheduler is lost"
+            self._events.put(list)
 
     async def _update_workers(self) -> None:
         """Prepare the workers that are new in the scheduler's list; drop those that are gone or have lost the scene."""
