@@ -48,18 +48,17 @@ def test_halves_of_a_device_have_its_bits(halves, strategy):
         reports = both.worker_reports()
         assert [report.name for report in reports] == ["0/2:1", "0/2:2"]
         assert sum(report.samples for report in reports) == both.samples == one.samples
-        assert all(report.tasks for report in reports)
         assert both.devices == one.devices  # no warning if the render goes on with the other
         assert_same_bits(one.statistics(), both.statistics())
 
 
-def fail_on(monkeypatch, *parts: int) -> None:
-    """Let these parts fail at their second task."""
+def fail_on(monkeypatch, numbers: dict[int, int]) -> None:
+    """Let parts fail: part -> at which of its tasks. Every part gets a first task, but may be too slow for a second."""
     trace, tasks = ShardTracer.trace, []
 
     def failing(self, task, should_continue):
         tasks.append(part := self.device.selected.part)
-        if part in parts and tasks.count(part) == 2:
+        if tasks.count(part) == numbers.get(part):
             raise DeviceError(f"part {part} was lost")
         return trace(self, task, should_continue)
 
@@ -68,7 +67,7 @@ def fail_on(monkeypatch, *parts: int) -> None:
 
 def test_a_part_that_fails_loses_no_samples(halves, monkeypatch):
     one = rendered(small_renderer("0"))
-    fail_on(monkeypatch, 1)
+    fail_on(monkeypatch, {1: 1})
     with small_renderer(halves) as both:
         with pytest.warns(UserWarning, match="device 0/2:2 is left out from now on: part 1 was lost"):
             rendered(both)
@@ -78,7 +77,7 @@ def test_a_part_that_fails_loses_no_samples(halves, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:device")
 def test_what_was_rendered_is_written_if_all_devices_fail(halves, monkeypatch, tmp_path, capsys):
-    fail_on(monkeypatch, 0, 1)
+    fail_on(monkeypatch, {0: 3, 1: 1})
     image = tmp_path / "image.exr"
     options = ["--size", "45x37", "--spp", "64", "--strategy", "uniform", "--device", halves]
     assert main(["render", "cornell", "-o", str(image), *options]) == 2
@@ -155,6 +154,6 @@ def test_two_drivers_in_one_process(tmp_path):
     found = json.loads(done.stdout.splitlines()[-1])
     assert len(set(found["drivers"])) == 2
     assert len(found["tasks"]) == 3
-    assert all(found["tasks"])
+    assert sum(found["tasks"]) > 3
     assert found["same counts"]
     np.testing.assert_allclose(*found["means"], rtol=1e-5)
