@@ -17,10 +17,7 @@ from isonoise.film.log import columns
 
 SMALL = ("render", "cornell", "--size", "16x12")
 
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def isonoise(*arguments):

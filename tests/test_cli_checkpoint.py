@@ -19,10 +19,7 @@ from isonoise.state.checkpoint import read_checkpoint
 SMALL = ("render", "cornell", "--size", "16x12")
 PIXELS = 16 * 12
 
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def isonoise(*arguments) -> int:

@@ -6,10 +6,7 @@ import pytest
 from isonoise.cli import main
 from isonoise.film.exr import write_exr
 
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def test_info_on_a_scene(capsys):

@@ -20,7 +20,7 @@ from isonoise.errors import DeviceError
 from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.features import FEATURES
 from isonoise.integrator.generated_headers import generated_headers
-from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, LANE_KERNELS, STRUCTS
+from isonoise.integrator.kernel_table import BRUTE_FORCE_KERNELS, KERNELS, STRUCTS
 from isonoise.renderer import Renderer
 from isonoise.statistics import Needs
 
@@ -29,9 +29,6 @@ FILES = sorted(str(file.relative_to(FOLDER)) for file in FOLDER.rglob("*") if fi
 STAGES = [name for name in FILES if name.endswith(".cl")]
 HEADERS = generated_headers()
 CONSTANTS = build_constants(Needs(batch=2), FORMS["cpu"])
-MANY = build_constants(Needs(batch=2), FORMS["lanes"])
-"""For work-items that take many paths: kernels/path/path_state.h. There are none in scenes of the feature VOLPATH."""
-TAKE_MANY = sorted({row.file for row in (*(KERNELS[name] for name in LANE_KERNELS), *BRUTE_FORCE_KERNELS.values())})
 
 
 def mentioned(text: str) -> set[str]:

@@ -51,10 +51,11 @@ def test_only_an_environment():
 def test_depth_zero_is_black_and_depth_one_shows_emitters_only():
     """Set by the scene's integrator and by the option, which takes precedence."""
     upwards = lamp_over_floor()["lamp"] | {"to_world": np.eye(4)}  # in place of the floor, facing the camera
-    black = render(lamp_over_floor(max_depth=0) | {"floor": upwards}, spp=64, strategy="uniform").statistics
+    alone = without(lamp_over_floor(), "floor") | {"lamp": upwards}
+    dark = alone | {"integrator": {"type": "path", "max_depth": 0}}
+    black = render(dark, spp=64, strategy="uniform").statistics
     assert (black.count == 64).all()
     assert (black.rgb == 0).all()
-    alone = without(lamp_over_floor(), "floor") | {"lamp": upwards}
     lights = render(alone, spp=64, strategy="uniform", max_depth=1).statistics
     assert lights.mean.max() == pytest.approx(5.0 * (0.2126 + 0.8 * 0.7152 + 0.6 * 0.0722), rel=1e-6)
     assert lights.mean.min() == 0
