@@ -1,9 +1,11 @@
 """`DaskPool` with workers in this process: results, losses, joins, stops, errors. Nothing is rendered."""
 
+import gc
 import sys
 import threading
 import time
 import warnings
+import weakref
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -24,13 +26,16 @@ from isonoise.statistics import BASIC_NEEDS  # noqa: E402
 WAIT_S = 20.0
 PIXELS = 50
 released = threading.Event()
-"""Tasks with `is_held` end when it is set."""
+"""Tasks from number 1000 on end when it is set."""
+tracers = weakref.WeakSet()
+"""Those that workers have."""
 
 
 class FakeTracer:
     """Counts samples. What it does depends on the task's number."""
 
     def __init__(self, device: DeviceChoice):
+        tracers.add(self)
         self.device = SimpleNamespace(selected=SimpleNamespace(whole_name=f"device {device.number}"))
 
     def trace(self, task: Task, should_continue) -> TaskResult:
@@ -176,6 +181,21 @@ def test_tasks_of_a_lost_worker_are_reported_and_another_one_joins(make_pool, lo
     assert new not in names
     pool.submit(new, task(6))
     assert isinstance(wait_for(pool, 1)[0], Finished)
+
+
+@pytest.mark.long
+def test_closing_the_pool_frees_the_tracers(make_pool):
+    tracers.clear()
+    pool = make_pool()
+    pool.submit(pool.workers()[0].name, task(1))
+    wait_for(pool, 1)
+    assert len(tracers) == 2
+    pool.close()
+    end_s = time.monotonic() + WAIT_S
+    while tracers:
+        assert time.monotonic() < end_s
+        gc.collect()
+        time.sleep(0.01)
 
 
 def test_wrong_results_are_refused(make_pool):

@@ -371,6 +371,7 @@ class DaskPool:
             known.preparation.cancel()
             for running in known.tasks.values():
                 running.cancel()
+            known.actor = known.future = None  # Dask frees the tracer
         self._known.clear()
         self._scene_bytes.clear()
 
