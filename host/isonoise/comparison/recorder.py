@@ -1,4 +1,4 @@
-"""Records a run to its file: a row per wave, error images at six times, the sample counts; called by the runners."""
+"""Records a run: a row per wave, error images at six times, sample counts; for `run_task` and `mitsuba_worker`."""
 
 import json
 from collections.abc import Mapping
