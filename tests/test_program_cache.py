@@ -190,6 +190,15 @@ def test_other_options_are_another_program(folder, compiled, monkeypatch):
     assert len(compiled) == 2
 
 
+def test_another_device_of_the_kind_gets_the_binary(folder, compiled, monkeypatch):
+    """In the same process, before programs are stored: a program belongs to the context of one device."""
+    kernels = [Device().build(SOURCE, OPTIONS)]
+    monkeypatch.setattr(opencl, "_programs", {})
+    kernels.append(Device().build(SOURCE, OPTIONS))
+    assert [list(each) for each in kernels] == [["roots"], ["roots"]]
+    assert len(compiled) == 1
+
+
 def test_the_least_recently_used_files_are_removed(folder, monkeypatch):
     monkeypatch.setattr(program_cache, "MAX_SIZE_BYTES", 3500)
     for age, name in enumerate(["now", "yesterday", "last week"]):

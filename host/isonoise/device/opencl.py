@@ -59,8 +59,16 @@ def store_programs() -> None:
     with contextlib.suppress(KeyboardInterrupt):
         while _programs_to_store:
             key, program = _programs_to_store.popitem()
-            with contextlib.suppress(load_pyopencl().Error):  # the driver offers no binaries
-                program_cache.store(key, program.get_info(load_pyopencl().program_info.BINARIES)[0])
+            if binary := _binary_of(program):
+                program_cache.store(key, binary)
+
+
+def _binary_of(program) -> bytes | None:
+    """The compiled program; None if there is none, or the driver does not offer it."""
+    try:
+        return program and program.get_info(load_pyopencl().program_info.BINARIES)[0]
+    except load_pyopencl().Error:
+        return None
 
 
 def _finish(queue) -> None:
@@ -207,8 +215,8 @@ class Device:
         if self.is_pocl:
             with pocl_kernels(key):
                 return self._compile_source(source, options)
-        binary = program_cache.load(key)
-        if binary is not None:
+        binary = program_cache.load(key) or _binary_of(_programs_to_store.get(key))  # of another device of this kind
+        if binary:
             try:
                 return self._build_program(self._cl.Program(self.context, [self.device], [binary]), options)
             except self._cl.Error:  # the driver rejects its own binary: compile the source
