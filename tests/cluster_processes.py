@@ -2,7 +2,6 @@
 
 import json
 import os
-import random
 import signal
 import socket
 import subprocess
@@ -87,12 +86,12 @@ class ClusterProcesses:
                         found.append(child.pid)
         return found
 
-    def kill_worker(self, rng: random.Random) -> None:
-        """Kill one of the workers. A nanny starts it again; another one joins in place of a worker without."""
-        victim = rng.choice(self.worker_ids())
-        os.kill(victim, signal.SIGKILL)
+    def kill_oldest_worker(self) -> None:
+        """Kill the worker that most likely traces. A nanny starts it again; another joins for one without a nanny."""
+        oldest = min(map(psutil.Process, self.worker_ids()), key=psutil.Process.create_time)
+        oldest.kill()
         for process in self._workers:
-            if process.pid == victim:
+            if process.pid == oldest.pid:
                 process.wait(DEADLINE_S)
                 self.start_worker()
                 break
