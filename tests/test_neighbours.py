@@ -42,7 +42,7 @@ def test_pixels_of_fewer_than_two_samples_do_not_count(window):
     assert np.isinf(statistics.neighbour_variance).any()
 
 
-@pytest.mark.parametrize("run", [1, 16])
+@pytest.mark.parametrize("run", [1, pytest.param(16, marks=pytest.mark.long)])
 def test_runs_of_any_length(run, monkeypatch):
     """Work-items of GPUs process one pixel."""
     monkeypatch.setattr(Device, "form", FORMS["lanes"]._replace(neighbour_run=run))

@@ -63,14 +63,14 @@ def test_a_seed_does_not_only_permute_the_pixels(numbers):
 
 
 def test_both_samplers_have_the_same_mean():
-    """Every pixel's mean over 60 seeds: 5.2 standard errors, false alarms 7e-6 over the 35 pixels."""
+    """Every pixel's mean over 30 seeds: 5.8 standard errors, false alarms 1e-4 at most over the 35 pixels (Student)."""
     means = {sampler: [] for sampler in ("sobol", "independent")}
     for sampler, found in means.items():
-        for seed in range(60):
-            renderer = isonoise.Renderer(lamp_over_floor(), strategy="uniform:wave_spp=32", seed=seed, sampler=sampler)
+        for seed in range(30):
+            renderer = isonoise.Renderer(lamp_over_floor(), strategy="uniform:wave_spp=64", seed=seed, sampler=sampler)
             renderer.step()
             found.append(renderer.statistics().mean)
     sobol, independent = (np.array(found) for found in means.values())
-    error = np.sqrt((sobol.var(axis=0, ddof=1) + independent.var(axis=0, ddof=1)) / 60)
-    assert (np.abs(sobol.mean(axis=0) - independent.mean(axis=0)) <= 5.2 * error + 1e-7).all()
+    error = np.sqrt((sobol.var(axis=0, ddof=1) + independent.var(axis=0, ddof=1)) / 30)
+    assert (np.abs(sobol.mean(axis=0) - independent.mean(axis=0)) <= 5.8 * error + 1e-7).all()
     assert sobol.var(axis=0).sum() < 0.7 * independent.var(axis=0).sum()
