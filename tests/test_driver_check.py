@@ -122,9 +122,9 @@ def test_broken_kernels_are_refused(monkeypatch, fault):
 def test_a_refused_driver_ends_the_command(monkeypatch, capsys):
     from isonoise.device.drivers import driver_fields
 
-    break_kernels(monkeypatch, "wrong squares")
+    break_kernels(monkeypatch, "a lost sample")
     for _ in range(2):  # and again: a failure is not noted as a pass
-        assert main(["render", "cornell", "--size", "8x8", "-o", "a.exr"]) == 2
+        assert main(["render", "cornell", "--size", "8x8", "--strategy", "uniform", "-o", "a.exr"]) == 2
         error = capsys.readouterr().err
         assert driver_fields(Device().device)["driver_version"] in error
         assert "`reduce`" in error
