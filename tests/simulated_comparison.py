@@ -1,6 +1,6 @@
 """Folders of finished comparisons with simulated errors instead of renders, so that the true figures are known."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +30,7 @@ def make_comparison(
     bias: float = 0.0,
     reference_se: float | None = 1e-4,
     warm_up_spp: float | None = None,
+    wanted: Collection[tuple[str, str]] | None = None,
 ) -> Path:
     """Write plan, references and runs to `directory`.
 
@@ -46,6 +47,8 @@ def make_comparison(
         The reference's relative standard error; its errors are normal. None: it is exact and says nothing about it.
     warm_up_spp : float, optional
         Of all strategies.
+    wanted : collection of (scene, spec), optional
+        The pairs that have runs. None: all.
     """
     slugs = {spec: spec.replace(":", "-").replace("=", "-").replace(",", "-") for spec in strategies}
     height, width = shape
@@ -75,6 +78,8 @@ def make_comparison(
         write_image(variance_path(directory, entry), layers, {}, reference_identity(plan, entry, "variance"))
         digests = read_digests(directory, plan, entry)
         for index, (strategy, weights) in enumerate(zip(plan.strategies, strategies.values(), strict=True)):
+            if wanted is not None and (entry.name, strategy.spec) not in wanted:
+                continue
             weight = weights(variance)
             count = np.maximum(1, np.rint(spp * weight / weight.mean() * (speed if index else 1))).astype(np.uint32)
             for seed in seeds:
