@@ -10,7 +10,7 @@ from isonoise.comparison.checked_files import write_image
 from isonoise.comparison.identity import reference_identity, run_identity
 from isonoise.comparison.plan import Plan, SceneEntry, StrategyEntry, run_path, variance_path, write_plan
 from isonoise.comparison.recorder import SNAPSHOTS, Recorder
-from isonoise.comparison.reference_files import read_digests
+from isonoise.comparison.reference_files import ImageDigests, read_digests
 from isonoise.error.true_error import true_error
 from isonoise.film.log import LogRow
 from isonoise.loop import Stops
@@ -72,11 +72,8 @@ def make_comparison(
         rgb = 0.5 + rng.random((height, width, 1)) * [0.9, 1.0, 1.1]
         noise = 1 + (reference_se or 0) * rng.normal(size=(height, width, 1))
         reference, se = (rgb * noise).astype(np.float32), ((reference_se or 0) * rgb).astype(np.float32)
-        layers = {"": reference} | ({} if reference_se is None else {"stderr": se})
-        write_image(directory / entry.reference, layers, {}, reference_identity(plan, entry, "reference"))
-        layers = {"variance": variance.astype(np.float32)}
-        write_image(variance_path(directory, entry), layers, {}, reference_identity(plan, entry, "variance"))
-        digests = read_digests(directory, plan, entry)
+        given = (reference, None if reference_se is None else se)
+        digests = _write_references(directory, plan, entry, *given, variance)
         for index, (strategy, weights) in enumerate(zip(plan.strategies, strategies.values(), strict=True)):
             if wanted is not None and (entry.name, strategy.spec) not in wanted:
                 continue
@@ -87,10 +84,18 @@ def make_comparison(
                 path.parent.mkdir(parents=True, exist_ok=True)
                 identity = run_identity(plan, entry, strategy, seed, digests)
                 seed_rng = np.random.default_rng([number, index, seed])
-                given = (reference, None if reference_se is None else se)
                 facts = _facts(path, count, seconds, warm_up_spp)
                 write_run(path, rgb, given, variance, count, seed_rng, bias * (index > 0), facts, identity)
     return directory
+
+
+def _write_references(directory, plan, entry, reference, se, variance) -> ImageDigests:
+    """Write a scene's reference and its variances; return what `read_digests` reads."""
+    layers = {"": reference} | ({} if se is None else {"stderr": se})
+    write_image(directory / entry.reference, layers, {}, reference_identity(plan, entry, "reference"))
+    layers = {"variance": variance.astype(np.float32)}
+    write_image(variance_path(directory, entry), layers, {}, reference_identity(plan, entry, "variance"))
+    return read_digests(directory, plan, entry)
 
 
 def _facts(path, count, seconds, warm_up_spp) -> dict:
