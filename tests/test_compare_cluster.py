@@ -9,14 +9,14 @@ import pytest
 
 from isonoise import __version__
 from isonoise.comparison.checked_files import InvalidFileError
-from isonoise.comparison.cluster_runs import ClusterRuns
-from isonoise.comparison.cluster_workers import ClusterWorkers
-from isonoise.comparison.job_dealer import MAX_LOSSES, JobDealer
+from isonoise.comparison.cluster.job_dealer import MAX_LOSSES, JobDealer
+from isonoise.comparison.cluster.run_worker import WorkerDescription, describe_worker
+from isonoise.comparison.cluster.runs import ClusterRuns
+from isonoise.comparison.cluster.workers import ClusterWorkers
 from isonoise.comparison.plan import SEVERAL_DEVICES, SceneEntry, StrategyEntry
 from isonoise.comparison.run_order import PlannedRun
 from isonoise.comparison.run_progress import RunProgress
 from isonoise.comparison.run_task import RunStoppedError
-from isonoise.comparison.run_worker import WorkerDescription, describe_worker
 from isonoise.comparison.timing import timing_notes, timing_rows, worker_table
 from isonoise.device.selection import SelectedDevice, select_device
 from isonoise.distributed.dask_worker import DeviceChoice

@@ -19,7 +19,7 @@ from isonoise.film.files import remove_temporary_files
 from isonoise.signals import exit_code
 
 if TYPE_CHECKING:
-    from isonoise.comparison.cluster_workers import ClusterWorkers
+    from isonoise.comparison.cluster.workers import ClusterWorkers
     from isonoise.distributed.cluster import Cluster
 
 DEFAULT_TIME = 10.0
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
 def _workers_of(cluster: "Cluster | None") -> "ClusterWorkers | None":
     if cluster is None:
         return None
-    from isonoise.comparison.cluster_workers import ClusterWorkers
+    from isonoise.comparison.cluster.workers import ClusterWorkers
 
     return ClusterWorkers(cluster, _warn)
 

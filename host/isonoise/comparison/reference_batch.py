@@ -1,6 +1,6 @@
 """Renders a reference batch, and the pilot run that determines its allocation map: pure functions.
 
-Called by `local_batches` in this process and by `cluster_batches` on workers.
+Called by `local_batches` in this process and by `cluster.batches` on workers.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Progress of the runs of a comparison, for the bar and the lines of `runner`, `local_runs` and `cluster_runs`."""
+"""Progress of the runs of a comparison, for the bar and the lines of `runner`, `local_runs` and `cluster.runs`."""
 
 import time
 from collections.abc import Callable

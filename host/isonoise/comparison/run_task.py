@@ -1,6 +1,6 @@
 """A run of a comparison as a pure function: from settings, scene and reference to the content of the run's file.
 
-Called by `local_runs` in this process and by `cluster_runs` on a worker.
+Called by `local_runs` in this process and by `cluster.runs` on a worker.
 """
 
 from collections.abc import Callable, Mapping

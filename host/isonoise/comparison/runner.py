@@ -1,6 +1,6 @@
 """Runs a plan: renders the references, then every missing run to its own file; called by `isonoise compare`.
 
-`run_order` says which runs are missing and in which order they are rendered; `local_runs` or `cluster_runs` renders
+`run_order` says which runs are missing and in which order they are rendered; `local_runs` or `cluster.runs` renders
 them.
 """
 
@@ -30,7 +30,7 @@ from isonoise.comparison.strategy_specs import needs_variance
 from isonoise.progress import ProgressBar, format_count, format_duration, format_number, format_percent
 
 if TYPE_CHECKING:
-    from isonoise.comparison.cluster_workers import ClusterWorkers
+    from isonoise.comparison.cluster.workers import ClusterWorkers
 
 
 def run_plan(
@@ -68,9 +68,9 @@ class _Runner:
         self.execution, batches = LocalRuns(self.inputs, device), LocalBatches(self.inputs, device)
         self.has_cluster = workers is not None
         if workers is not None:
-            from isonoise.comparison.cluster_batches import ClusterBatches
-            from isonoise.comparison.cluster_data import ClusterData
-            from isonoise.comparison.cluster_runs import ClusterRuns
+            from isonoise.comparison.cluster.batches import ClusterBatches
+            from isonoise.comparison.cluster.data import ClusterData
+            from isonoise.comparison.cluster.runs import ClusterRuns
 
             data = ClusterData(self.inputs, workers)
             self.execution = ClusterRuns(self.inputs, workers, data, self.execution, warn)

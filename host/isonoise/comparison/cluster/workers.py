@@ -1,6 +1,6 @@
 """The workers of a Dask cluster that render runs: which of them are there, and with which device.
 
-Called by `cluster_runs` and by `isonoise compare`.
+Called by `runs` and by `isonoise compare`.
 """
 
 import asyncio
@@ -10,8 +10,8 @@ from concurrent.futures import CancelledError, Future, wait
 from contextlib import suppress
 
 from isonoise import __version__
+from isonoise.comparison.cluster.run_worker import WorkerDescription, describe_worker
 from isonoise.comparison.plan import SEVERAL_DEVICES
-from isonoise.comparison.run_worker import WorkerDescription, describe_worker
 from isonoise.distributed.cluster import Cluster
 from isonoise.distributed.dask_worker import DeviceChoice
 from isonoise.errors import DeviceError

@@ -1,6 +1,6 @@
 """What the workers of a cluster do for a comparison: say what they are, render runs and batches.
 
-`cluster_workers`, `cluster_runs` and `cluster_batches` submit these functions.
+`workers`, `runs` and `batches` submit these functions.
 """
 
 import pickle

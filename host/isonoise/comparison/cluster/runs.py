@@ -7,16 +7,16 @@ if the run had been rendered in this process. Runs of Mitsuba 3 are rendered in 
 from collections.abc import Callable, Coroutine, Sequence
 
 from isonoise.comparison.checked_files import InvalidFileError
-from isonoise.comparison.cluster_data import REFERENCE, SCENE, ClusterData
-from isonoise.comparison.cluster_jobs import ClusterJobs
-from isonoise.comparison.cluster_workers import ClusterWorkers
-from isonoise.comparison.job_dealer import JobDealer
+from isonoise.comparison.cluster.data import REFERENCE, SCENE, ClusterData
+from isonoise.comparison.cluster.job_dealer import JobDealer
+from isonoise.comparison.cluster.jobs import ClusterJobs
+from isonoise.comparison.cluster.run_worker import render_on_worker
+from isonoise.comparison.cluster.workers import ClusterWorkers
 from isonoise.comparison.local_runs import LocalRuns
 from isonoise.comparison.run_inputs import RunInputs
 from isonoise.comparison.run_order import PlannedRun
 from isonoise.comparison.run_progress import RunProgress
 from isonoise.comparison.run_task import RunTask
-from isonoise.comparison.run_worker import render_on_worker
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS
 from isonoise.progress import ProgressBar
 

@@ -1,4 +1,4 @@
-"""Decides which worker of a cluster does which job next; called by `cluster_jobs`. Pure logic without times.
+"""Decides which worker of a cluster does which job next; called by `jobs`. Pure logic without times.
 
 A job is a run, or a batch of a reference. Jobs come in groups: the runs of a scene and a seed go to one worker, one
 after the other. Figures are ratios of strategies, paired over the seeds, so that a slow worker affects both sides of a

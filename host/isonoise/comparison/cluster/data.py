@@ -1,4 +1,4 @@
-"""Sends the scenes and references of a comparison to the workers of a cluster, once to each; called by `cluster_runs`.
+"""Sends the scenes and references of a comparison to the workers of a cluster, once to each; called by `runs`.
 
 Dask keeps them on a worker as long as this process refers to them: until the worker gets those of another scene.
 """
@@ -6,7 +6,7 @@ Dask keeps them on a worker as long as this process refers to them: until the wo
 import pickle
 from functools import lru_cache
 
-from isonoise.comparison.cluster_workers import ClusterWorkers
+from isonoise.comparison.cluster.workers import ClusterWorkers
 from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.run_inputs import MAX_CACHED, RunInputs
 from isonoise.distributed.packing import pack_scene

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isonoise.comparison.cluster_data import SCENE, ClusterData
-from isonoise.comparison.cluster_jobs import ClusterJobs
-from isonoise.comparison.cluster_workers import ClusterWorkers
-from isonoise.comparison.job_dealer import JobDealer
+from isonoise.comparison.cluster.data import SCENE, ClusterData
+from isonoise.comparison.cluster.job_dealer import JobDealer
+from isonoise.comparison.cluster.jobs import ClusterJobs
+from isonoise.comparison.cluster.run_worker import render_batch_on_worker, render_pilot_on_worker
+from isonoise.comparison.cluster.workers import ClusterWorkers
 from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.reference_batch import Batch, Pilot
-from isonoise.comparison.run_worker import render_batch_on_worker, render_pilot_on_worker
 
 
 class _BatchJob(NamedTuple):

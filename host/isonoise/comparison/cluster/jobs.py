@@ -1,11 +1,11 @@
-"""Keeps the workers of a cluster busy with the jobs of a comparison; called by `cluster_runs` and `cluster_batches`."""
+"""Keeps the workers of a cluster busy with the jobs of a comparison; called by `runs` and `batches`."""
 
 from collections.abc import Callable, Coroutine
 from concurrent.futures import CancelledError, Future
 from typing import Generic
 
-from isonoise.comparison.cluster_workers import ClusterWorkers, first_line
-from isonoise.comparison.job_dealer import MAX_LOSSES, Job, JobDealer
+from isonoise.comparison.cluster.job_dealer import MAX_LOSSES, Job, JobDealer
+from isonoise.comparison.cluster.workers import ClusterWorkers, first_line
 from isonoise.comparison.run_task import RunStoppedError
 from isonoise.errors import DeviceError, UserError
 
