@@ -54,13 +54,18 @@ def test_a_task_is_a_pure_function():
 
 
 @pytest.mark.parametrize("shape", [(16, 24), (37, 45), (1, 20), (1, 1)])
-def test_the_state_of_any_pixels_is_gathered(shape):
+def test_the_state_of_any_pixels_is_gathered_and_scattered(shape):
     shards = Shards(shape)
     planes = np.arange(3 * shape[0] * shape[1], dtype=np.float32).reshape(3, -1)
     for chosen in ([0], range(0, shards.number, 3), range(shards.number)):
-        pixels = shards.pixels(chosen).astype(np.intp)  # rows of blocks are taken as a whole
+        pixels = shards.pixels(chosen)  # rows of blocks are taken as a whole
         for some in (pixels, pixels[:8], pixels[1:], pixels[::3], pixels[:0]):
-            assert np.array_equal(distributed_wavefront._gather(planes, some), planes[:, some])
+            runs, written = distributed_wavefront._find_runs(some, planes.shape[1]), np.zeros_like(planes)
+            rows, expected = runs.gather(planes), np.zeros_like(planes)
+            assert np.array_equal(rows, planes[:, some])
+            runs.scatter(rows, written)
+            expected[:, some] = rows
+            assert np.array_equal(written, expected)
 
 
 class FaultyPool:
