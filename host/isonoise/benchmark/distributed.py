@@ -5,6 +5,7 @@
 
 import argparse
 import itertools
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -253,6 +254,19 @@ def simulate_waves(
     return [simulation.wave(samples * shards.sizes) for _ in range(1 + waves)][1:]
 
 
+def measure_and_simulate(render: TimedRender, workers: int, samples: int, waves: int) -> tuple[float, float]:
+    """Median seconds of waves on so many workers of this machine, measured and simulated.
+
+    The speed of a worker is measured before and after the waves while as many workers trace: it is that of its share of
+    the cores, and it changes from minute to minute.
+    """
+    before = measure(render, workers)
+    seconds = median(render.time_waves(workers, samples, waves))
+    speed = (before.samples_per_s + measure(render, workers).samples_per_s) / 2
+    simulated = simulate_waves(render.shape, samples, workers, speed, before.costs, waves)
+    return seconds, median(wave.seconds for wave in simulated)
+
+
 def _print_measurement(measured: Measurement) -> None:
     costs = measured.costs
     rows = [
@@ -283,16 +297,14 @@ def _print_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     print(markdown_table(Table(columns(*heads), rows)), end="\n\n")
 
 
-def _print_check(render: TimedRender, measured: Measurement, cores: int) -> None:
+def _print_check(render: TimedRender, alone: Measurement, cores: int) -> None:
     """Measured and simulated waves on the workers of this machine."""
-    costs = replace(measured.costs, cores=cores, client_wave_pixel_s=0.0)
     rows = []
     for workers, samples in itertools.product((1, 2, 4), (16, 64)):
-        seconds = median(render.time_waves(workers, samples, REPEAT))
-        waves = simulate_waves(render.shape, samples, workers, measured.samples_per_s, costs, REPEAT)
-        simulated = median(wave.seconds for wave in waves)
-        efficiency = waves[0].ideal_s / seconds
-        rows.append((str(workers), str(samples), f"{seconds:.3f}", f"{simulated:.3f}", f"{efficiency:.2f}"))
+        seconds, simulated = measure_and_simulate(render, workers, samples, REPEAT)
+        ideal_s = samples * math.prod(render.shape) / (min(workers, cores) * alone.samples_per_s)
+        times = f"{seconds:.3f}", f"{simulated:.3f}", f"{ideal_s / seconds:.2f}"
+        rows.append((str(workers), str(samples), *times))
     _print_table(("workers", "spp", "measured [s]", "simulated [s]", "measured efficiency"), rows)
 
 
@@ -352,7 +364,7 @@ def main() -> None:
         pool = cluster.pool(scene, needs, SEED)
         wait_for_workers(pool, 4)
         render = TimedRender(pool, scene, needs)
-        measured = measure(render, min(cores, 4))
+        measured = measure(render, 1)
         measured = replace(measured, costs=replace(measured.costs, client_wave_pixel_s=wave_pixel_s))
         _print_measurement(measured)
         _print_check(render, measured, cores)
