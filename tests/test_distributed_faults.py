@@ -122,32 +122,32 @@ def test_a_worker_joins(strategy, cluster, unbroken, environment, tmp_path):
     check(job, one)
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_a_slow_worker(strategy, cluster, unbroken, environment, tmp_path):
-    """A worker becomes ten times slower in the middle of a render."""
-    job = make_job(tmp_path, strategy, environment, "--dask", cluster.address)
-    one = unbroken(strategy)
+def begin_on_two_workers(strategy, cluster, environment, folder):
+    """A render on two workers that has traced a wave; and its job."""
+    job = make_job(folder, strategy, environment, "--dask", cluster.address)
     for _ in range(2):
         cluster.start_worker()
     render = Render.start(job)
     render.wait_for_wave()
+    return job, render
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_a_slow_worker(strategy, cluster, unbroken, environment, tmp_path):
+    """A worker becomes ten times slower in the middle of a render."""
+    job, render = begin_on_two_workers(strategy, cluster, environment, tmp_path)
     with slowed_down(cluster.worker_ids()[0], 10):
         render.end()
-    check(job, one)
+    check(job, unbroken(strategy))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_a_worker_that_hangs(strategy, cluster, unbroken, environment, tmp_path):
     """It stops in the middle of a render and never goes on. Others trace its part."""
-    job = make_job(tmp_path, strategy, environment, "--dask", cluster.address)
-    one = unbroken(strategy)
-    for _ in range(2):
-        cluster.start_worker()
-    render = Render.start(job)
-    render.wait_for_wave()
+    job, render = begin_on_two_workers(strategy, cluster, environment, tmp_path)
     os.kill(cluster.worker_ids()[0], signal.SIGSTOP)
     render.end()
-    check(job, one)
+    check(job, unbroken(strategy))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)

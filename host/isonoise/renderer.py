@@ -14,7 +14,7 @@ from isonoise.current_statistics import CurrentStatistics
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.device.pool_size import MAX_POOL_SIZE
-from isonoise.device.selection import select_devices
+from isonoise.device.selection import SelectedDevice, select_devices
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
 from isonoise.errors import DeviceError, UserError
@@ -34,7 +34,6 @@ from isonoise.strips import LARGE_IMAGE_PIXELS
 from isonoise.wave import WAVE_VALUES, WaveInProgress, WaveRecord
 
 if TYPE_CHECKING:
-    from isonoise.device.selection import SelectedDevice
     from isonoise.distributed.cluster import Cluster
     from isonoise.distributed.distributed_wavefront import DistributedWavefront
     from isonoise.distributed.worker_report import WorkerReport
@@ -177,7 +176,7 @@ class Renderer:
             options = {"memory": memory, "is_adaptive": is_adaptive, "on_compile": report}
             self._wavefront = make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
 
-    def _use_workers(self, selected: "list[SelectedDevice]", cluster: "Cluster | None", *settings) -> None:
+    def _use_workers(self, selected: list[SelectedDevice], cluster: "Cluster | None", *settings) -> None:
         """Set up a wavefront on several devices, or on the workers of a cluster."""
         from isonoise.distributed import set_up  # a render on one device does not need it
 
@@ -185,8 +184,7 @@ class Renderer:
             with self._measured("compile"):
                 self.device_name, self.driver = set_up.describe_workers(selected, cluster)
                 settings[-1]("", 0, 0)  # reports the names
-                use = set_up.use_cluster if cluster else set_up.use_devices
-                self._distributed = use(cluster or selected, *settings)
+                self._distributed = set_up.make_distributed_wavefront(selected, cluster, *settings)
         except BaseException:  # a signal ends the set-up late
             if self._distributed is not None:
                 self._distributed.close()

@@ -46,6 +46,8 @@ class Cluster:
         The connection to the cluster.
     size : int or None
         Worker processes of `local`; None: they come and go.
+    device_of : callable
+        What the worker with a name (`name` of Dask's scheduler_info) renders on.
     on_wait : callable
         Called by `pool` with the number of workers that are being prepared, again and again while none is ready.
 
@@ -55,9 +57,9 @@ class Cluster:
     ...     outcome = isonoise.render("cornell", spp=64, cluster=cluster)
     """
 
-    def __init__(self, client, devices: Callable[[object], DeviceChoice], stack: ExitStack, size: int | None = None):
+    def __init__(self, client, device_of: Callable[[object], DeviceChoice], stack: ExitStack, size: int | None = None):
         self.client, self.size = client, size
-        self._devices, self._stack = devices, stack
+        self.device_of, self._stack = device_of, stack
         self.on_wait: Callable[[int], None] = lambda workers: None
 
     @classmethod
@@ -148,10 +150,6 @@ class Cluster:
     def name(self) -> str:
         """What it is, for people."""
         return f"{self.size} local workers" if self.size else f"Dask cluster at {self.client.scheduler.address}"
-
-    def device_of(self, name: object) -> DeviceChoice:
-        """What the worker with this name (`name` of Dask's scheduler_info) renders on."""
-        return self._devices(name)
 
     def check_processes(self) -> None:
         """Raise DeviceError if all processes of `local` have failed to start."""

@@ -167,18 +167,15 @@ class DistributedWavefront:
         self, event: Finished | Lost, sent: dict[int, _Sent], remaining: np.ndarray, state: dict[str, np.ndarray]
     ) -> int:
         """Add the result of a task to the state; returns the samples that are new in it."""
-        now = time.monotonic()
-        if isinstance(event, Lost):
-            self._dealer.lost(event.task, now)
-            sent.pop(event.task, None)
+        number = event.task if isinstance(event, Lost) else event.result.number
+        task = sent.pop(number, None)
+        if isinstance(event, Lost) or (task is not None and not _is_exact(task, event.result)):
+            self._dealer.lost(number, time.monotonic())
             self._tally.lost(event.worker)
             return 0
         result = event.result
-        task = sent.pop(result.number, None)
         left = 0 if result.remaining is None else int(result.remaining.sum(dtype=np.int64))
-        if task is not None and not _is_exact(task, result):
-            return self._receive(Lost(event.worker, result.number, "wrong counts"), {}, remaining, state)
-        is_used = self._dealer.finished(result.number, now, left, result.seconds)
+        is_used = self._dealer.finished(number, time.monotonic(), left, result.seconds)
         if task is None or not is_used:
             return 0
         for name, planes in state.items():

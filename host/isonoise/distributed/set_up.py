@@ -30,8 +30,9 @@ def describe_workers(selected: Sequence[SelectedDevice], cluster: Cluster | None
     return ", ".join(texts), "; ".join(drivers)
 
 
-def use_devices(
+def make_distributed_wavefront(
     selected: Sequence[SelectedDevice],
+    cluster: Cluster | None,
     scene: CompiledScene,
     needs: Needs,
     seed: int,
@@ -40,43 +41,32 @@ def use_devices(
     is_adaptive: bool,
     on_compile: OnCompile,
 ) -> DistributedWavefront:
-    """A wavefront on several devices. Arguments as for `ShardTracer`.
+    """A wavefront on several devices, or on the workers of a cluster. Other arguments as for `ShardTracer`.
 
-    The first one also computes the statistics, while no wave is traced: the whole of it, if a part is selected.
+    The first device also computes the statistics, while no wave is traced: the whole of it, if a part is selected. With
+    a cluster the default device of this process does.
     """
-    client = Device(selected[0].number)
+    client = Device(selected[0].number if selected else None)
+    if cluster:
+        pool = cluster.pool(scene, needs, seed, pool_size, memory)
+    else:
+        memory_each = memory
+        if memory is not None and client.shares_memory:
+            left = memory - plan_client_memory(client, scene, needs, is_adaptive).shared
+            memory_each = max(left // len(selected), 0) + PROCESS_BYTES  # the plan of each device counts the process
+        pool = _device_pool(selected, scene, needs, seed, pool_size, memory_each, on_compile)
+    try:
+        return DistributedWavefront(client, scene, needs, pool, memory, is_adaptive, on_compile)
+    except BaseException:
+        pool.close()
+        raise
+
+
+def _device_pool(selected, scene, needs, seed, pool_size, memory, on_compile) -> DevicePool:
+    """A pool of tracers that share the BVH of the scene."""
     bvh = build_scene_bvh(scene)
-    memory_each = memory
-    if memory is not None and client.shares_memory:
-        left = memory - plan_client_memory(client, scene, needs, is_adaptive).shared
-        memory_each = max(left // len(selected), 0) + PROCESS_BYTES  # the plan of each device counts the process
 
     def make_tracer(device: Device, on_compile: OnCompile) -> ShardTracer:
-        return ShardTracer(device, scene, needs, seed, pool_size, memory_each, bvh, on_compile)
+        return ShardTracer(device, scene, needs, seed, pool_size, memory, bvh, on_compile)
 
-    pool = DevicePool([Device(each) for each in selected], make_tracer, on_compile)
-    try:
-        return DistributedWavefront(client, scene, needs, pool, memory, is_adaptive, on_compile)
-    except BaseException:
-        pool.close()
-        raise
-
-
-def use_cluster(
-    cluster: Cluster,
-    scene: CompiledScene,
-    needs: Needs,
-    seed: int,
-    pool_size: int | None,
-    memory: int | None,
-    is_adaptive: bool,
-    on_compile: OnCompile,
-) -> DistributedWavefront:
-    """A wavefront on the workers of a cluster. This process computes the statistics on its default device."""
-    client = Device()
-    pool = cluster.pool(scene, needs, seed, pool_size, memory)
-    try:
-        return DistributedWavefront(client, scene, needs, pool, memory, is_adaptive, on_compile)
-    except BaseException:
-        pool.close()
-        raise
+    return DevicePool([Device(each) for each in selected], make_tracer, on_compile)
