@@ -30,11 +30,11 @@ DOCUMENTS = sorted({*CHECKOUT.glob("*.md"), *CHECKOUT.glob("*/README.md"), *DOCS
 
 
 def layers() -> dict[str, set[str]]:
-    """Module -> the modules that it may import: the table of host/docs/architecture.md.
+    """Module -> the modules that it may import: the table of host/docs/modules.md.
 
     The last column is 'nothing', a list of modules, or 'all above', which may be followed by 'but' and a list.
     """
-    text = (DOCS / "architecture.md").read_text("utf-8")
+    text = (DOCS / "modules.md").read_text("utf-8")
     table = text.split("| module | purpose | may import |\n|---|---|---|\n")[1].split("\n\n")[0]
     found: dict[str, set[str]] = {}
     for row in table.splitlines():

@@ -10,9 +10,8 @@ import signal
 import sys
 
 from isonoise import __version__, argument_types
-from isonoise.commands import bench_options, shared_options
+from isonoise.commands import bench_options, compare_options, render_options, shared_options
 from isonoise.run_command import run_command
-from isonoise.samplers import SAMPLERS
 from isonoise.signals import exit_code
 from isonoise.standard_streams import safe_streams
 
@@ -36,98 +35,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"isonoise {__version__}", help="print the version")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
     for add_command in (
-        _add_render, _add_merge, _add_convert, _add_compare, _add_bench, _add_selftest, _add_devices, _add_plugins,
-        _add_formats, _add_info,
+        render_options.add_render, _add_merge, _add_convert, compare_options.add_compare, _add_bench, _add_selftest,
+        _add_devices, _add_plugins, _add_formats, _add_info,
     ):  # fmt: skip
         add_command(commands)
     return parser
-
-
-def _add_render(commands) -> None:
-    render = commands.add_parser(
-        "render",
-        help="render a scene until an error, a time or a number of samples is reached",
-        description="Render a scene. --spp, --time and --error can be combined: the first one reached ends the\n"
-        "render. Without them the scene's own sample_count does. Ctrl-C ends a render and writes the image so far;\n"
-        "a second Ctrl-C ends the process at once.",
-    )
-    render.epilog_name = "render_epilog"
-    render.add_argument(
-        "scene", metavar="SCENE", help="a scene file (.xml, .gltf, .glb, .obj, .ply, .stl, .pbrt) or a built-in scene"
-    )
-    shared_options.add_images(render)
-    limits = render.add_argument_group("when to stop")
-    limits.add_argument("--spp", metavar="N", type=argument_types.positive, help="mean samples per pixel")
-    limits.add_argument(
-        "--time", metavar="S", type=argument_types.positive, help="seconds of rendering, without set-up"
-    )
-    limits.add_argument(
-        "--error",
-        metavar="E",
-        type=argument_types.relative_error,
-        help="until the true relative error of a share --quantile of the pixels is below E, such as 2%% or 0.02, with "
-        "--confidence, as far as the samples show: light that no sample has found is in no estimate",
-    )
-    limits.add_argument(
-        "--quantile",
-        metavar="Q",
-        type=argument_types.quantile,
-        help="quantile of the pixels' errors that --error limits (default: 0.99)",
-    )
-    limits.add_argument(
-        "--confidence",
-        metavar="C",
-        type=argument_types.confidence,
-        help="probability that --error ends no render too early, over all its waves (default: 0.95)",
-    )
-    settings = render.add_argument_group("how to render")
-    settings.add_argument(
-        "--strategy", metavar="NAME[:k=v,..]", help="how samples are distributed over the image; listed below"
-    )
-    settings.add_argument(
-        "--sampler", choices=SAMPLERS, help="how random numbers are distributed (default: the scene's, else sobol)"
-    )
-    settings.add_argument("--seed", metavar="K", type=argument_types.seed, help="same seed, same image (default: 0)")
-    shared_options.add_scene_overrides(settings)
-    shared_options.add_scene_parameters(settings)
-    shared_options.add_allow_outside(settings)
-    shared_options.add_device(settings, several=True)
-    shared_options.add_cluster(settings)
-    shared_options.add_memory(settings)
-    shared_options.add_view(render)
-    _add_checkpoints(render)
-    render.set_defaults(parameters=None)
-    reports = render.add_argument_group("what to report")
-    reports.add_argument("--reference", metavar="REF.exr", help="converged image, to report the true error as well")
-    reports.add_argument("--log", metavar="LOG.csv", help="write one row per wave; columns are listed below")
-    reports.add_argument(
-        "--save-every",
-        metavar="S",
-        type=argument_types.interval,
-        help="write the images every S seconds during the render, too",
-    )
-    reports.add_argument("--json", action="store_true", help="print the result as one JSON object")
-
-
-def _add_checkpoints(parser) -> None:
-    checkpoints = parser.add_argument_group("checkpoints")
-    checkpoints.add_argument(
-        "--checkpoint", metavar="FILE", help="write all that is needed to continue, during the render and at its end"
-    )
-    checkpoints.add_argument(
-        "--checkpoint-every",
-        metavar="S",
-        type=argument_types.interval,
-        default=300.0,
-        help="seconds between checkpoints (default: 300)",
-    )
-    checkpoints.add_argument(
-        "--resume",
-        metavar="FILE",
-        help="continue from this checkpoint, and write further ones to it unless --checkpoint names another file; "
-        "options that are not given are those of the checkpoint, limits may be changed and count from the beginning. "
-        "With the same FILE as --checkpoint a missing one is no error",
-    )
 
 
 def _add_merge(commands) -> None:
@@ -144,65 +56,6 @@ def _add_merge(commands) -> None:
     shared_options.add_images(merge)
     merge.add_argument("--checkpoint", metavar="FILE", help="write the merged state, to merge it with further renders")
     shared_options.add_device(merge)
-
-
-def _add_compare(commands) -> None:
-    compare = commands.add_parser(
-        "compare",
-        help="render scenes with several strategies and seeds, and report error against time",
-        description="Render every SCENE with every strategy and seed, measure each wave against a reference, and\n"
-        "write tables, plots and a report. Rerun the same command to resume a stopped comparison; scenes,\n"
-        "strategies and seeds can be added. Ctrl-C drops the current run and reports the finished ones.",
-    )
-    compare.epilog_name = "compare_epilog"
-    compare.add_argument("scenes", metavar="SCENE", nargs="*", help="a scene file or a built-in scene; one or more")
-    compare.add_argument("-o", "--output", metavar="DIR", required=True, help="output folder; files are listed below")
-    subjects = compare.add_argument_group("what to compare")
-    subjects.add_argument(
-        "--strategies",
-        metavar="A,B,..",
-        action="append",
-        default=[],
-        help="as NAME[:k=v,..] of `isonoise render --help`, and those listed below; may be given more than once",
-    )
-    subjects.add_argument(
-        "--preset", metavar="NAME", help="named settings, listed below; given scenes and options replace its own"
-    )
-    subjects.add_argument(
-        "--seeds", metavar="N", type=argument_types.count, help="runs of each strategy on each scene (default: 8)"
-    )
-    subjects.add_argument(
-        "--seed", metavar="K", type=argument_types.seed, default=0, help="seed of the first run (default: %(default)s)"
-    )
-    budget = compare.add_argument_group("budget of a run (one of them)")
-    budget.add_argument("--time", metavar="S", type=argument_types.positive, help="seconds of rendering (default: 10)")
-    budget.add_argument(
-        "--spp",
-        metavar="N[,N..]",
-        type=argument_types.positives,
-        help="mean samples per pixel; several numbers are several comparisons in DIR/spp-N with the same references",
-    )
-    settings = compare.add_argument_group("how to render")
-    shared_options.add_scene_overrides(settings)
-    shared_options.add_allow_outside(settings)
-    shared_options.add_device(settings)
-    shared_options.add_cluster(settings)
-    references = compare.add_argument_group("references")
-    references.add_argument(
-        "--reference",
-        metavar="[SCENE=]REF.exr",
-        action="append",
-        default=[],
-        help="converged image, with stderr.R, .G, .B if known; one per scene in order, or by the scene's name "
-        "(default: rendered)",
-    )
-    references.add_argument(
-        "--reference-time",
-        metavar="S",
-        type=argument_types.positive,
-        help="seconds to render a reference, and as many for the variances of an oracle (default: 20 times --time; "
-        "with --spp 20 times its samples)",
-    )
 
 
 def _add_bench(commands) -> None:
