@@ -57,7 +57,7 @@ def test_a_run_equals_a_render_with_the_same_options(tmp_path, strategy):
     assert compare(*options("out", (strategy,), 1, 64), "--seed", 3, "--reference", "a.exr") == 0
     with np.load(f"out/runs/cornell/{strategy}/3.npz") as file:
         run = {name: file[name] for name in file.files}
-    assert set(run) == {"rows", "snapshot_s", "snapshot_samples", "errors", "count", "facts", "identity"}
+    assert set(run) == {"rows", "snapshot_s", "snapshot_samples", "errors", "rgb", "count", "facts", "identity"}
     outcome = isonoise.render("cornell", spp=64, strategy=strategy, seed=3, size=(WIDTH, HEIGHT))
 
     rows = json.loads(str(run["rows"]))
@@ -83,6 +83,7 @@ def test_a_run_equals_a_render_with_the_same_options(tmp_path, strategy):
     for k in range(SNAPSHOTS - 1):
         assert (run["errors"][k].tobytes() == run["errors"][k + 1].tobytes()) == (reached[k] == reached[k + 1])
     assert rows[-1]["true_p99"] == pytest.approx(np.quantile(np.abs(expected), 0.99), rel=1e-6)
+    assert (run["rgb"] == outcome.rgb.astype(np.float16)).all()
 
     facts = json.loads(str(run["facts"]))
     assert (facts["scene"], facts["seed"], facts["samples"]) == ("cornell", 3, int(samples[-1]))
@@ -118,6 +119,7 @@ def test_errors_are_clipped_to_the_range_of_float16():
     Path("run.npz").write_bytes(recorder.pack(row_at(1.0, 4), image, np.ones((1, 4)), {}, {}))
     with np.load("run.npz") as run:
         assert run["errors"][-1].tolist() == [[0, 65504, -65504, 65504]]
+        assert run["rgb"].tolist() == [[[value] * 3 for value in (0, 1, -1, 65504)]]
 
 
 def test_a_plan_that_grows_keeps_its_runs(capsys):

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from isonoise.comparison.plan import REFERENCE_BUDGET_FACTOR, Plan, SceneEntry, StrategyEntry, file_sha256
 from isonoise.comparison.strategy_specs import needs_variance, oracle_file
 
-FORMAT = 1
-"""Goes up when the arrays or channels of the files change their meaning."""
+FORMAT = 2
+"""Goes up when the files get other arrays or channels, or these another meaning."""
 
 _AT_LEAST = ("reference_time", "reference_spp")
 """A reference may have more than it needs: comparisons of a series share the one with the most samples."""

@@ -21,7 +21,7 @@ CORRECTED = {"true_p50_corrected": 0.5, "true_p95_corrected": 0.95, "true_p99_co
 RUN_COLUMNS = (*columns(true_errors=True), *CORRECTED, "device_s")
 """Fields of a row."""
 
-_MAX_ERROR = float(np.finfo(np.float16).max)
+_MAX_HALF = float(np.finfo(np.float16).max)
 
 
 class Recorder:
@@ -71,8 +71,8 @@ class Recorder:
         """The content of the run's file, made by `pack_npz`; `row`, `rgb` and `count` are the final ones.
 
         Arrays of the file: `rows` (the rows as JSON text), `snapshot_s` float64 (6,), `snapshot_samples` int64 (6,),
-        `errors` float16 (6, height, width): (x - r) / max(r, floor) of the luminance, `count` uint32 (height, width)
-        and `facts` (JSON text). The JSON has Python's NaN and Infinity.
+        `errors` float16 (6, height, width): (x - r) / max(r, floor) of the luminance, `rgb` float16 (height, width, 3):
+        the final image, `count` uint32 (height, width) and `facts` (JSON text). The JSON has Python's NaN and Infinity.
         """
         missing = SNAPSHOTS - len(self._snapshots)
         seconds, samples, errors = zip(*(self._snapshots + [self._snapshot(row, rgb)] * missing), strict=True)
@@ -81,6 +81,7 @@ class Recorder:
             "snapshot_s": np.array(seconds, np.float64),
             "snapshot_samples": np.array(samples, np.int64),
             "errors": np.stack(errors),
+            "rgb": np.clip(rgb, -_MAX_HALF, _MAX_HALF).astype(np.float16),
             "count": np.asarray(count, np.uint32),
             "facts": np.array(json.dumps(facts)),
         }
@@ -96,7 +97,7 @@ class Recorder:
         error = np.divide(
             difference,
             self._scale,
-            out=np.copysign(_MAX_ERROR, difference) * (difference != 0),
+            out=np.copysign(_MAX_HALF, difference) * (difference != 0),
             where=self._scale > 0,
         )
-        return np.clip(error, -_MAX_ERROR, _MAX_ERROR)
+        return np.clip(error, -_MAX_HALF, _MAX_HALF)

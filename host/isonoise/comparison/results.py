@@ -40,6 +40,10 @@ class Run:
         return json.loads(str(self._read("facts")))
 
     @property
+    def rgb(self) -> np.ndarray:
+        return self._read("rgb")
+
+    @property
     def count(self) -> np.ndarray:
         return self._read("count")
 
