@@ -55,6 +55,14 @@ def positives(text: str) -> list[float]:
     return values
 
 
+def address(text: str) -> tuple[str, int]:
+    """Host and port."""
+    host, colon, port = text.rpartition(":")
+    if not (host and colon and port.isascii() and port.isdecimal() and 0 < int(port) < 2**16):
+        raise argparse.ArgumentTypeError(f"'{text}' is no address HOST:PORT, such as 127.0.0.1:14158")
+    return host.strip("[]"), int(port)
+
+
 def count(text: str) -> int:
     value = integer(text)
     if value < 1:

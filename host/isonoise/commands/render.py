@@ -9,6 +9,7 @@ from pathlib import Path
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE, EXIT_ERROR_NOT_MET
 from isonoise.commands.render_checkpoint import Checkpoints
 from isonoise.commands.render_result import image_header, print_result, print_settings, print_setup_times, result_fields
+from isonoise.commands.render_viewers import Viewers
 from isonoise.commands.shared_options import cluster_of
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
@@ -35,6 +36,8 @@ def run(options: argparse.Namespace) -> int:
         stack.callback(checkpoints.close)
         log = _Log(options.log, reference is not None, checkpoints.rows)
         stack.callback(log.close)
+        viewers = Viewers(options)
+        stack.callback(viewers.close)
         cluster = stack.enter_context(cluster_of(options))
         renderer = stack.enter_context(_make_renderer(options, cluster))
         check_no_input([*options.output, options.log, options.checkpoint], renderer.files)
@@ -44,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         if not options.json:
             print_setup_times(renderer)
         with deferred() as received:
-            return _Render(options, renderer, reference, images, log, checkpoints).run(received)
+            return _Render(options, renderer, reference, images, log, checkpoints, viewers).run(received)
 
 
 class _Render:
@@ -58,9 +61,10 @@ class _Render:
         images: ImageFiles,
         log: "_Log",
         checkpoints: Checkpoints,
+        viewers: Viewers,
     ):
         self._options, self._renderer, self._reference = options, renderer, reference
-        self._images, self._log, self._checkpoints = images, log, checkpoints
+        self._images, self._log, self._checkpoints, self._viewers = images, log, checkpoints, viewers
         self._stops = _stops(options, renderer)
         self._warned: set[str] = set()  # of images that could not be written during the render
 
@@ -96,7 +100,7 @@ class _Render:
 
     def _periodic(self) -> list[Periodic]:
         images = [Periodic(self._options.save_every, self._save)] if self._options.save_every else []
-        return [*self._checkpoints.periodic(), *images]
+        return [*self._checkpoints.periodic(), *images, *self._viewers.periodic()]
 
     def _keep_after_failure(self, loop: RenderLoop) -> None:
         """Write a checkpoint, or say that the last one stays."""
@@ -132,6 +136,7 @@ class _Render:
         images = self._write_images(outcome, has_ended=True)
         failures = [image for image in images if image.failure]
         log = self._log.end(outcome.rows)
+        self._viewers.show(outcome)
         result = result_fields(options, self._renderer, self._stops, outcome)
         print_result(result | {"output": [image.path for image in images if image.path]}, options.json)
         for path, image in zip(options.output, images, strict=True):

@@ -4,6 +4,9 @@ from isonoise import argument_types
 from isonoise.commands import shared_options
 from isonoise.samplers import SAMPLERS
 
+DEFAULT_TEV_ADDRESS = ("127.0.0.1", 14158)
+"""Where tev listens unless its option --host says otherwise."""
+
 
 def add_render(commands) -> None:
     render = commands.add_parser(
@@ -69,6 +72,20 @@ def add_render(commands) -> None:
         help="write the images every S seconds during the render, too",
     )
     reports.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    _add_viewers(render)
+
+
+def _add_viewers(parser) -> None:
+    viewers = parser.add_argument_group("how to watch the render")
+    viewers.add_argument(
+        "--preview",
+        metavar="HOST:PORT",
+        type=argument_types.address,
+        nargs="?",
+        const=DEFAULT_TEV_ADDRESS,
+        help="show image, samples and error in the viewer tev, which has to run "
+        f"(without an address: {':'.join(map(str, DEFAULT_TEV_ADDRESS))})",
+    )
 
 
 def _add_checkpoints(parser) -> None:
