@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
 from isonoise.selftest.scenes import look_at, rgb

@@ -10,7 +10,7 @@ from small_scene import assert_same_bits, assert_sound, lamp_over_floor, nested_
 from isonoise.device.form import FORMS, MAX_STACK_SIZE
 from isonoise.device.opencl import Device
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.scene import compile_scene, load
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene

@@ -150,10 +150,10 @@ def test_a_stopped_wave_goes_on_to_the_same_bits(monkeypatch):
         stops, random = 0, np.random.default_rng(3)
         for _ in range(WAVES):
             renderer.begin_wave()
-            before, planned = renderer.samples, int(renderer._wave.remaining.sum())
+            before, planned = renderer.samples, int(renderer._waves.wave.remaining.sum())
             while not renderer.continue_wave(lambda traced: random.random() < 0.2):
                 stops += 1
-                left = int(renderer._wave.remaining.sum())
+                left = int(renderer._waves.wave.remaining.sum())
                 assert renderer.samples - before == planned - left
                 assert renderer.statistics().samples + int(renderer.statistics().rejected.sum()) == renderer.samples
             renderer.end_wave()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isonoise.integrator.pixel_filter import CELLS, inverse_cdf
-from isonoise.loop import render
+from isonoise.render_scene import render
 
 
 def box(x: float) -> float:

@@ -11,7 +11,7 @@ from isonoise.device.opencl import Device
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.scene import compile_scene, load, structs
 from isonoise.scene.accel.build import build_scene_bvh
 

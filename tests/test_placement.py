@@ -13,7 +13,7 @@ from media_scenes import look_at
 from small_scene import lamp_over_floor
 
 from isonoise.film.exr import write_exr
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.scene import CompiledScene, compile_scene, load, structs
 from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.material.bsdf_kinds import bsdf_bits

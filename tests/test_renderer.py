@@ -12,7 +12,7 @@ import pytest
 from small_scene import BUILT_IN, PIXELS, assert_same_bits, assert_sound, lamp_over_floor, without
 
 from isonoise.errors import UserError
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.renderer import Renderer
 from isonoise.scene import compile_scene, load
 from isonoise.statistics import Statistics

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_scene import PIXELS, assert_same_bits, assert_sound, lamp_over_floor, without
 
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.renderer import Renderer
 
 AVERAGES_OVER_PIXELS = {"design_effect", "neighbour_mean", "neighbour_variance"}

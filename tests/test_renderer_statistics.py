@@ -5,7 +5,7 @@ import pytest
 from small_scene import assert_same_bits, lamp_over_floor
 
 from isonoise.device.opencl import Device
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.renderer import Renderer
 from isonoise.statistics import Needs, Statistics
 from isonoise.strategies import make_strategy

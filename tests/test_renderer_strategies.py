@@ -9,7 +9,7 @@ import pytest
 from small_scene import PIXELS, assert_same_bits, lamp_over_floor
 
 from isonoise.errors import UserError
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.renderer import Renderer
 from isonoise.strategies import Strategy, Wave
 from isonoise.strategies.uniform_allocation import uniform_allocation

@@ -12,7 +12,8 @@ from small_scene import BUILT_IN, HEIGHT, PIXELS, WIDTH, assert_same_bits, asser
 import isonoise
 from isonoise import loop
 from isonoise.errors import UserError
-from isonoise.loop import Stops, render, render_loop
+from isonoise.loop import Stops, render_loop
+from isonoise.render_scene import render
 from isonoise.renderer import Renderer
 
 
@@ -160,7 +161,8 @@ def test_progress_is_reported():
 
 
 @pytest.mark.parametrize(
-    "name", ["isonoise", "isonoise.loop", "isonoise.renderer", "isonoise.scene.load", "isonoise.strategies.base"]
+    "name",
+    ["isonoise", "isonoise.render_scene", "isonoise.renderer", "isonoise.scene.load", "isonoise.strategies.base"],
 )
 def test_examples_in_docstrings(name):
     result = doctest.testmod(importlib.import_module(name), extraglobs={"isonoise": isonoise})

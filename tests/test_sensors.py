@@ -11,7 +11,7 @@ from isonoise.device.opencl import Device
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import KERNELS, STRUCTS
 from isonoise.integrator.stages import Stages
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.scene import compile_scene, load, structs
 
 BLOCK_CAMERA = 1  # kernels/util/random.h

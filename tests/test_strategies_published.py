@@ -7,7 +7,7 @@ import pytest
 from synthetic_statistics import make_statistics, noisy_statistics
 
 from isonoise.errors import UserError
-from isonoise.loop import render
+from isonoise.render_scene import render
 from isonoise.strategies import make_strategy
 from isonoise.strategies.cycles import Cycles
 from isonoise.strategies.dammertz import Dammertz

@@ -25,7 +25,7 @@ _PUBLIC_NAMES = {
     "Wave": "isonoise.strategies",
     "load": "isonoise.scene",
     "read_checkpoint": "isonoise.state.checkpoint",
-    "render": "isonoise.loop",
+    "render": "isonoise.render_scene",
     "render_loop": "isonoise.loop",
     "write_checkpoint": "isonoise.state.checkpoint",
 }

@@ -1,7 +1,6 @@
 """The render loop: waves until a limit is reached, with the stated error after each of them.
 
-`render` is the one-call interface, `render_loop` the one with callbacks, which `isonoise render` and `isonoise compare`
-use.
+Called by `isonoise.render`, `isonoise render` and `isonoise compare`.
 """
 
 import math
@@ -42,48 +41,6 @@ MIN_WAVE_SHARE = 1 / 16
 """The stated error cuts no wave below this share of the samples so far."""
 MIN_REMAINING_PIXEL_SAMPLES = 2**20
 """A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
-
-
-def render(
-    scene,
-    spp: float | None = None,
-    time: float | None = None,
-    error: float | None = None,
-    quantile: float = 0.99,
-    confidence: float = 0.95,
-    **options,
-) -> Outcome:
-    """Render a scene until a limit is reached.
-
-    Parameters
-    ----------
-    scene : str, path or dict
-        As for `Renderer`.
-    spp, time, error, quantile, confidence
-        As for `Stops`. Without spp, time and error the scene's sample_count is the limit.
-    **options
-        Further parameters of `Renderer`, such as `strategy`, `seed` and `size`.
-
-    Returns
-    -------
-    Outcome
-        Image, statistics and log.
-
-    Raises
-    ------
-    UserError
-        As for `Renderer` and `Stops`.
-
-    Examples
-    --------
-    >>> outcome = isonoise.render("cornell", spp=32, size=(64, 48), strategy="pooled:window=7")
-    >>> outcome.reason, outcome.rgb.shape, len(outcome.rows)
-    ('spp', (48, 64, 3), 9)
-    """
-    with Renderer(scene, **options) as renderer:
-        if spp is None and time is None and error is None:
-            spp = float(renderer.scene.sample_count)
-        return render_loop(renderer, Stops(spp, time, error, quantile, confidence))
 
 
 def render_loop(renderer: Renderer, stops: Stops, **options) -> Outcome:

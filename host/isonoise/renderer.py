@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isonoise.current_statistics import CurrentStatistics
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
 from isonoise.device.pool_size import MAX_POOL_SIZE
 from isonoise.device.selection import SelectedDevice, select_devices
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
-from isonoise.errors import DeviceError, UserError
+from isonoise.errors import UserError
 from isonoise.integrator.set_up import make_wavefront
 from isonoise.samplers import SAMPLERS
 from isonoise.scene.accel.build import build_scene_bvh
@@ -26,12 +25,12 @@ from isonoise.scene.load_compiled import load_compiled, source_name
 from isonoise.scene.view import NO_VIEW, View
 from isonoise.signals import raise_if_received
 from isonoise.state.settings import check_settings, render_settings
-from isonoise.state.state import State, copy_array, split_strategy_state, with_group
-from isonoise.statistics import Statistics, UniformSamples
+from isonoise.state.state import State
+from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
-from isonoise.strategies.planner import WavePlanner
 from isonoise.strips import LARGE_IMAGE_PIXELS
-from isonoise.wave import WAVE_VALUES, WaveInProgress, WaveRecord
+from isonoise.wave import WaveRecord
+from isonoise.wave_tracer import WaveTracer
 
 if TYPE_CHECKING:
     from isonoise.distributed.cluster import Cluster
@@ -95,8 +94,6 @@ class Renderer:
         Version of its driver, and the CPU that the driver's compiler emits code for, if that is known.
     seed : int
         The seed in use.
-    samples : int
-        Samples traced so far, rejected ones included.
     setup_times : dict of str to float
         Seconds to `load` the scene, `build` its BVH and `compile` the kernels.
 
@@ -159,12 +156,7 @@ class Renderer:
             self._use_device(Device(selected[0], profile), *settings)
         else:
             self._use_workers(selected, cluster, *settings)
-        shape = self.scene.height, self.scene.width
-        self._planner = WavePlanner(self.strategy, shape)
-        self._wave: WaveInProgress | None = None
-        self.samples = 0
-        uniform = UniformSamples(shape) if needs.uniform else None
-        self._statistics = CurrentStatistics(self._wavefront.accumulator, self.scene.radiance_scale, uniform)
+        self._waves = WaveTracer(self._wavefront, self.strategy, self.scene, needs.uniform)
 
     def _use_device(self, device: Device, scene, needs, seed, pool_size, memory, is_adaptive, report) -> None:
         """Set up the wavefront on one device."""
@@ -202,10 +194,10 @@ class Renderer:
         if self._wavefront is None:
             return
         with contextlib.suppress(UserError):  # the device may have failed
-            self._statistics.forget()
+            self._waves.statistics.forget()
         if self._distributed is not None:
             self._distributed.close()
-        self._wavefront = self._distributed = self._statistics = None
+        self._wavefront = self._distributed = self._waves = None
 
     @contextlib.contextmanager
     def _measured(self, name: str) -> Iterator[None]:
@@ -215,6 +207,11 @@ class Renderer:
         self.setup_times[name] = time.perf_counter() - start
 
     @property
+    def samples(self) -> int:
+        """Samples traced so far, rejected ones included."""
+        return self._waves.samples
+
+    @property
     def features(self) -> dict[str, bool]:
         """Feature name -> whether the kernels are compiled with it."""
         return self._wavefront.features
@@ -222,7 +219,7 @@ class Renderer:
     @property
     def remaining_pixel_samples(self) -> int:
         """Samples that one pixel can still take: the device counts them in 32 bits."""
-        return self._planner.remaining_pixel_samples
+        return self._waves.planner.remaining_pixel_samples
 
     @property
     def has_little_memory(self) -> bool:
@@ -280,40 +277,19 @@ class Renderer:
     @property
     def wave_kind(self) -> str | None:
         """'uniform' or 'adaptive' during a wave, else None."""
-        return None if self._wave is None else self._wave.kind
+        return self._waves.wave_kind
 
     def begin_wave(self, samples: int | None = None) -> None:
         """Plan the strategy's next wave, of at most `samples`, for `continue_wave`. Raises UserError as `step` does."""
-        start = time.perf_counter()
-        kind, allocation = self._planner.plan(self._statistics.read_for_map, samples)
-        self._statistics.begin_wave(kind)
-        planned = int(allocation.sum(dtype=np.int64))
-        self._wave = WaveInProgress(kind, allocation, planned, seconds=time.perf_counter() - start)
+        self._waves.begin_wave(samples)
 
     def continue_wave(self, should_continue: Callable[[int], bool] | None = None) -> bool:
         """Trace samples of the wave until `should_continue`, as in `step`, returns False; whether all are traced."""
-        start, wave = time.perf_counter(), self._wave
-        should_continue = should_continue or (lambda samples: True)
-
-        def on_reduced(samples: int) -> None:
-            wave.traced += samples
-            self.samples += samples
-
-        self._statistics.forget()
-        try:
-            self._wavefront.trace(wave.remaining, lambda: should_continue(wave.traced), on_reduced)
-        finally:
-            wave.seconds += time.perf_counter() - start
-        return wave.traced == wave.planned
+        return self._waves.continue_wave(should_continue)
 
     def end_wave(self) -> WaveRecord:
         """End the wave. The rest of it, if there is one, is dropped."""
-        start, wave = time.perf_counter(), self._wave
-        self._wave = wave.remaining = None
-        self._statistics.end_wave()
-        seconds = wave.seconds + time.perf_counter() - start
-        workers = 1 if self._distributed is None else self._distributed.count_active_workers()
-        return WaveRecord(wave.kind, wave.traced, wave.planned, seconds, workers)
+        return self._waves.end_wave(1 if self._distributed is None else self._distributed.count_active_workers())
 
     @functools.cached_property
     def settings(self) -> dict[str, object]:
@@ -335,19 +311,7 @@ class Renderer:
         UserError
             If the strategy keeps something that cannot be stored.
         """
-        reduction = self._wavefront.accumulator.state({} if reuse is None else reuse.group("reduction"))
-        samples = sum(int(reduction[name].sum(dtype=np.int64)) for name in ("count", "rejected"))
-        if samples != self.samples:
-            raise DeviceError(f"the device holds {samples} samples of {self.samples}: the render cannot be continued")
-        values, arrays = split_strategy_state(self.strategy.name, self.strategy.state())
-        arrays = with_group("reduction", reduction) | with_group("strategy", arrays)
-        wave = self._wave and {name: getattr(self._wave, name) for name in WAVE_VALUES}
-        renderer = {"samples": self.samples, "planner": self._planner.state(), "wave": wave}
-        if self._wave is not None:
-            arrays["wave/remaining"] = copy_array(self._wave.remaining, "wave/remaining", reuse)
-        if self._statistics.uniform is not None:
-            arrays["uniform/sums"] = copy_array(self._statistics.uniform.sums, "uniform/sums", reuse)
-        return State(self.settings, {"renderer": renderer, "strategy": values}, arrays)
+        return self._waves.state(self.settings, reuse)
 
     def restore(self, state: State) -> None:
         """Continue from a state of a render with the same settings. Only for a renderer that has not rendered yet.
@@ -361,25 +325,13 @@ class Renderer:
             raise UserError("a merged render cannot be continued; render the scene with another seed, and merge both")
         check_settings(state.settings, self.settings)
         try:
-            self._restore(state)
+            self._waves.restore(state)
         except (LookupError, TypeError, ValueError, AttributeError, StopIteration) as error:  # also of the strategy
             raise UserError(f"the render cannot be continued: its state is damaged ({error!r})") from error
 
-    def _restore(self, state: State) -> None:
-        values, wave = state.values["renderer"], state.values["renderer"]["wave"]
-        self._statistics.forget()
-        self._wavefront.accumulator.set_state(state.group("reduction"))
-        self._planner.set_state(values["planner"])
-        self.strategy.set_state(state.values["strategy"] | state.group("strategy"))
-        self._wave = None if wave is None else WaveInProgress(remaining=state.arrays["wave/remaining"].copy(), **wave)
-        self._statistics.is_uniform_wave = self.wave_kind == "uniform"
-        if self._statistics.uniform is not None:
-            self._statistics.uniform.sums = state.arrays["uniform/sums"].copy()
-        self.samples = values["samples"]
-
     def statistics(self) -> Statistics:
         """Return the statistics of all samples so far, in the scene's units. Waits for the device."""
-        return self._statistics.read()
+        return self._waves.statistics.read()
 
     def error_distribution(self, floor: float) -> ErrorDistribution:
         """The distribution of the pixels' relative errors |x - r| / max(r, floor), r the true image.
