@@ -18,8 +18,8 @@ from isonoise.strategies.registry import DEFAULT_STRATEGY
 pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
 pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
 
-from isonoise.comparison.poster import DESIGNS, draw, poster_figures
 from isonoise.comparison.report import write_report
+from isonoise.comparison.report.poster import DESIGNS, draw, poster_figures
 from isonoise.comparison.results import Results
 
 PRESET = PRESETS[POSTER]
@@ -40,8 +40,8 @@ def make(directory, **more):
 def no_plots_of_scenes():
     """Reports have the poster's figures only; test_compare_report.py tests the others, which take most of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isonoise.comparison.plots.METRICS", ())
-        patch.setattr("isonoise.comparison.report._map_grids", lambda results, summary, scene: {})
+        patch.setattr("isonoise.comparison.report.plots.METRICS", ())
+        patch.setattr("isonoise.comparison.report.page._map_grids", lambda results, summary, scene: {})
         yield
 
 

@@ -345,7 +345,7 @@ def test_plots_are_written(folder):
 def test_maps_share_a_scale_and_shrink_by_whole_blocks():
     from PIL import Image
 
-    from isonoise.comparison.plots import map_png, sample_maps, shrink
+    from isonoise.comparison.report.map_grids import map_png, sample_maps, shrink
 
     image = np.arange(6 * 9, dtype=float).reshape(6, 9)
     assert shrink(image, 9).tolist() == image.tolist()
@@ -359,7 +359,7 @@ def test_maps_share_a_scale_and_shrink_by_whole_blocks():
 
 
 def test_overlapping_labels_are_moved_apart():
-    from isonoise.comparison.plots import spread_apart
+    from isonoise.comparison.report.plots import spread_apart
 
     assert spread_apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
     assert spread_apart([0.5, 0.5], 0.1) == pytest.approx([0.45, 0.55])

@@ -1,6 +1,6 @@
 """Tables of text cells, for the terminal and for Markdown; called by the commands that print tables.
 
-`report.html.j2` renders the same `Table` as HTML.
+`comparison/report/page.html.j2` renders the same `Table` as HTML.
 """
 
 import textwrap

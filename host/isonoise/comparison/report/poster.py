@@ -1,4 +1,4 @@
-"""The figures of the poster, reproduced from the finished runs of a comparison; called by `report`.
+"""The figures of the poster, reproduced from the finished runs of a comparison; called by `page`.
 
 Pajot, Barthe, Paulin, "Robust adaptive sampling for Monte-Carlo-based rendering", SIGGRAPH Asia 2011 Posters, 49:1.
 """
@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isonoise.comparison import metrics, plots
+from isonoise.comparison import metrics
 from isonoise.comparison.metric_columns import SCENE_COLUMNS, format_number, format_percent, format_ratio
+from isonoise.comparison.report import map_grids
 from isonoise.comparison.results import Results, Run
 from isonoise.strategies.registry import DEFAULT_STRATEGY
 
@@ -42,7 +43,7 @@ class Row:
     """Maps side by side with a common scale; `form` formats its numbers, `captions` are lines of text per map."""
 
     title: str
-    grid: plots.MapGrid
+    grid: map_grids.MapGrid
     form: Callable[..., str]
     captions: Sequence[Sequence[str]]
 
@@ -135,9 +136,9 @@ def draw(figure: PosterFigure) -> "Figure":
     axes = drawing.subplots(len(figure.rows), column_count, squeeze=False)
     for k, (panels, row) in enumerate(zip(axes, figure.rows, strict=True)):
         for panel, map_, captions in zip(panels, row.grid.maps, row.captions, strict=True):
-            plots.draw_map(panel, map_ if k == 0 else replace(map_, title=""), row.grid)
+            map_grids.draw_map(panel, map_ if k == 0 else replace(map_, title=""), row.grid)
             panel.set_xlabel("\n".join(captions), fontsize=7.5)
-        plots.draw_colour_bar(drawing, list(panels), row.grid, row.title, row.form, location="right", aspect=25)
+        map_grids.draw_colour_bar(drawing, list(panels), row.grid, row.title, row.form, location="right", aspect=25)
     return drawing
 
 
@@ -177,7 +178,7 @@ def _rows(design: Design, scene: Mapping, by_spec: Mapping, runs: Mapping[str, S
             ideal, lines = _ideal_map(by_spec[DEFAULT_STRATEGY]["rms"]["p50"], len(seeds), images[0].shape)
             maps, captions = [*maps, ideal], [*captions, lines]
         error_rows["rms"] = (f"RMS error, {len(seeds)} seed{'s' * (len(seeds) != 1)}", maps, captions)
-    scale = plots.error_maps({(kind, m.title): m.values for kind, (_, maps, _) in error_rows.items() for m in maps})
+    scale = map_grids.error_maps({(kind, m.title): m.values for kind, (_, maps, _) in error_rows.items() for m in maps})
     rows = {
         kind: Row(title, replace(scale, maps=maps), format_percent, captions)
         for kind, (title, maps, captions) in error_rows.items()
@@ -185,18 +186,18 @@ def _rows(design: Design, scene: Mapping, by_spec: Mapping, runs: Mapping[str, S
     if "samples" in design.rows:
         counts = [seed_runs[0].count for seed_runs in runs.values()]
         captions = [[f"{count.min():,} to {count.max():,}", f"mean {format_number(count.mean())}"] for count in counts]
-        grid = plots.sample_maps(dict(zip(titles, counts, strict=True)))
+        grid = map_grids.sample_maps(dict(zip(titles, counts, strict=True)))
         rows["samples"] = Row(f"samples, seed {seeds[0]}", grid, format_number, captions)
     return [rows[kind] for kind in design.rows]
 
 
-def _maps(titles: Sequence[str], images: Sequence[np.ndarray]) -> list[plots.Map]:
-    return [plots.Map(title, image) for title, image in zip(titles, images, strict=True)]
+def _maps(titles: Sequence[str], images: Sequence[np.ndarray]) -> list[map_grids.Map]:
+    return [map_grids.Map(title, image) for title, image in zip(titles, images, strict=True)]
 
 
-def _ideal_map(median: float, seeds: int, shape: tuple[int, int]) -> tuple[plots.Map, list[str]]:
+def _ideal_map(median: float, seeds: int, shape: tuple[int, int]) -> tuple[map_grids.Map, list[str]]:
     """Simulated RMS over the seeds for equal normal errors in all pixels, distributed like sqrt(chi^2_S / S)."""
     level = median / np.sqrt(metrics.chi_square_quantile(0.5, seeds))
     values = level * np.sqrt(np.random.default_rng(0).chisquare(seeds, shape))
     lines = ["simulated, with the default's p50", f"p99/p50 {format_ratio(metrics.ideal_uniformity(seeds))}"]
-    return plots.Map("equal errors", values), lines
+    return map_grids.Map("equal errors", values), lines

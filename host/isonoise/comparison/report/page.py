@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from isonoise.comparison import metrics, plots, poster
+from isonoise.comparison import metrics
 from isonoise.comparison.metric_columns import SCENE_COLUMNS, SINGLE_IMAGE_COLUMNS, format_number, format_percent
 from isonoise.comparison.presets import POSTER
+from isonoise.comparison.report import figure_files, map_grids, plots, poster
 from isonoise.comparison.report_tables import (
     NOISY_REFERENCE,
     scene_table,
@@ -44,8 +45,12 @@ def write_report(directory: Path) -> dict:
         (directory / "plots").mkdir(exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot write into '{directory}': {error.strerror}") from error
+    from markupsafe import Markup
+
     titles = strategy_titles(summary)
     page = _template().render(
+        style=Markup(_asset("page.css")),
+        script=Markup(_asset("tables.js")),
         summary=summary,
         scenes=[_scene(results, summary, scene) for scene in scenes],
         poster=_poster(results, summary),
@@ -68,7 +73,12 @@ def _template():
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"percent": format_percent}
-    return environment.from_string(files("isonoise.comparison").joinpath("report.html.j2").read_text(encoding="utf-8"))
+    return environment.from_string(_asset("page.html.j2"))
+
+
+def _asset(name: str) -> str:
+    """Text of a file beside this module."""
+    return files("isonoise.comparison.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def _poster(results: Results, summary: Mapping) -> list[dict]:
@@ -77,7 +87,7 @@ def _poster(results: Results, summary: Mapping) -> list[dict]:
     for figure in poster.poster_figures(results, summary) if results.plan.preset == POSTER else ():
         path = results.directory / "plots" / f"{figure.name}.png"
         if figure.rows:
-            plots.write_figure(path, poster.draw(figure))
+            figure_files.write_figure(path, poster.draw(figure))
         else:
             path.unlink(missing_ok=True)  # a figure of earlier runs
         figures.append(
@@ -106,18 +116,18 @@ def _scene(results: Results, summary: Mapping, scene: Mapping) -> dict:
     for metric in plots.METRICS:
         name = f"{slug}-{metric.replace('_', '-')}"
         figure = plots.error_plot(summary, scene, metric)
-        plots.write_figure(folder / f"{name}.png", figure)
-        curves.append(Markup(plots.inline_svg(figure, name)))
+        figure_files.write_figure(folder / f"{name}.png", figure)
+        curves.append(Markup(figure_files.inline_svg(figure, name)))
     grids = []
     for name, (grid, title, form) in _map_grids(results, summary, scene).items():
-        plots.write_figure(folder / f"{slug}-{name}.png", plots.grid_figure(grid, title, form))
+        figure_files.write_figure(folder / f"{slug}-{name}.png", map_grids.grid_figure(grid, title, form))
         grids.append(_grid(grid, title, form))
     picture.thumbnail((2 * MAP_SIDE, 2 * MAP_SIDE))
     return {
         "slug": slug,
         "table": scene_table(summary, scene),
         "single_images": single_image_table(summary, scene),
-        "reference": _data_uri(plots.png_bytes(picture)),
+        "reference": _data_uri(map_grids.png_bytes(picture)),
         "curves": curves,
         "grids": grids,
     }
@@ -133,20 +143,20 @@ def _map_grids(results: Results, summary: Mapping, scene: Mapping) -> dict[str, 
         errors[titles[strategy]] = metrics.rms_over_seeds(np.stack([run.errors[-1] for run in used]))
     samples = f"samples per pixel, seed {scene['seeds'][0]}"
     return {
-        "samples": (plots.sample_maps(counts), samples, format_number),
-        "errors": (plots.error_maps(errors), "RMS relative error over the seeds", format_percent),
+        "samples": (map_grids.sample_maps(counts), samples, format_number),
+        "errors": (map_grids.error_maps(errors), "RMS relative error over the seeds", format_percent),
     }
 
 
-def _grid(grid: plots.MapGrid, title: str, form) -> dict:
+def _grid(grid: map_grids.MapGrid, title: str, form) -> dict:
     """A grid of maps for the template."""
     span = np.log(grid.high / grid.low)
     return {
         "title": title,
-        "maps": [(m.title, _data_uri(plots.map_png(m, grid, MAP_SIDE))) for m in grid.maps],
-        "colours": plots.colour_stops(grid),
+        "maps": [(m.title, _data_uri(map_grids.map_png(m, grid, MAP_SIDE))) for m in grid.maps],
+        "colours": map_grids.colour_stops(grid),
         "ticks": [
-            (form(t, 1), 100 * float(np.log(t / grid.low) / span)) for t in plots.nice_ticks(grid.low, grid.high)
+            (form(t, 1), 100 * float(np.log(t / grid.low) / span)) for t in map_grids.nice_ticks(grid.low, grid.high)
         ],
     }
 
@@ -155,7 +165,7 @@ def _swatch(style: Mapping) -> dict[str, str]:
     """The line style of a strategy for SVG."""
     dash = style["linestyle"]
     return {
-        "colour": "currentColor" if style["color"] == plots.INK else style["color"],
+        "colour": "currentColor" if style["color"] == figure_files.INK else style["color"],
         "dashes": "none" if dash == "-" else " ".join(f"{1.4 * length:g}" for length in dash[1]),
     }
 
