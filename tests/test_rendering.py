@@ -12,7 +12,7 @@ from small_scene import BUILT_IN, HEIGHT, PIXELS, WIDTH, assert_same_bits, asser
 import isonoise
 from isonoise import loop
 from isonoise.errors import UserError
-from isonoise.loop import Stops, render_loop
+from isonoise.loop import Periodic, RenderLoop, Stops, render_loop
 from isonoise.render_scene import render
 from isonoise.renderer import Renderer
 
@@ -168,3 +168,29 @@ def test_examples_in_docstrings(name):
     result = doctest.testmod(importlib.import_module(name), extraglobs={"isonoise": isonoise})
     assert result.attempted > 0
     assert result.failed == 0
+
+
+def test_an_action_happens_only_while_it_is_wanted_and_may_end_the_render():
+    asked, seen = itertools.count(), []
+
+    def act(loop):
+        nonlocal asked
+        asked = itertools.count()
+        image = loop.renderer.image()  # in the middle of a wave without the other statistics
+        assert image.tobytes() == loop.renderer.statistics().rgb.tobytes()
+        seen.append((loop.renderer.wave_kind, loop.progress().samples))
+        if len(seen) == 6:
+            loop.stop()
+
+    with Renderer(lamp_over_floor(), strategy="uniform", pool_size=32) as renderer:
+        render = RenderLoop(renderer, Stops(spp=1e6), periodic=[Periodic(0.0, act, lambda: next(asked) >= 3)])
+        outcome = render.run()
+    assert outcome.reason == "interrupted"
+    assert render.is_stopped
+    assert len(seen) == 6
+    assert "uniform" in [kind for kind, _ in seen]  # in the middle of a wave
+    samples = [number for _, number in seen]
+    assert samples == sorted(samples)
+    never = Periodic(0.0, lambda loop: pytest.fail("not wanted"), lambda: False)
+    with Renderer(lamp_over_floor(), strategy="uniform") as renderer:
+        assert render_loop(renderer, Stops(spp=4), periodic=[never]).reason == "spp"

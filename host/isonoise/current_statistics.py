@@ -6,6 +6,8 @@ Called by `Renderer`.
 import weakref
 from dataclasses import replace
 
+import numpy as np
+
 from isonoise.integrator.accumulator import Accumulator
 from isonoise.statistics import Statistics, UniformSamples
 
@@ -33,6 +35,10 @@ class CurrentStatistics:
         if self._kept is None:
             self._kept = self._with_uniform(self._accumulator.statistics(self._scale, defer_rgb=True))
         return self._kept
+
+    def read_rgb(self) -> np.ndarray:
+        """Mean linear RGB alone, which is faster in the middle of a wave. Waits for the device."""
+        return self._accumulator.rgb(self._scale) if self._kept is None else self._kept.rgb
 
     def read_for_map(self) -> Statistics:
         """Statistics for an allocation map; what computed them leaves its memory to the map of a large image."""

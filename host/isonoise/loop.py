@@ -52,11 +52,22 @@ class Periodic(NamedTuple):
     """Something to do during a render, at intervals of `interval_s` seconds.
 
     `action` is called with the `RenderLoop`, whose `state` and `outcome_so_far` work then. A wave stops for it and then
-    goes on, which does not change the image. The clock of the render stands still meanwhile.
+    goes on, which does not change the image. The clock of the render stands still meanwhile. With `is_wanted` that
+    happens only if it returns True; it is called once the interval has passed, some hundred times per second.
     """
 
     interval_s: float
     action: "Callable[[RenderLoop], None]"
+    is_wanted: Callable[[], bool] = lambda: True
+
+
+class Progress(NamedTuple):
+    """How far a render is; the last two are None while unknown."""
+
+    elapsed_s: float
+    samples: int
+    stated_error: float | None  # after the last wave, at the quantile of `Stops`
+    remaining_s: float | None  # estimated seconds to the first limit
 
 
 class RenderLoop:
@@ -114,7 +125,7 @@ class RenderLoop:
         self.renderer, self.stops = renderer, stops
         self._on_wave = on_wave or (lambda row, statistics: None)
         self._on_progress = on_progress or (lambda *progress: None)
-        self._should_stop = should_stop or (lambda: False)
+        self._stop_signal, self._has_stopped = should_stop or (lambda: False), False
         self._periodic, self._on_end = periodic, on_end or (lambda loop: None)
         self._reference = reference
         self._reference_floor = None if reference is None else image_floor(luminance(reference[0]))
@@ -204,6 +215,20 @@ class RenderLoop:
         if "energy_loss/uniform" in state.arrays:
             self._energy_loss.uniform = state.arrays["energy_loss/uniform"].copy()
 
+    def stop(self) -> None:
+        """End the render as `should_stop` does. Any thread may call it."""
+        self._has_stopped = True
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether `stop` or `should_stop` ends the render."""
+        return self._has_stopped or self._stop_signal()
+
+    def progress(self) -> Progress:
+        """How far the render is. Any thread may call it."""
+        elapsed = self._elapsed()
+        return Progress(elapsed, self.renderer.samples, self._error, self._remaining_s(elapsed))
+
     def _elapsed(self) -> float:
         return time.perf_counter() - self._clock_start
 
@@ -220,7 +245,7 @@ class RenderLoop:
         return image_floor(statistics.mean) if self._reference_floor is None else self._reference_floor
 
     def _stop_reason(self) -> str | None:
-        if self._should_stop():
+        if self.is_stopped:
             return "interrupted"
         if self._error_stop is not None and self._error_stop.passed:
             return "error"
@@ -240,22 +265,25 @@ class RenderLoop:
     def _trace_wave(self) -> bool:
         """Trace the wave; return False if it ends early because of a signal or the deadline."""
         while not self.renderer.continue_wave(self._should_continue):
-            if self._should_stop() or self._deadline_passed():
+            if self.is_stopped or self._deadline_passed():
                 return False
             self._run_periodic()
         return True
 
     def _should_continue(self, wave_samples: int) -> bool:
         self._report_progress()
-        is_due = bool(self._due_at) and not self._has_just_acted and time.perf_counter() >= min(self._due_at)
+        is_due = not self._has_just_acted and any(map(self._is_due, range(len(self._periodic))))
         self._has_just_acted = False
-        return not (is_due or self._should_stop() or self._deadline_passed())
+        return not (is_due or self.is_stopped or self._deadline_passed())
+
+    def _is_due(self, index: int) -> bool:
+        return time.perf_counter() >= self._due_at[index] and self._periodic[index].is_wanted()
 
     def _run_periodic(self) -> None:
         self._has_just_acted = True
         for index, each in enumerate(self._periodic):
-            start = time.perf_counter()
-            if start >= self._due_at[index]:
+            if self._is_due(index):
+                start = time.perf_counter()
                 each.action(self)
                 end = time.perf_counter()
                 self._clock_start += end - start
@@ -307,11 +335,11 @@ class RenderLoop:
         elapsed = self._elapsed()
         if elapsed - self._last_progress_s >= PROGRESS_INTERVAL_S:
             self._last_progress_s = elapsed
-            self._on_progress(elapsed, self.renderer.samples, self._error, self._remaining_s(elapsed))
+            self._on_progress(*self.progress())
 
     def _remaining_s(self, elapsed: float) -> float | None:
         """Estimated seconds to the first limit."""
-        samples_per_s = self.renderer.samples / elapsed
+        samples_per_s = self.renderer.samples / max(elapsed, 1e-9)
         estimates = []
         if self.stops.time is not None:
             estimates.append(max(self.stops.time - elapsed, 0.0))

@@ -346,4 +346,4 @@ class Renderer:
 
     def image(self) -> np.ndarray:
         """Return the mean linear RGB, (height, width, 3) float32. Waits for the device."""
-        return self.statistics().rgb
+        return self._waves.statistics.read_rgb()

@@ -140,7 +140,7 @@ class Accumulator:
         for name, plane in planes.items():
             planes[name] = plane.reshape(*self._shape, *plane.shape[1:])
             planes[name].flags.writeable = False
-        planes["rgb"] = partial(self._read_rgb, scale) if defer_rgb else self._read_rgb(scale)
+        planes["rgb"] = partial(self.rgb, scale) if defer_rgb else self.rgb(scale)
         return Statistics(**{"median": None} | planes)
 
     def update_luminance(self) -> None:
@@ -167,7 +167,7 @@ class Accumulator:
         with self._device.mapped(self.rejected, np.uint32, self.pixels) as rejected:
             return rejected.copy() if rejected.any() else np.broadcast_to(np.uint32(0), rejected.shape)
 
-    def _read_rgb(self, scale: float) -> np.ndarray:
+    def rgb(self, scale: float) -> np.ndarray:
         """The mean RGB, in the scene's units: planes, which are written to a file without a copy.
 
         Large images release the scratch buffers first.
