@@ -27,7 +27,7 @@ SHARED = {
 """Modules that all strategies use, and `measures` for the floor of the stated error."""
 UNUSED = (
     *("benchmark", "comparison", "convert", "selftest", "integrator.feature_superset", "integrator.feature_costs"),
-    *("distributed", "live", "scene.formats", "scene.other_files", "scene.volume."),
+    *("distributed", "live", "notebook", "scene.formats", "scene.other_files", "scene.volume."),
 )
 """Beginnings of the names of modules that a render of `cornell` does not use."""
 MAX_START_CPU_S = 1.0

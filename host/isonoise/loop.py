@@ -178,7 +178,8 @@ class RenderLoop:
         bound = None if self._error_stop is None else self._error_stop.bound
         error = math.inf if self._error is None else self._error
         elapsed, share = self._elapsed(), self._client_share()
-        return Outcome(reason, self.rows, elapsed, statistics, self._floor(statistics), error, bound, share)
+        floor = self._floor(statistics)
+        return Outcome(reason, self.rows, elapsed, statistics, floor, error, bound, share, self.stops)
 
     def state(self, reuse: State | None = None) -> State:
         """Return all that the render is, to continue it later. Waits for the device. As `Renderer.state`."""

@@ -6,7 +6,9 @@ import numpy as np
 
 from isonoise.error.stated_error import relative_standard_error
 from isonoise.film.log import LogRow
+from isonoise.progress import format_duration, format_number, format_percent
 from isonoise.statistics import Statistics
+from isonoise.stops import Stops
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,10 @@ class Outcome:
     client_share : float or None
         Share of the time, from 0 to 1, in which this process did not wait for workers: its main thread computed maps,
         statistics and errors, or exchanged tasks. None on one device.
+    stops : Stops or None
+        The limits of the render.
+
+    Notebooks show image, error map, sample map and error curve.
     """
 
     reason: str
@@ -42,6 +48,7 @@ class Outcome:
     stated_error: float
     error_bound: float | None = None
     client_share: float | None = None
+    stops: Stops | None = None
 
     @property
     def rgb(self) -> np.ndarray:
@@ -52,3 +59,16 @@ class Outcome:
     def error(self) -> np.ndarray:
         """Relative standard error of every pixel's luminance, (height, width) float32."""
         return relative_standard_error(self.statistics, self.floor)
+
+    def _repr_html_(self) -> str:
+        from isonoise.notebook.render_html import render_html  # only notebooks call this
+
+        height, width = self.statistics.shape
+        spp = format_number(self.statistics.samples / (width * height), 4)
+        facts = f"{width}x{height} pixels, {spp} samples per pixel in {format_duration(self.elapsed_s)}"
+        if self.stops is None:
+            return render_html(facts, self.statistics, self.floor, self.rows)
+        facts += f"; stated error {format_percent(self.stated_error)} at quantile {self.stops.quantile:g}"
+        return render_html(
+            f"{facts}; ended by: {self.reason}", self.statistics, self.floor, self.rows, self.stops.error
+        )
