@@ -1,12 +1,16 @@
-"""Progress bars (on a terminal only), and numbers formatted for people."""
+"""Progress bars, on a terminal or in a notebook, and numbers formatted for people."""
 
+import html
 import math
 import re
 import sys
 
 
 class ProgressBar:
-    """A progress bar on stderr during the `with` block. Nothing is shown if stderr is not a terminal."""
+    """A progress bar during the `with` block: on stderr if that is a terminal, in a notebook below the cell.
+
+    Elsewhere nothing is shown.
+    """
 
     def __init__(self, description: str = "first samples"):
         self._description = description
@@ -26,16 +30,51 @@ class ProgressBar:
             )
             self._task = self._progress.add_task(self._description, total=None)
             self._progress.start()
+        self._notebook = NotebookOutput() if in_notebook() else None
+        self.show(0, None, self._description)
         return self
 
     def __exit__(self, *exception) -> None:
         if self._progress:
             self._progress.stop()
+        if self._notebook:
+            self._notebook.clear()
 
     def show(self, completed: float, total: float | None, description: str) -> None:
         """Show that `completed` of `total` (None: unknown) is done, with `description` beside the bar."""
         if self._progress:
             self._progress.update(self._task, completed=completed, total=total, description=description)
+        if self._notebook:
+            share = "" if total is None else f' value="{completed / total:.4f}"'
+            bar = f'<progress{share} aria-label="progress" style="width:40%"></progress>'
+            self._notebook.show(f"{bar} {html.escape(description)}", description)
+
+
+def in_notebook() -> bool:
+    """Whether the code runs in a kernel of Jupyter, so that what it displays appears in a notebook."""
+    ipython = sys.modules.get("IPython")
+    return hasattr(ipython and ipython.get_ipython(), "kernel")
+
+
+class NotebookOutput:
+    """One output of a notebook's cell, whose content can be replaced."""
+
+    def __init__(self):
+        from IPython.display import DisplayHandle
+
+        self._handle = DisplayHandle()
+        self._is_shown = False
+
+    def show(self, content: str, text: str) -> None:
+        """Show HTML in place of what was shown before; `text` is for frontends without HTML."""
+        display = self._handle.update if self._is_shown else self._handle.display
+        display({"text/html": content, "text/plain": text}, raw=True)
+        self._is_shown = True
+
+    def clear(self) -> None:
+        """Show nothing more."""
+        if self._is_shown:
+            self.show("", "")
 
 
 class RenderProgressBar(ProgressBar):
