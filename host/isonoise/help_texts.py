@@ -51,8 +51,8 @@ files in DIR:
   report.html              tables and plots in one file
   summary.json             the tables' numbers
   tables.md                the tables as Markdown
-  waves.csv                one row per wave of every run: the columns of `isonoise render --help`, true errors without
-                           that of the reference (true_p99_corrected), and device_s
+  runs.csv, runs.parquet   one row per run; Parquet with the extra `tables`. Columns: host/docs/experiments.md
+  waves.csv, waves.parquet one row per wave of every run
   plots/                   the plots as files
   references/SCENE.exr     rendered references: R, G, B and standard errors stderr.R, .G, .B
   runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again

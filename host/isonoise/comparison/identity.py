@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from isonoise.comparison.plan import REFERENCE_BUDGET_FACTOR, Plan, SceneEntry, StrategyEntry, file_sha256
 from isonoise.comparison.strategy_specs import needs_variance, oracle_file
 
-FORMAT = 2
-"""Goes up when the files get other arrays or channels, or these another meaning."""
+FORMATS = {"run": 2, "reference": 1, "variance": 1}
+"""Of each kind of file. Goes up when it gets other arrays or channels, or these another meaning."""
 
 _AT_LEAST = ("reference_time", "reference_spp")
 """A reference may have more than it needs: comparisons of a series share the one with the most samples."""
@@ -68,4 +68,4 @@ def find_mismatch(stored: Mapping, expected: Mapping) -> str | None:
 
 
 def _common(plan: Plan, scene: SceneEntry, kind: str) -> dict:
-    return {"kind": kind, "format": FORMAT, "version": plan.version, "scene": scene.hash, "device": plan.device}
+    return {"kind": kind, "format": FORMATS[kind], "version": plan.version, "scene": scene.hash, "device": plan.device}

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from isonoise.comparison.checked_files import pack_npz
+from isonoise.comparison.image_metrics import BiasMetric, mean_square_error
 from isonoise.comparison.reference_error import error_quantiles, relative_to_floor
 from isonoise.error.true_error import luminance_standard_error
 from isonoise.film.log import LogRow, columns, row_values
 from isonoise.loop import Stops
 from isonoise.luminance import luminance
+from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
 
 SNAPSHOTS = 6
@@ -18,7 +20,9 @@ SNAPSHOTS = 6
 
 CORRECTED = {"true_p50_corrected": 0.5, "true_p95_corrected": 0.95, "true_p99_corrected": 0.99}
 """Columns with the true errors at these quantiles, without the reference's own error."""
-RUN_COLUMNS = (*columns(true_errors=True), *CORRECTED, "device_s")
+IMAGE_METRICS = ("true_mse", "true_bias", "true_bias_se")
+"""Columns with the metrics of `image_metrics`."""
+RUN_COLUMNS = (*columns(true_errors=True), *CORRECTED, *IMAGE_METRICS, "device_s")
 """Fields of a row."""
 
 _MAX_HALF = float(np.finfo(np.float16).max)
@@ -43,7 +47,9 @@ class Recorder:
     """
 
     def __init__(self, stops: Stops, reference: np.ndarray, reference_se: np.ndarray | None = None):
+        self._reference = reference
         self._luminance = luminance(reference)
+        self._bias = BiasMetric(reference, reference_se)
         floor = image_floor(self._luminance)
         self._scale = np.maximum(self._luminance, floor)
         self._relative_se = None
@@ -55,12 +61,13 @@ class Recorder:
         self.rows: list[dict] = []
         self._snapshots: list[tuple[float, int, np.ndarray]] = []
 
-    def wave(self, row: LogRow, rgb: np.ndarray, device_s: float | None) -> None:
-        """Record a wave: its row, the image and the busy time of the device so far."""
-        corrected = error_quantiles(self._error(rgb), tuple(CORRECTED.values()), self._relative_se)
-        self.rows.append(
-            row_values(row) | dict(zip(CORRECTED, corrected.tolist(), strict=True)) | {"device_s": device_s}
-        )
+    def wave(self, row: LogRow, rgb: np.ndarray, device_s: float | None, statistics: Statistics | None = None) -> None:
+        """Record a wave: row, image, busy time of the device so far, and the image's statistics if they are known."""
+        corrected = error_quantiles(self._error(rgb), tuple(CORRECTED.values()), self._relative_se).tolist()
+        bias = self._bias(rgb, statistics)
+        metrics = (mean_square_error(rgb, self._reference), bias.value, bias.se)
+        values = row_values(row) | dict(zip((*CORRECTED, *IMAGE_METRICS), (*corrected, *metrics), strict=True))
+        self.rows.append(values | {"device_s": device_s})
         reached = row.elapsed_s if self._by_time else row.samples
         due = [threshold for threshold in self._due_at if reached >= threshold]
         if due:

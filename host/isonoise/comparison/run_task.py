@@ -92,7 +92,7 @@ def render_run(
         renderer,
         task.stops,
         should_stop,
-        on_wave=lambda row, statistics: recorder.wave(row, statistics.rgb, renderer.device_seconds),
+        on_wave=lambda row, statistics: recorder.wave(row, statistics.rgb, renderer.device_seconds, statistics),
         on_progress=on_progress,
         reference=reference,
     )

@@ -1,7 +1,5 @@
-"""summary.json and waves.csv of a comparison, computed from the finished runs; called by `report` and the command."""
+"""summary.json of a comparison, computed from the finished runs; called by `report` and the command."""
 
-import csv
-import io
 import json
 import math
 from collections.abc import Callable
@@ -13,10 +11,10 @@ import numpy as np
 from isonoise import __version__
 from isonoise.comparison import metrics, reference_error
 from isonoise.comparison.plan import SceneEntry
-from isonoise.comparison.recorder import RUN_COLUMNS
 from isonoise.comparison.report_tables import markdown_tables, text_tables
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, independent_counterpart
+from isonoise.comparison.tidy_tables import write_tables
 from isonoise.comparison.timing import timing_rows
 from isonoise.film.files import write_atomically
 from isonoise.strategies.registry import DEFAULT_STRATEGY
@@ -91,9 +89,9 @@ def summarise(directory: Path) -> dict:
 
 
 def write_summary(directory: Path, summary: dict) -> None:
-    """Write waves.csv, summary.json and tables.md to `directory`, each file atomically."""
+    """Write summary.json, tables.md and the tidy tables (`tidy_tables`) to `directory`, each file atomically."""
     directory = Path(directory)
-    _write_text(directory / "waves.csv", _waves_csv(Results(directory)))
+    write_tables(Results(directory))
     _write_text(directory / "summary.json", json.dumps(summary, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     _write_text(directory / "tables.md", markdown_tables(summary))
 
@@ -308,25 +306,6 @@ def _with_test(estimate: metrics.Estimate, null: float) -> dict:
 
 def _quantiles(image: np.ndarray) -> dict[str, float]:
     return dict(zip(QUANTILES, np.quantile(image, list(QUANTILES.values())).tolist(), strict=True))
-
-
-def _waves_csv(results: Results) -> str:
-    """Text of waves.csv: a row per wave of every finished run, in the order of the plan."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["scene", "strategy", "seed", *RUN_COLUMNS])
-    for scene in results.plan.scenes:
-        for strategy, runs in results.runs(scene).items():
-            for seed, run in runs.items():
-                for row in run.rows:
-                    writer.writerow([scene.slug, strategy, seed, *(_csv_field(row.get(name)) for name in RUN_COLUMNS)])
-    return text.getvalue()
-
-
-def _csv_field(value: object) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    return format(value, ".9g") if isinstance(value, float) else str(value)
 
 
 def _to_float(value: object) -> float:

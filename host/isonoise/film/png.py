@@ -42,7 +42,7 @@ def tone_map(rgb: np.ndarray, exposure: float | None = None) -> np.ndarray:
     """
     value = np.where(np.isfinite(rgb), rgb, 0).astype(np.float32).clip(min=0)
     with np.errstate(over="ignore"):  # infinity is white as well
-        value *= np.float32(_automatic_exposure(luminance(value)) if exposure is None else exposure)
+        value *= np.float32(automatic_exposure(value) if exposure is None else exposure)
     above = np.maximum(value - SHOULDER, 0) / (1 - SHOULDER)
     value = np.where(value <= SHOULDER, value, SHOULDER + (1 - SHOULDER) * -np.expm1(-above))
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
@@ -60,7 +60,9 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None =
     write_atomically(path, lambda temporary: picture.save(temporary, format="PNG"))
 
 
-def _automatic_exposure(brightness: np.ndarray) -> float:
+def automatic_exposure(rgb: np.ndarray) -> float:
+    """The factor on `rgb` that `tone_map` takes unless one is given; (height, width, 3), finite and not negative."""
+    brightness = luminance(rgb)
     average = 100 * image_floor(brightness)  # the floor is 1 % of the log-average
     if not average > 0:
         return 1.0

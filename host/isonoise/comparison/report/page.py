@@ -30,7 +30,7 @@ MAP_SIDE = 256
 
 
 def write_report(directory: Path) -> dict:
-    """Write waves.csv, summary.json, tables.md, plots/*.png and report.html to `directory`, each file atomically.
+    """Write the tidy tables, summary.json, tables.md, plots/*.png and report.html to `directory`, each file atomically.
 
     Returns the summary. Raises UserError if there is nothing to report or a file cannot be read or written.
     """

@@ -1,0 +1,127 @@
+"""The columns of a comparison's tidy tables `runs` and `waves`: type, unit, meaning. For `tidy_tables`."""
+
+from dataclasses import dataclass
+
+from isonoise.film.log import columns
+
+_LOG = columns(true_errors=True)
+"""Name -> meaning of the columns of a render's log."""
+_RADIANCE = "radiance"
+"""The unit of the scene's RGB values."""
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column.
+
+    Attributes
+    ----------
+    name : str
+        As in the file.
+    dtype : str
+        `string`, `int64` or `float64`. Only the latter can have missing values: nan in arrays, empty in CSV files, null
+        in Parquet files.
+    unit : str
+        `1` for ratios and numbers without unit, empty for texts.
+    meaning : str
+        A line.
+    metric : str
+        The metric of `--metrics` that it belongs to; empty if every table has it.
+    """
+
+    name: str
+    dtype: str
+    unit: str
+    meaning: str
+    metric: str = ""
+
+
+def _text(name: str, meaning: str) -> TableColumn:
+    return TableColumn(name, "string", "", meaning)
+
+
+def _number(name: str, unit: str, meaning: str = "", metric: str = "") -> TableColumn:
+    return TableColumn(name, "float64", unit, meaning or _LOG[name], metric)
+
+
+def _integer(name: str, meaning: str = "") -> TableColumn:
+    return TableColumn(name, "int64", "1", meaning or _LOG[name])
+
+
+_KEYS = (
+    _text("scene", "the scene's name in the folder"),
+    _text("strategy", "the strategy's name in the folder"),
+    _integer("seed", "of the run"),
+)
+_ABOUT_RUNS = (
+    _text("spec", "the strategy as it was given"),
+    _text("description", "the strategy with all its parameters"),
+    _integer("width", "pixels of the image's rows"),
+    _integer("height", "rows of the image"),
+    _text("device", "device and driver"),
+    _text("worker", "address of the worker of a cluster; empty without one"),
+    _text("stopped_by", "what ended the run: time or spp"),
+    _number("setup_s", "s", "before the first sample: load, build, compile"),
+    _number("warm_up_spp", "samples/pixel", "before the first adaptive wave; missing if the first waves are uniform"),
+    _integer("waves", "number of waves"),
+)
+_PROGRESS = (
+    _number("elapsed_s", "s"),
+    _number("device_s", "s", "of these, during which the device was busy; missing if it cannot measure it"),
+    _integer("samples"),
+    _number("spp", "samples/pixel"),
+    _integer("rejected"),
+    _number("energy_loss", "1"),
+    _number("energy_loss_se", "1"),
+)
+_STATED = "stated error at this quantile over the true one without the reference's own error"
+_METRICS = (
+    _number("true_rel_mse", "1", metric="rel-mse"),
+    _number("true_rel_mse_trimmed", "1", metric="rel-mse"),
+    _number("true_rel_mse_floor", "1", metric="rel-mse"),
+    _number("true_rel_mse_floor_trimmed", "1", metric="rel-mse"),
+    _number("true_mse", f"{_RADIANCE}^2", "mean over pixels and RGB of (x - r)^2", "mse"),
+    _number("true_p50", "1", metric="quantiles"),
+    _number("true_p95", "1", metric="quantiles"),
+    _number("true_p99", "1", metric="quantiles"),
+    _number("true_max", "1", metric="quantiles"),
+    *(
+        _number(f"true_{q}_corrected", "1", f"true_{q} without the reference's own error", "quantiles")
+        for q in ("p50", "p95", "p99")
+    ),
+    _number(
+        "true_uniformity",
+        "1",
+        "true_p99_corrected / true_p50_corrected: 3.82 if all pixels have normal errors of the same size",
+        "uniformity",
+    ),
+    _number("true_energy_ratio", "1", metric="bias"),
+    _number("true_energy_ratio_se", "1", metric="bias"),
+    _number(
+        "true_bias",
+        "1",
+        "mean over the pixels of (x - r) / max(m, floor), m the mean of r over the pixel's 24 neighbours",
+        "bias",
+    ),
+    _number("true_bias_se", "1", "its standard error, from those of the image and of the reference", "bias"),
+    _number("true_bias_z", "1", "true_bias / true_bias_se: standard normal if the image is unbiased", "bias"),
+    _number("true_coverage", "1", metric="coverage"),
+    _number("stated_p50", "1", metric="stated"),
+    _number("stated_p95", "1", metric="stated"),
+    _number("stated_p99", "1", metric="stated"),
+    *(_number(f"stated_over_true_{q}", "1", _STATED, "stated") for q in ("p50", "p95", "p99")),
+)
+_FILES = (_text("run_file", "path of the run's file in the folder"),)
+
+SCHEMA: dict[str, tuple[TableColumn, ...]] = {
+    "runs": (
+        *_KEYS,
+        *_ABOUT_RUNS,
+        *_PROGRESS,
+        *_METRICS,
+        _number("true_floor", _RADIANCE),
+        *_FILES,
+    ),
+    "waves": (*_KEYS, _integer("wave"), _text("kind", _LOG["kind"]), *_PROGRESS, *_METRICS),
+}
+"""The columns of each table, in their order. Those of `runs` have the values after the run's last wave."""

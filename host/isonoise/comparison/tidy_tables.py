@@ -1,0 +1,171 @@
+"""The tidy tables of a comparison, one row per run (`runs`) or per run and wave (`waves`), as CSV and Parquet files.
+
+`summary` writes them to the comparison's folder; `runs_table` and `waves_table` read them from its finished runs.
+`table_columns` documents every column.
+"""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isonoise.comparison.checked_files import read_npz
+from isonoise.comparison.plan import SceneEntry, StrategyEntry
+from isonoise.comparison.results import Results, Run
+from isonoise.comparison.table_columns import SCHEMA, TableColumn
+from isonoise.film.files import write_atomically
+
+if TYPE_CHECKING:
+    import pyarrow
+
+SCHEMA_VERSION = 1
+"""In the metadata of the Parquet files. Goes up when a column is removed or changes its meaning."""
+_QUANTILES = ("p50", "p95", "p99")
+
+
+def runs_table(directory: Path | str) -> dict[str, np.ndarray]:
+    """A row per finished run of a comparison, in the order of its plan.
+
+    Parameters
+    ----------
+    directory : path
+        The comparison's folder.
+
+    Returns
+    -------
+    dict of str to 1-D array
+        The columns `SCHEMA["runs"]` by name. Missing numbers are nan, missing texts empty.
+
+    Raises
+    ------
+    UserError
+        If the folder has no readable plan, or a reference cannot be read.
+    """
+    return _table("runs", Results(Path(directory)))
+
+
+def waves_table(directory: Path | str) -> dict[str, np.ndarray]:
+    """A row per wave of every finished run: the columns `SCHEMA["waves"]`, as `runs_table`."""
+    return _table("waves", Results(Path(directory)))
+
+
+def write_tables(results: Results) -> None:
+    """Write waves.csv and runs.csv to the comparison's folder, and waves.parquet and runs.parquet if pyarrow is there.
+
+    Without pyarrow, Parquet files of earlier runs are removed: they would not agree with the CSV files. Raises
+    UserError if a file cannot be written.
+    """
+    for name in SCHEMA:
+        table = _table(name, results)
+        text = csv_text(table)
+        path = results.directory / f"{name}.csv"
+        write_atomically(path, lambda file, text=text: file.write_text(text, encoding="utf-8", newline="\n"))
+        _write_parquet(results.directory / f"{name}.parquet", name, table)
+
+
+def csv_text(table: Mapping[str, np.ndarray]) -> str:
+    """A table as CSV: numbers with all their digits, missing ones empty, inf as `inf`."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip(*(map(_csv_field, column.tolist()) for column in table.values()), strict=True))
+    return text.getvalue()
+
+
+def arrow_table(name: str, table: Mapping[str, np.ndarray]) -> "pyarrow.Table":
+    """A table for pyarrow; every field has `unit` and `meaning` as metadata. Missing numbers are null.
+
+    `name` is a key of `SCHEMA`. Needs pyarrow.
+    """
+    import pyarrow
+
+    arrays, fields = [], []
+    for column in columns_of(name, table):
+        arrow_type = pyarrow.type_for_alias(column.dtype)
+        arrays.append(pyarrow.array(table[column.name].tolist(), arrow_type, from_pandas=True))
+        metadata = {"unit": column.unit, "meaning": column.meaning}
+        fields.append(pyarrow.field(column.name, arrow_type, metadata=metadata))
+    about = {"isonoise.table": name, "isonoise.schema_version": str(SCHEMA_VERSION)}
+    return pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields, metadata=about))
+
+
+def columns_of(name: str, table: Mapping[str, np.ndarray]) -> list[TableColumn]:
+    """The documented columns of the table `name` that `table` has, in its order."""
+    known = {column.name: column for column in SCHEMA[name]}
+    return [known[column] for column in table]
+
+
+def _table(name: str, results: Results) -> dict[str, np.ndarray]:
+    rows = [row for run in _runs(results) for row in (run if name == "waves" else [run[-1]])]
+    return {column.name: _array(column, rows) for column in SCHEMA[name]}
+
+
+def _array(column: TableColumn, rows: Sequence[Mapping]) -> np.ndarray:
+    values = [row.get(column.name) for row in rows]
+    if column.dtype == "string":
+        return np.array(["" if value is None else str(value) for value in values], np.str_)
+    if column.dtype == "float64":
+        return np.array([math.nan if value is None else float(value) for value in values], np.float64)
+    return np.array(values, column.dtype)
+
+
+def _runs(results: Results) -> Iterator[list[dict]]:
+    """For every finished run the rows of its waves, each with all columns of both tables."""
+    strategies = {strategy.slug: strategy for strategy in results.plan.strategies}
+    for scene in results.plan.scenes:
+        for slug, runs in results.runs(scene).items():
+            for run in runs.values():
+                yield _rows(results, scene, strategies[slug], run)
+
+
+def _rows(results: Results, scene: SceneEntry, strategy: StrategyEntry, run: Run) -> list[dict]:
+    file = read_npz(run.path, run.identity)
+    waves, facts = json.loads(str(file["rows"])), json.loads(str(file["facts"]))
+    common = {
+        "scene": scene.slug,
+        "strategy": strategy.slug,
+        "seed": run.seed,
+        "spec": strategy.spec,
+        "description": facts.get("strategy"),
+        "width": scene.width,
+        "height": scene.height,
+        "waves": len(waves),
+        "run_file": run.path.relative_to(results.directory).as_posix(),
+    }
+    for name in ("device", "worker", "stopped_by", "setup_s", "warm_up_spp"):
+        common[name] = facts.get(name)
+    return [common | wave | _derived(wave) for wave in waves]
+
+
+def _derived(wave: Mapping) -> dict:
+    """Columns that follow from those of the run's file."""
+    corrected = {quantile: wave[f"true_{quantile}_corrected"] for quantile in _QUANTILES}
+    ratios = {f"stated_over_true_{q}": _ratio(wave[f"stated_{q}"], corrected[q]) for q in _QUANTILES}
+    return ratios | {
+        "true_uniformity": _ratio(corrected["p99"], corrected["p50"]),
+        "true_bias_z": _ratio(wave["true_bias"], wave["true_bias_se"]),
+    }
+
+
+def _ratio(numerator: float, denominator: float) -> float:
+    return numerator / denominator if denominator > 0 else math.nan
+
+
+def _csv_field(value: float | int | str) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(value)
+    return str(value)
+
+
+def _write_parquet(path: Path, name: str, table: Mapping[str, np.ndarray]) -> None:
+    try:
+        from pyarrow import parquet
+    except ImportError:
+        path.unlink(missing_ok=True)
+        return
+    write_atomically(path, lambda file: parquet.write_table(arrow_table(name, table), file))
