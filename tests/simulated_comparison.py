@@ -59,8 +59,6 @@ def make_comparison(
         seeds=tuple(seeds),
         time=seconds,
         spp=None,
-        size=None,
-        max_depth=None,
         device="a simulated device",
         reference_time=20 * seconds,
     )

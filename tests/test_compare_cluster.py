@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from isonoise import __version__
 from isonoise.comparison.checked_files import InvalidFileError
 from isonoise.comparison.cluster.job_dealer import MAX_LOSSES, JobDealer
 from isonoise.comparison.cluster.run_worker import WorkerDescription, describe_worker
 from isonoise.comparison.cluster.runs import ClusterRuns
 from isonoise.comparison.cluster.workers import ClusterWorkers
+from isonoise.comparison.environment import device_identity, program_version
 from isonoise.comparison.plan import SEVERAL_DEVICES, SceneEntry, StrategyEntry
 from isonoise.comparison.run_order import PlannedRun
 from isonoise.comparison.run_progress import RunProgress
@@ -149,10 +149,10 @@ def test_parts_of_a_device_and_mitsuba_beside_workers_are_notes():
 
 def test_a_worker_describes_itself_and_parts_of_a_device_are_of_one_kind():
     description = describe_worker(DeviceChoice())
-    assert description == WorkerDescription(__version__, select_device().kind)
+    assert description == WorkerDescription(program_version(), device_identity(select_device()))
     device = select_device().device
     one, other = (SelectedDevice(device, 0, part, 2) for part in (0, 1))
-    assert one.kind == other.kind == one.name.replace("part 1 of 2", "one of 2 parts") != description.device
+    assert one.kind == other.kind == one.name.replace("part 1 of 2", "one of 2 parts") != select_device().kind
 
 
 class FakeClient:
@@ -194,10 +194,10 @@ class FakeWorkers(ClusterWorkers):
 
 def test_workers_with_another_device_than_the_plan_get_no_runs():
     warnings = []
-    workers = FakeWorkers(warnings, x=WorkerDescription(__version__, "gpu"))
+    workers = FakeWorkers(warnings, x=WorkerDescription(program_version(), "gpu"))
     assert workers.common_device(None) == "gpu"
-    workers.cluster.client.workers["y"] = WorkerDescription(__version__, "cpu")
-    workers.cluster.client.workers["z"] = WorkerDescription(__version__, "gpu")
+    workers.cluster.client.workers["y"] = WorkerDescription(program_version(), "cpu")
+    workers.cluster.client.workers["z"] = WorkerDescription(program_version(), "gpu")
     assert workers.update() == set()
     assert workers.devices == {"x": "gpu", "z": "gpu"}
     assert warnings == ["worker y gets no runs: its device is cpu, and the comparison's gpu"]
@@ -207,7 +207,7 @@ def test_workers_with_another_device_than_the_plan_get_no_runs():
 
 
 def test_a_comparison_that_begins_with_several_devices_takes_any():
-    descriptions = {name: WorkerDescription(__version__, name) for name in ("gpu", "cpu")}
+    descriptions = {name: WorkerDescription(program_version(), name) for name in ("gpu", "cpu")}
     workers = FakeWorkers([], **descriptions)
     assert workers.common_device(None) == SEVERAL_DEVICES
     assert workers.devices == {"gpu": "gpu", "cpu": "cpu"}
@@ -226,13 +226,13 @@ def test_a_worker_that_cannot_render_is_named(found, reason):
     with pytest.raises(DeviceError, match=f"no worker of the cluster can render: x: {re.escape(reason)}"):
         FakeWorkers([], x=found).common_device(None)
     warnings = []
-    workers = FakeWorkers(warnings, x=found, y=WorkerDescription(__version__, "gpu"))
+    workers = FakeWorkers(warnings, x=found, y=WorkerDescription(program_version(), "gpu"))
     assert workers.common_device(None) == "gpu"
     assert reason in warnings[0]
 
 
 def test_a_lost_connection_is_a_message():
-    workers = FakeWorkers([], x=WorkerDescription(__version__, "gpu"))
+    workers = FakeWorkers([], x=WorkerDescription(program_version(), "gpu"))
     workers.cluster.client.status = "closed"
     with pytest.raises(DeviceError, match="connection to the Dask scheduler is lost"):
         workers.common_device(None)
@@ -263,7 +263,7 @@ class FakeRuns(ClusterRuns):
 
 def fake_runs(answers, *names):
     warnings = []
-    workers = FakeWorkers(warnings, **{name: WorkerDescription(__version__, "gpu") for name in names})
+    workers = FakeWorkers(warnings, **{name: WorkerDescription(program_version(), "gpu") for name in names})
     workers.wait = lambda *_: None
     workers.common_device(None)
     return FakeRuns(workers, answers, warnings), warnings

@@ -7,8 +7,11 @@ import pytest
 from compare_command import HEIGHT, SIZE, WIDTH, compare, options, write_flat_reference
 
 import isonoise
-from isonoise.comparison import plan as plans
+from isonoise.comparison import plan_changes
+from isonoise.comparison.plan import read_plan, write_plan
+from isonoise.comparison.planning import make_plan
 from isonoise.comparison.presets import PRESETS
+from isonoise.comparison.request import Request, SceneRequest, StrategyRequest
 from isonoise.comparison.strategy_specs import (
     describe_spec,
     first_waves_spp,
@@ -83,17 +86,23 @@ def test_the_samples_before_the_first_adaptive_wave():
     assert first_waves_spp(make_strategy("relative-mean:warmup=5")) == (5, 5)
 
 
-def request(**changes):
-    values = {"scenes": ["cornell"], "strategies": ["uniform"], "first_seed": 0, "seeds": 2, "time": None, "spp": 4.0}
-    return plans.Request(**(values | {"size": (WIDTH, HEIGHT)} | changes))
+def request(scenes=("cornell",), strategies=("uniform",), size=(WIDTH, HEIGHT), max_depth=None, **changes):
+    values = {"seeds": [0, 1], "spp": 4.0} | changes
+    scenes = [SceneRequest(name, size=size, max_depth=max_depth) for name in scenes]
+    return Request(scenes, [StrategyRequest(spec) for spec in strategies], **values)
+
+
+def messages(stored, plan):
+    found = plan_changes.differences(stored, plan)
+    return found.settings + found.changes
 
 
 def test_a_plan_is_stored_and_read(tmp_path):
-    plan = plans.make_plan(request(max_depth=3))
-    plans.write_plan(tmp_path, plan)
-    assert plans.read_plan(tmp_path) == plan
-    assert plans.differences(plan, plans.read_plan(tmp_path)) == []
-    assert plans.read_plan(tmp_path / "nothing") is None
+    plan = make_plan(request(max_depth=3))
+    write_plan(tmp_path, plan)
+    assert read_plan(tmp_path) == plan
+    assert messages(plan, read_plan(tmp_path)) == []
+    assert read_plan(tmp_path / "nothing") is None
 
 
 @pytest.mark.parametrize(
@@ -101,28 +110,28 @@ def test_a_plan_is_stored_and_read(tmp_path):
     [
         ({"spp": 5.0}, "spp was 4.0 and is 5.0"),
         ({"spp": None, "time": 1.0}, "time was not given and is 1.0"),
-        ({"size": (8, 8)}, "size was 16x12 and is 8x8"),
-        ({"max_depth": 2}, "hash of 'cornell'"),
+        ({"size": (8, 8)}, "size of 'cornell' was 16x12 and is 8x8"),
+        ({"max_depth": 2}, "max_depth of 'cornell' was not given and is 2"),
         ({"reference_time": 3.0}, "reference_time was not given"),
         ({"strategies": ["relative-mean"]}, "'uniform' is missing"),
         ({"scenes": ["penumbra"]}, "'cornell' is missing"),
-        ({"first_seed": 1}, "seeds are missing: 0"),
-        ({"seeds": 1}, "seeds are missing: 1"),
+        ({"seeds": [1, 2]}, "seeds are missing: 0"),
+        ({"seeds": [0]}, "seeds are missing: 1"),
         ({"references": ["a.exr"]}, "reference of 'cornell' was references/cornell.exr"),
     ],
 )
 def test_differences_of_plans_are_messages(changes, difference):
     write_flat_reference("a.exr", changes.get("size", (WIDTH, HEIGHT)))
-    stored = plans.make_plan(request())
-    assert any(difference in text for text in plans.differences(stored, plans.make_plan(request(**changes), stored)))
+    stored = make_plan(request())
+    assert any(difference in text for text in messages(stored, make_plan(request(**changes), stored)))
 
 
 def test_a_plan_may_grow():
-    stored = plans.make_plan(request())
-    changes = {"strategies": ["relative-mean", "uniform"], "scenes": ["penumbra", "cornell"], "seeds": 3}
-    larger = plans.make_plan(request(**changes), stored)
-    assert plans.differences(stored, larger) == []
-    assert plans.additions(stored, larger) == ["penumbra", "relative-mean", "seed 2"]
+    stored = make_plan(request())
+    changes = {"strategies": ["relative-mean", "uniform"], "scenes": ["penumbra", "cornell"], "seeds": [0, 1, 2]}
+    larger = make_plan(request(**changes), stored)
+    assert messages(stored, larger) == []
+    assert plan_changes.additions(stored, larger) == ["penumbra", "relative-mean", "seed 2"]
 
 
 def test_slugs_are_unique_and_do_not_change(tmp_path):
@@ -134,9 +143,9 @@ def test_slugs_are_unique_and_do_not_change(tmp_path):
         path.write_bytes(isonoise.scene.builtin.find_scene("cornell").read_bytes())
         paths.append(str(path))
     strategies = ["uniform:warmup=4,growth=0.5", "uniform:warmup=4", "uniform"]
-    first = plans.make_plan(request(scenes=paths[1:2], strategies=strategies[1:2]))
+    first = make_plan(request(scenes=paths[1:2], strategies=strategies[1:2]))
     assert [scene.slug for scene in first.scenes] == ["a"]
-    plan = plans.make_plan(request(scenes=paths, strategies=strategies), first)
+    plan = make_plan(request(scenes=paths, strategies=strategies), first)
     assert [scene.slug for scene in plan.scenes] == ["a-scene", "a", "c"]
     assert [strategy.slug for strategy in plan.strategies] == [
         "uniform-warmup-4-growth-0.5",
@@ -151,30 +160,30 @@ def test_references_are_assigned_by_order_or_by_name():
     write_flat_reference("b.exr")
     scenes = ["cornell", "penumbra"]
     for given in (["a.exr", "b.exr"], ["penumbra=b.exr", "cornell=a.exr"]):
-        plan = plans.make_plan(request(scenes=scenes, references=given))
+        plan = make_plan(request(scenes=scenes, references=given))
         assert [Path(scene.reference).name for scene in plan.scenes] == ["a.exr", "b.exr"]
         assert all(len(scene.reference_sha256) == 64 for scene in plan.scenes)
-    (one, other) = plans.make_plan(request(scenes=scenes, references=["penumbra=b.exr"])).scenes
+    (one, other) = make_plan(request(scenes=scenes, references=["penumbra=b.exr"])).scenes
     assert (one.reference, one.reference_sha256) == ("references/cornell.exr", None)
     assert Path(other.reference) == Path("b.exr").resolve()
     with pytest.raises(UserError, match="one for each of the 2 scenes"):
-        plans.make_plan(request(scenes=scenes, references=["a.exr"]))
+        make_plan(request(scenes=scenes, references=["a.exr"]))
 
 
 def test_presets_can_be_planned():
     for preset in PRESETS.values():
-        plan = plans.make_plan(request(scenes=preset.scenes, strategies=preset.strategies, seeds=preset.seeds))
+        plan = make_plan(request(scenes=preset.scenes, strategies=preset.strategies))
         assert len(plan.scenes) == len(preset.scenes)
 
 
 def test_a_plan_keeps_its_preset(tmp_path):
     """The report has the preset's figures also if later runs are requested without it."""
-    stored = plans.make_plan(request(preset="poster"))
-    plans.write_plan(tmp_path, stored)
-    assert plans.read_plan(tmp_path) == stored
-    assert plans.make_plan(request(), stored).preset == "poster"
-    late = plans.make_plan(request(preset="poster"), plans.make_plan(request()))
-    assert (late.preset, plans.differences(plans.make_plan(request()), late)) == ("poster", [])
+    stored = make_plan(request(preset="poster"))
+    write_plan(tmp_path, stored)
+    assert read_plan(tmp_path) == stored
+    assert make_plan(request(), stored).preset == "poster"
+    late = make_plan(request(preset="poster"), make_plan(request()))
+    assert (late.preset, messages(make_plan(request()), late)) == ("poster", [])
 
 
 def test_options_override_a_preset():
@@ -186,20 +195,22 @@ def test_options_override_a_preset():
         return _request(options, _preset(options), *(options.spp or ()))
 
     whole, preset = parsed(), PRESETS["poster"]
-    assert (whole.scenes, whole.strategies, whole.seeds) == (preset.scenes, preset.strategies, preset.seeds)
-    assert (whole.time, whole.spp, whole.size) == (preset.time, None, None)
+    assert tuple(scene.source for scene in whole.scenes) == preset.scenes
+    assert tuple(strategy.spec for strategy in whole.strategies) == preset.strategies
+    assert (whole.time, whole.spp, len(whole.seeds), whole.scenes[0].size) == (preset.time, None, preset.seeds, None)
     small = parsed("--time", "1", "--seeds", "2", "--size", "64x64")
-    assert (small.time, small.seeds, small.size, small.strategies) == (1, 2, (64, 64), preset.strategies)
+    assert (small.time, len(small.seeds), small.scenes[0].size) == (1, 2, (64, 64))
+    assert small.strategies == whole.strategies
     assert (parsed("--spp", "4").time, parsed("--spp", "4").spp) == (None, 4)
     assert all((preset.time is None) == bool(preset.spp) for preset in PRESETS.values())
-    assert parsed("--strategies", "uniform").strategies == ["uniform"]
-    assert parsed("cornell").scenes == ["cornell"]
+    assert parsed("--strategies", "uniform").strategies == [StrategyRequest("uniform")]
+    assert parsed("cornell").scenes == [SceneRequest("cornell")]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--time", "1", "--spp", "4"), "--time and --spp are both given"),
+        (("--time", "1", "--spp", "4"), "time and spp are both given"),
         (("--spp", "4,4"), "4,4 has a number twice"),
         (("--spp", "4,0"), "more than 0"),
         (("--strategies", "uniform:sampler=sobel"), "no sampler 'sobel'"),

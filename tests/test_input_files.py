@@ -14,7 +14,8 @@ from small_scene import lamp_over_floor
 
 from isonoise import input_files
 from isonoise.cli import main
-from isonoise.comparison.plan import Request, make_plan
+from isonoise.comparison.planning import make_plan
+from isonoise.comparison.request import Request, SceneRequest, StrategyRequest
 from isonoise.device import program_cache, tuned
 from isonoise.errors import SceneError, UserError
 from isonoise.film.exr import read_exr, read_reference, write_exr
@@ -155,7 +156,7 @@ def test_comparisons_refuse_names_that_no_report_can_hold():
     Path(scene).write_text('<scene version="3.0.0"><sensor type="perspective"/></scene>')
     for scenes, strategy in ((scene, "uniform"), ("cornell", "uniform:warmup=\udcff")):
         with pytest.raises(UserError, match="is not text in UTF-8"):
-            make_plan(Request([scenes], [strategy], first_seed=0, seeds=1, time=None, spp=1.0))
+            make_plan(Request([SceneRequest(scenes)], [StrategyRequest(strategy)], seeds=[0], spp=1.0))
 
 
 def test_mesh_attributes_have_to_be_finite_where_they_are_used():

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 from isonoise.commands import EXIT_DONE
 from isonoise.commands.shared_options import cluster_of
-from isonoise.comparison.checked_files import make_folder
 from isonoise.comparison.folder_lock import FolderLock, lock_folder
-from isonoise.comparison.plan import Plan, Request, additions, differences, make_plan, read_plan, write_plan
 from isonoise.comparison.presets import PRESETS, Preset
-from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, needs_variance, split_specs, with_variance
+from isonoise.comparison.request import Request, SceneRequest, StrategyRequest
+from isonoise.comparison.session import KEPT, has_runs, render_comparison
+from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, split_specs
 from isonoise.errors import UserError
-from isonoise.film.files import remove_temporary_files
 from isonoise.signals import exit_code
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 DEFAULT_TIME = 10.0
 """Seconds of a run."""
 DEFAULT_SEEDS = 8
-_KEPT = "finished runs are kept: rerun the same command to resume"
 REPORT_PACKAGES = ("matplotlib", "jinja2")
 
 
@@ -38,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     with lock_folder(directory) as lock, cluster_of(options) as cluster:
         workers = _workers_of(cluster)
         if len(spps) < 2:
-            return _compare(_request(options, preset, *spps), directory, lock, workers)[0]
+            return _compare(_request(options, preset, *spps), lock, workers, options.rerun_changed)[0]
         return _compare_series(options, preset, spps, directory, workers)
 
 
@@ -65,7 +63,8 @@ def _compare_series(
     for spp in sorted(spps, reverse=True):  # the reference for the most samples serves for all
         folder = comparison_folder(directory, spp)
         with lock_folder(folder) as lock:
-            code, summaries[spp] = _compare(_request(options, preset, spp), folder, lock, workers, first)
+            request = _request(options, preset, spp)
+            code, summaries[spp] = _compare(request, lock, workers, options.rerun_changed, first)
         if code != EXIT_DONE:
             break
     write_series(directory, spps, summaries, _print)
@@ -74,39 +73,26 @@ def _compare_series(
 
 def _compare(
     request: Request,
-    directory: Path,
     lock: FolderLock,
     workers: "ClusterWorkers | None",
+    rerun_changed: bool,
     shared: Path | None = None,
 ) -> tuple[int, dict | None]:
-    """One comparison in `directory`, with the references of another one in the folder `shared`.
+    """One comparison in the locked folder, with the references of another one in the folder `shared`.
 
     Returns the exit code and the summary; None if no run is finished.
     """
-    stored = read_plan(directory)
-    plan = make_plan(request, stored, workers and workers.common_device(stored and stored.device))
-    if any(needs_variance(strategy.spec) for strategy in plan.strategies):
-        with_variance("oracle", directory.resolve())
-    _begin(directory, stored, plan)
-
-    from isonoise.comparison.runner import run_plan
-
-    if shared is not None and shared != directory:
-        from isonoise.comparison.spp_series import share_references
-
-        share_references(shared, directory, plan)
+    directory = lock.directory
     try:
-        # with workers the option names their device, and this process takes its default
-        run_plan(plan, lock, None if workers else request.device, _print, _warn, workers)
+        render_comparison(request, lock, _print, _warn, workers, rerun_changed, shared)
         return EXIT_DONE, _report(directory)
     except (KeyboardInterrupt, UserError) as error:
-        has_runs = any((directory / "runs").glob("*/*/[0-9]*.npz"))
         # a signal may have reached Mitsuba's process first, and its end is a UserError
         if isinstance(error, UserError) and exit_code() is None:
-            raise UserError(f"{error}; {_KEPT}" if has_runs else str(error)) from error
-    print(f"isonoise: interrupted; {_KEPT}", file=sys.stderr)
+            raise
+    print(f"isonoise: interrupted; {KEPT}", file=sys.stderr)
     summary = None
-    if has_runs:
+    if has_runs(directory):
         try:
             summary = _report(directory)
         except UserError as error:  # such as a full disk; the exit code is the signal's
@@ -141,15 +127,16 @@ def _request(options: argparse.Namespace, preset: Preset | None, spp: float | No
     time = options.time
     if time is None and spp is None:
         time = preset.time if preset else DEFAULT_TIME
+    seeds = options.seeds or (preset.seeds if preset else DEFAULT_SEEDS)
     return Request(
-        scenes=options.scenes or preset.scenes,
-        strategies=strategies or preset.strategies,
-        first_seed=options.seed,
-        seeds=options.seeds or (preset.seeds if preset else DEFAULT_SEEDS),
+        scenes=[
+            SceneRequest(name, size=options.size, max_depth=options.max_depth)
+            for name in options.scenes or preset.scenes
+        ],
+        strategies=[StrategyRequest(spec) for spec in strategies or preset.strategies],
+        seeds=range(options.seed, options.seed + seeds),
         time=time,
         spp=spp,
-        size=options.size,
-        max_depth=options.max_depth,
         device=options.device,
         references=options.reference,
         reference_time=options.reference_time,
@@ -162,24 +149,9 @@ def _check_packages(request: Request) -> None:
     missing = [name for name in REPORT_PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise UserError(f"the report needs {' and '.join(missing)}: pip install 'isonoise[compare]'")
-    if set(request.strategies) & set(MITSUBA_SAMPLERS) and importlib.util.find_spec("mitsuba") is None:
+    specs = {strategy.spec for strategy in request.strategies}
+    if specs & set(MITSUBA_SAMPLERS) and importlib.util.find_spec("mitsuba") is None:
         raise UserError(f"{' and '.join(MITSUBA_SAMPLERS)} need Mitsuba 3: pip install 'isonoise[peers]'")
-
-
-def _begin(directory: Path, stored: Plan | None, plan: Plan) -> None:
-    """Write the plan, unless the folder holds another comparison."""
-    if stored is not None:
-        changed = differences(stored, plan)
-        if changed:
-            raise UserError(
-                f"'{directory}' holds another comparison: {'; '.join(changed)}. Give the same settings (scenes, "
-                "strategies and seeds can be added) to resume it, or another folder with -o"
-            )
-        added = additions(stored, plan)
-        _print(f"resuming {directory}" + (f", added: {', '.join(added)}" if added else ""))
-    remove_temporary_files(directory)
-    make_folder(directory / "references")
-    write_plan(directory, plan)
 
 
 def _warn(text: str) -> None:

@@ -45,6 +45,12 @@ def add_compare(commands) -> None:
     shared_options.add_allow_outside(settings)
     shared_options.add_device(settings)
     shared_options.add_cluster(settings)
+    settings.add_argument(
+        "--rerun-changed",
+        action="store_true",
+        help="when a comparison is resumed with another version, driver or device, or an edited strategy or scene: "
+        "render again what depends on it (default: refuse)",
+    )
     references = compare.add_argument_group("references")
     references.add_argument(
         "--reference",

@@ -17,6 +17,7 @@ _AT_LEAST = ("reference_time", "reference_spp")
 """A reference may have more than it needs: comparisons of a series share the one with the most samples."""
 _MISMATCHES = {
     "kind": "it is another kind of file",
+    "code": "the code of its strategy was another one",
     "format": "another version of isonoise wrote it",
     "scene": "its scene, size or depth is another one",
     "reference": "it was measured against another reference",
@@ -43,6 +44,7 @@ def run_identity(plan: Plan, scene: SceneEntry, strategy: StrategyEntry, seed: i
         variance = file_sha256(path) if path and path.is_file() else None
     return _common(plan, scene, "run") | {
         "strategy": strategy.parameters,
+        "code": strategy.code,
         "seed": seed,
         "time": plan.time,
         "spp": plan.spp,

@@ -31,9 +31,8 @@ class LocalRuns:
         self, runs: Sequence[PlannedRun], progress: RunProgress, on_finished: Callable[[PlannedRun, bytes], None]
     ) -> None:
         """Render the runs; `on_finished` is called with each and the content of its file. Raises UserError."""
-        plan = self._inputs.plan
         for group in runs_by_scene(runs):
-            with MitsubaWorkers(group[0].scene, plan.size, plan.max_depth) as workers:
+            with MitsubaWorkers(group[0].scene) as workers:
                 for run in group:
                     with ProgressBar() as bar:
                         content = self._render(run, workers, progress.of_run(bar, run))

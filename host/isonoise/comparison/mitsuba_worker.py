@@ -44,8 +44,8 @@ MAX_PASS_SAMPLES = 2**31
 class MitsubaWorkers:
     """Mitsuba's processes for one scene, started on first use and ended with the `with` block."""
 
-    def __init__(self, scene: SceneEntry, size: tuple[int, int] | None, max_depth: int | None):
-        self._scene, self._size, self._max_depth = scene, size, max_depth
+    def __init__(self, scene: SceneEntry):
+        self._scene = scene
         self._workers: dict[str, MitsubaWorker] = {}
         self._schedules: dict[str, list[list[int]]] = {}
 
@@ -72,7 +72,8 @@ class MitsubaWorkers:
         pixels = self._scene.width * self._scene.height
         worker = self._workers.get(strategy)
         if worker is None:
-            xml = mitsuba_xml(Path(self._scene.source), MITSUBA_SAMPLERS[strategy], self._size, self._max_depth)
+            scene = self._scene
+            xml = mitsuba_xml(Path(scene.source), MITSUBA_SAMPLERS[strategy], scene.size, scene.max_depth)
             worker = self._workers[strategy] = MitsubaWorker(self._scene.name, xml, pixels)
             self._schedules[strategy] = worker.schedule(stops)
         recorder = Recorder(stops, *reference)

@@ -1,6 +1,7 @@
 """What the runs of a comparison are made from: compiled scenes, references, tasks; called by `runner`, `local_runs`."""
 
 import time
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -9,9 +10,10 @@ from isonoise.comparison.plan import Plan, SceneEntry, variance_path
 from isonoise.comparison.reference_files import read_scene_reference
 from isonoise.comparison.run_order import PlannedRun
 from isonoise.comparison.run_task import ReferenceArrays, RunTask
+from isonoise.comparison.scene_source import compile_entry
 from isonoise.comparison.strategy_specs import needs_variance, oracle_file, split_sampler, with_variance
 from isonoise.loop import Stops
-from isonoise.scene import CompiledScene, compile_scene, load
+from isonoise.scene import CompiledScene
 from isonoise.strategies import make_strategy
 
 MAX_CACHED = 2
@@ -20,6 +22,15 @@ MAX_CACHED = 2
 
 class RunInputs:
     """Loads what the runs of the plan need, when it is needed.
+
+    Parameters
+    ----------
+    plan : Plan
+        The comparison.
+    directory : Path
+        Its folder.
+    objects : mapping
+        Scenes that are objects of a Python program, by `SceneEntry.source`.
 
     Attributes
     ----------
@@ -30,15 +41,15 @@ class RunInputs:
         asked for.
     """
 
-    def __init__(self, plan: Plan, directory: Path):
-        self.plan, self._directory = plan, directory
+    def __init__(self, plan: Plan, directory: Path, objects: Mapping[str, object]):
+        self.plan, self._directory, self._objects = plan, directory, objects
         self.stops = Stops(time=plan.time, spp=plan.spp)
         self.digests: dict[str, ImageDigests] = {}
         self._load = lru_cache(MAX_CACHED)(self._load)
         self.reference = lru_cache(MAX_CACHED)(self.reference)
 
     def scene(self, entry: SceneEntry) -> CompiledScene:
-        """The scene, with the size and the depth of the comparison."""
+        """The scene, as the plan changes it."""
         return self._load(entry)[0]
 
     def reference(self, entry: SceneEntry) -> ReferenceArrays:
@@ -62,7 +73,5 @@ class RunInputs:
     def _load(self, entry: SceneEntry) -> tuple[CompiledScene, float]:
         """The scene, and the seconds it took to load it."""
         start = time.perf_counter()
-        plan = self.plan
-        description = load(entry.source, allow_outside=plan.allow_outside, size=plan.size)
-        scene = compile_scene(description, plan.size, plan.max_depth)
+        scene = compile_entry(entry, self._objects, self.plan.allow_outside)
         return scene, time.perf_counter() - start

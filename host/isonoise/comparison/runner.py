@@ -6,7 +6,7 @@ them.
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from isonoise.comparison.checked_files import make_folder, unpack_npz, write_packed
@@ -40,16 +40,17 @@ def run_plan(
     log: Callable[[str], None],
     warn: Callable[[str], None],
     workers: "ClusterWorkers | None" = None,
+    objects: Mapping[str, object] | None = None,
 ) -> None:
     """Render the runs that the locked folder lacks, on `workers` or on `device`.
 
-    `log` receives a line for every finished file.
+    `log` receives a line for every finished file. `objects` are the scenes that are objects of a Python program.
 
     Runs that are damaged, of something else, or measured against another reference are rendered again, before others;
     `warn` receives a line for each reason. Valid runs are not touched. An interrupt loses only the runs in progress.
     Raises UserError.
     """
-    _Runner(plan, lock, device, log, warn, workers).run()
+    _Runner(plan, lock, device, log, warn, workers, objects or {}).run()
 
 
 class _Runner:
@@ -61,10 +62,11 @@ class _Runner:
         log: Callable[[str], None],
         warn: Callable[[str], None],
         workers: "ClusterWorkers | None",
+        objects: Mapping[str, object],
     ):
         self.plan, self.lock, self.log, self.warn = plan, lock, log, warn
         self.directory = lock.directory
-        self.inputs = RunInputs(plan, self.directory)
+        self.inputs = RunInputs(plan, self.directory, objects)
         self.execution, batches = LocalRuns(self.inputs, device), LocalBatches(self.inputs, device)
         self.has_cluster = workers is not None
         if workers is not None:

@@ -107,9 +107,19 @@ def first_waves_spp(strategy: Strategy) -> tuple[float, float | None]:
     return waves[0].spp, sum(before) if len(before) < len(waves) else None
 
 
+def make_spec(spec: str) -> Strategy:
+    """The strategy of a spec that may have a sampler; an oracle whose file the comparison makes has read none.
+
+    Raises UserError as `describe_spec`.
+    """
+    spec, _ = split_sampler(spec)
+    return make_strategy(with_variance(spec, Path("variance.exr")) if needs_variance(spec) else spec)
+
+
 def _describe_strategy(spec: str) -> str:
+    text = describe(make_spec(spec))
     if not needs_variance(spec):
-        return describe(make_strategy(spec))
-    items = describe(make_strategy(with_variance(spec, Path("variance.exr")))).split(",")
+        return text
+    items = text.split(",")
     head, _, first = items[0].partition(":")
     return f"{head}:{','.join(item for item in [first, *items[1:]] if not item.startswith('file='))}".rstrip(":")

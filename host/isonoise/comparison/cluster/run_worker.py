@@ -10,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isonoise import __version__
+from isonoise.comparison.environment import device_identity, program_version
 from isonoise.comparison.reference_batch import Batch, Pilot, render_batch, render_pilot
 from isonoise.comparison.run_task import RunTask, render_run, warm_up
+from isonoise.comparison.strategy_code import code_of
 from isonoise.distributed.dask_worker import DeviceChoice
 from isonoise.distributed.packing import unpack_scene
+from isonoise.errors import UserError
 
 _rendering = threading.Lock()
 """A process renders one run at a time, whatever the number of its threads, so that times are comparable."""
@@ -27,9 +29,9 @@ class WorkerDescription:
     Attributes
     ----------
     version : str
-        Of isonoise.
+        Of isonoise, with its source files.
     device : str
-        Name of the OpenCL device and its platform; the same for parts of equal size of a device.
+        Name of the OpenCL device and its driver; the same for parts of equal size of a device.
     """
 
     version: str
@@ -40,7 +42,7 @@ def describe_worker(choice: DeviceChoice) -> WorkerDescription:
     """Open the device of this worker, and describe it. Raises DeviceError if there is none."""
     from isonoise.device.opencl import Device
 
-    return WorkerDescription(__version__, Device(choice.select()).selected.kind)
+    return WorkerDescription(program_version(), device_identity(Device(choice.select()).selected))
 
 
 def render_on_worker(
@@ -56,6 +58,7 @@ def render_on_worker(
         Whether it is the worker's first run of this strategy on this scene, before which it renders a second.
     """
     with _rendering:
+        _check_code(task)
         compiled, device = unpack_scene(scene, is_compressed), choice.select()
         worker, is_dropped = _this_worker()
         if is_first:
@@ -77,6 +80,13 @@ def render_pilot_on_worker(pilot: Pilot, scene: bytes, is_compressed: bool, choi
     """`render_pilot` on this worker."""
     with _rendering:
         return render_pilot(pilot, unpack_scene(scene, is_compressed), choice.select(), _this_worker()[1])
+
+
+def _check_code(task: RunTask) -> None:
+    """Raises UserError if a strategy of the user's own has other files here than where the comparison was planned."""
+    code = code_of(task.strategy) if isinstance(task.strategy, str) else None
+    if code != task.identity["code"]:
+        raise UserError(f"the code of the strategy '{task.strategy}' is {code}, and {task.identity['code']} is needed")
 
 
 def _this_worker() -> tuple[str, Callable[[], bool]]:

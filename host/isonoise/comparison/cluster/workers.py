@@ -9,8 +9,8 @@ from collections.abc import Callable, Coroutine
 from concurrent.futures import CancelledError, Future, wait
 from contextlib import suppress
 
-from isonoise import __version__
 from isonoise.comparison.cluster.run_worker import WorkerDescription, describe_worker
+from isonoise.comparison.environment import program_version
 from isonoise.comparison.plan import SEVERAL_DEVICES
 from isonoise.distributed.cluster import Cluster
 from isonoise.distributed.dask_worker import DeviceChoice
@@ -155,8 +155,8 @@ class ClusterWorkers:
         except Exception as error:
             self.refuse(address, first_line(error))
             return
-        if description.version != __version__:
-            self.refuse(address, f"it has isonoise {description.version}, and this machine {__version__}")
+        if description.version != program_version():
+            self.refuse(address, f"it has isonoise {description.version}, and this machine {program_version()}")
         elif self._required_device not in (None, description.device):
             self.refuse(address, f"its device is {description.device}, and the comparison's {self._required_device}")
         else:
