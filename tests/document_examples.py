@@ -8,7 +8,6 @@ before it names a file, as in "Save it as `name.py`:", is saved under this name.
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -98,7 +97,6 @@ def make_folder(folder: Path) -> dict[str, str]:
     scene = files("isonoise.scenes").joinpath("cornell.xml").read_text("utf-8")
     for name in ("scene", "cornell-box", "staircase2"):
         (folder / f"{name}.xml").write_text(scene, "utf-8")
-    shutil.copytree(CHECKOUT / "scenes" / "meshes", folder / "meshes", dirs_exist_ok=True)
     (folder / "bunny.ply").write_bytes(small_files.ply())
     (folder / "chair.stl").write_bytes(small_files.from_trimesh("stl"))
     (folder / "helmet.glb").write_bytes(small_files.from_trimesh("glb"))

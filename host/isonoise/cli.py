@@ -56,6 +56,7 @@ def _add_merge(commands) -> None:
     shared_options.add_images(merge)
     merge.add_argument("--checkpoint", metavar="FILE", help="write the merged state, to merge it with further renders")
     shared_options.add_device(merge)
+    shared_options.add_output(merge)
 
 
 def _add_bench(commands) -> None:
@@ -91,7 +92,8 @@ def _add_selftest(commands) -> None:
         epilog="exit codes: 0 all passed; 1 a case failed; 2 bad input; 70 internal error; 130 after Ctrl-C",
     )
     shared_options.add_device(selftest)
-    selftest.add_argument("--json", metavar="FILE", help="write all cases; fields: host/docs/numerics.md")
+    shared_options.add_json_file(selftest, "host/docs/numerics.md")
+    shared_options.add_quiet(selftest)
     selftest.add_argument(
         "--thorough",
         action="store_true",
@@ -100,11 +102,12 @@ def _add_selftest(commands) -> None:
 
 
 def _add_devices(commands) -> None:
-    commands.add_parser(
+    devices = commands.add_parser(
         "devices",
         help="list the OpenCL devices and the default one",
         description="List the OpenCL devices and the default one.",
     )
+    shared_options.add_output(devices)
 
 
 def _add_plugins(commands) -> None:
@@ -117,7 +120,7 @@ def _add_plugins(commands) -> None:
     plugins.add_argument(
         "name", metavar="KIND|NAME", nargs="?", help="a kind such as bsdf, or a plugin such as plastic"
     )
-    plugins.add_argument("--json", action="store_true", help="print the same as JSON, with all parameters")
+    shared_options.add_output(plugins, "print the same as JSON, with all parameters")
 
 
 def _add_formats(commands) -> None:
@@ -128,6 +131,7 @@ def _add_formats(commands) -> None:
         "become, and what is missing.",
     )
     formats.add_argument("name", metavar="FORMAT", nargs="?", help="a file extension, such as obj")
+    shared_options.add_output(formats)
 
 
 def _add_info(commands) -> None:
@@ -144,6 +148,7 @@ def _add_info(commands) -> None:
     shared_options.add_allow_outside(info)
     shared_options.add_device(info)
     shared_options.add_view(info)
+    shared_options.add_output(info)
     info.add_argument("--features", action="store_true", help="list what is compiled into kernels, and what it costs")
 
 
@@ -160,6 +165,7 @@ def _add_convert(commands) -> None:
     shared_options.add_scene_parameters(convert)
     shared_options.add_allow_outside(convert)
     shared_options.add_view(convert)
+    shared_options.add_output(convert)
 
 
 class _CommandParser(argparse.ArgumentParser):

@@ -4,20 +4,28 @@ import html
 import math
 import re
 import sys
+from typing import ClassVar
 
 
 class ProgressBar:
     """A progress bar during the `with` block: on stderr if that is a terminal, in a notebook below the cell.
 
     Elsewhere nothing is shown.
+
+    Attributes
+    ----------
+    is_shown : bool
+        Of the class: False hides all bars.
     """
+
+    is_shown: ClassVar[bool] = True
 
     def __init__(self, description: str = "first samples"):
         self._description = description
 
     def __enter__(self):
         self._progress = None
-        if sys.stderr.isatty():
+        if self.is_shown and sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn
 
@@ -30,7 +38,7 @@ class ProgressBar:
             )
             self._task = self._progress.add_task(self._description, total=None)
             self._progress.start()
-        self._notebook = NotebookOutput() if in_notebook() else None
+        self._notebook = NotebookOutput() if self.is_shown and in_notebook() else None
         self.show(0, None, self._description)
         return self
 

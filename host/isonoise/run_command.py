@@ -7,6 +7,7 @@ import sys
 import traceback
 import warnings
 
+from isonoise.command_output import command_output
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_ERROR_NOT_MET, EXIT_INTERNAL_ERROR
 from isonoise.errors import UserError
 from isonoise.heap import keep_freed_memory
@@ -35,7 +36,8 @@ def _run(options: argparse.Namespace) -> int:
         with deferred():  # compiled modules lose a KeyboardInterrupt, or turn it into another error
             command = importlib.import_module(f"isonoise.commands.{options.command}")
         raise_if_received()
-        return command.run(options)
+        with command_output(options):
+            return command.run(options)
     except BaseException as error:
         return _report(error)
 

@@ -11,13 +11,16 @@ from isonoise.benchmark.launch_trace import trace_json
 from isonoise.benchmark.prepared_scene import PreparedScene, Run
 from isonoise.benchmark.program_dump import DumpedProgram, check_folder, dump_programs, write_dump
 from isonoise.benchmark.pytest_benchmark import pytest_benchmark_json
+from isonoise.command_output import STANDARD_OUTPUT, print_json
 from isonoise.device.opencl import Launch
 from isonoise.film.files import check_writable, write_atomically
 
 
 def write_json(path: str | None, content: Mapping, indent: int | None = 1) -> None:
-    """Write an object to a file; nothing without a path."""
-    if path:
+    """Write an object to a file, or print it if the path is `-`; nothing without a path."""
+    if path == STANDARD_OUTPUT:
+        print_json(content)
+    elif path:
         text = json.dumps(content, indent=indent, allow_nan=False) + "\n"
         write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
@@ -27,7 +30,7 @@ class Outputs:
 
     def __init__(self, report: str | None, trace: str | None, dump: str | None, pytest_benchmark: str | None):
         for path in (report, trace, pytest_benchmark):
-            if path:
+            if path and path != STANDARD_OUTPUT:
                 check_writable(path)
         self._report, self._trace, self._pytest_benchmark = report, trace, pytest_benchmark
         self._dump: Path | None = check_folder(dump) if dump else None

@@ -1,7 +1,6 @@
 """`isonoise bench`: checks the options, measures scene by scene, prints and writes the report."""
 
 import argparse
-import sys
 import tempfile
 from collections.abc import Mapping
 from functools import partial
@@ -34,6 +33,7 @@ from isonoise.benchmark.report_text import (
     tuning_text,
     versus_text,
 )
+from isonoise.command_output import STANDARD_OUTPUT, logger
 from isonoise.commands import EXIT_DONE
 from isonoise.device import form, pool_size, program_cache
 from isonoise.device.drivers import describe_driver
@@ -87,9 +87,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_options(options: argparse.Namespace) -> None:
-    if options.json:
-        check_writable(options.json)
-    check_no_input([options.json, options.trace, options.pytest_benchmark], map(Path, options.scenes))
+    report = None if options.json == STANDARD_OUTPUT else options.json
+    if report:
+        check_writable(report)
+    check_no_input([report, options.trace, options.pytest_benchmark], map(Path, options.scenes))
     if options.spp is not None and options.spp > MAX_COUNT:
         raise UserError(f"--spp {options.spp:g} is more than a pixel can take: the limit is {MAX_COUNT}")
     if options.threshold is not None and not (options.against or options.versus):
@@ -161,7 +162,7 @@ def _compare(baseline: Baseline, result: Mapping, threshold: float) -> int:
     slower = comparison.slower(threshold)
     if not slower:
         return EXIT_DONE
-    print(f"isonoise: slower than in '{baseline.path}': {'; '.join(map(str, slower))}", file=sys.stderr)
+    logger.error(f"slower than in '{baseline.path}': {'; '.join(map(str, slower))}")
     return EXIT_SLOWER
 
 
@@ -176,7 +177,7 @@ def _versus(options: argparse.Namespace, settings: Settings, sources: Mapping[st
     if not slower:
         return EXIT_DONE
     ratios = "; ".join(f"{scene['scene']} samples/s {scene['speedup']['median']:.3f}" for scene in slower)
-    print(f"isonoise: slower than '{options.versus}': {ratios}", file=sys.stderr)
+    logger.error(f"slower than '{options.versus}': {ratios}")
     return EXIT_SLOWER
 
 

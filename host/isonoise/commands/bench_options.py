@@ -1,6 +1,7 @@
 """Options of `isonoise bench` that no other command has. Called by `cli.py`."""
 
 from isonoise import argument_types
+from isonoise.commands import shared_options
 
 
 def add_modes(subjects) -> None:
@@ -32,7 +33,8 @@ def add_modes(subjects) -> None:
 def add_results(bench) -> None:
     """Options for files and comparisons."""
     output = bench.add_argument_group("results")
-    output.add_argument("--json", metavar="FILE", help="write all figures; fields: host/docs/benchmarks.md")
+    shared_options.add_json_file(output, "host/docs/benchmarks.md")
+    shared_options.add_quiet(output)
     output.add_argument("--pytest-benchmark", metavar="FILE", help="write the times for `pytest-benchmark compare`")
     output.add_argument(
         "--trace", metavar="FILE", help="write a timeline of all launches of a run, for ui.perfetto.dev"

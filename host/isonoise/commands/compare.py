@@ -3,10 +3,10 @@
 import argparse
 import importlib.util
 import signal
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from isonoise.command_output import logger, print_json
 from isonoise.commands import EXIT_DONE
 from isonoise.commands.shared_options import cluster_of
 from isonoise.comparison.folder_lock import FolderLock, lock_folder
@@ -36,7 +36,10 @@ def run(options: argparse.Namespace) -> int:
     with lock_folder(directory) as lock, cluster_of(options) as cluster:
         workers = _workers_of(cluster)
         if len(spps) < 2:
-            return _compare(_request(options, preset, *spps), lock, workers, options.rerun_changed)[0]
+            code, summary = _compare(_request(options, preset, *spps), lock, workers, options.rerun_changed)
+            if options.json:
+                print_json(summary)
+            return code
         return _compare_series(options, preset, spps, directory, workers)
 
 
@@ -45,7 +48,7 @@ def _workers_of(cluster: "Cluster | None") -> "ClusterWorkers | None":
         return None
     from isonoise.comparison.cluster.workers import ClusterWorkers
 
-    return ClusterWorkers(cluster, _warn)
+    return ClusterWorkers(cluster, logger.warning)
 
 
 def _compare_series(
@@ -68,6 +71,8 @@ def _compare_series(
         if code != EXIT_DONE:
             break
     write_series(directory, spps, summaries, _print)
+    if options.json:
+        print_json({f"{spp:g}": summary for spp, summary in summaries.items()})
     return code
 
 
@@ -84,19 +89,19 @@ def _compare(
     """
     directory = lock.directory
     try:
-        render_comparison(request, lock, _print, _warn, workers, rerun_changed, shared)
+        render_comparison(request, lock, _print, logger.warning, workers, rerun_changed, shared)
         return EXIT_DONE, _report(directory)
     except (KeyboardInterrupt, UserError) as error:
         # a signal may have reached Mitsuba's process first, and its end is a UserError
         if isinstance(error, UserError) and exit_code() is None:
             raise
-    print(f"isonoise: interrupted; {KEPT}", file=sys.stderr)
+    logger.error(f"interrupted; {KEPT}")
     summary = None
     if has_runs(directory):
         try:
             summary = _report(directory)
         except UserError as error:  # such as a full disk; the exit code is the signal's
-            print(f"isonoise: {error}", file=sys.stderr)
+            logger.error(error)
     return exit_code() or 128 + signal.SIGINT, summary
 
 
@@ -152,10 +157,6 @@ def _check_packages(request: Request) -> None:
     specs = {strategy.spec for strategy in request.strategies}
     if specs & set(MITSUBA_SAMPLERS) and importlib.util.find_spec("mitsuba") is None:
         raise UserError(f"{' and '.join(MITSUBA_SAMPLERS)} need Mitsuba 3: pip install 'isonoise[peers]'")
-
-
-def _warn(text: str) -> None:
-    print(f"isonoise: warning: {text}", file=sys.stderr, flush=True)
 
 
 def _print(text: str) -> None:

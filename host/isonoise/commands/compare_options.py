@@ -67,3 +67,4 @@ def add_compare(commands) -> None:
         help="seconds to render a reference, and as many for the variances of an oracle (default: 20 times --time; "
         "with --spp 20 times its samples)",
     )
+    shared_options.add_output(compare, "print the numbers of the tables, as in summary.json")

@@ -3,6 +3,7 @@
 import argparse
 import warnings
 
+from isonoise.command_output import print_json
 from isonoise.commands import EXIT_DONE
 from isonoise.convert.convert import convert
 from isonoise.convert.scaling import SCALING_REASON
@@ -16,6 +17,9 @@ def run(options: argparse.Namespace) -> int:
     for text in converted.report.warnings() if converted.report else ():
         warnings.warn(text, stacklevel=1)
     files = converted.files
+    if options.json:
+        print_json({"output": options.output, "files": list(map(str, files)), "scale": converted.scale})
+        return EXIT_DONE
     beside = f", {len(files)} file{'s' * (len(files) > 1)} in {files[0].parent.name}/" if files else ""
     print(f"written: {options.output}{beside}")
     if converted.scale != 1:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isonoise.command_output import print_json
 from isonoise.commands import EXIT_DONE
 from isonoise.errors import DeviceError
 from isonoise.progress import format_number, shorten_numbers
@@ -42,18 +43,26 @@ LIGHTS = {light_bits(name): f"{name}s" if kind.is_area else kind.plugin for name
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code. Raises UserError if the file cannot be read."""
     if Path(options.source).suffix.lower() == ".exr":
-        _print_image(options.source)
+        _print_image(options.source, options.json)
     elif is_checkpoint(options.source):
-        print(label_lines(describe_checkpoint(options.source)))
+        rows = describe_checkpoint(options.source)
+        if options.json:
+            print_json(dict(rows))
+        else:
+            print(label_lines(rows))
     else:
         _print_scene(options)
     return EXIT_DONE
 
 
-def _print_image(path: str) -> None:
+def _print_image(path: str, as_json: bool) -> None:
     from isonoise.film.exr import read_header
 
     channels, (width, height), header = read_header(path)
+    if as_json:
+        fields = {name: str(value) for name, value in header.items()}
+        print_json({"width": width, "height": height, "channels": channels, "header": fields})
+        return
     fields = ((name, shorten_numbers(text)) for name, text in sorted(header.items()))
     print(label_lines([("size", f"{width}x{height}"), ("channels", ", ".join(channels)), *fields]))
 
@@ -71,10 +80,14 @@ def _print_scene(options: argparse.Namespace) -> None:
     contents = describe_scene(scene)
     if loaded.model_bounds is not None:
         contents["bounds"] = f"{_corners(loaded.model_bounds)}, of the model"
-    print(label_lines([*describe_file(options.source, loaded), *contents.items()], wrap=width))
     needs = make_strategy(DEFAULT_STRATEGY).needs.with_sampler(scene.sampler)
-    _print_memory(scene, needs, options.device)
-    used = features(scene, needs)
+    memory, used = _memory(scene, needs, options.device), features(scene, needs)
+    if options.json:
+        file = dict(describe_file(options.source, loaded))
+        print_json({"file": file, "scene": contents, "memory": memory, "features": used})
+        return
+    print(label_lines([*describe_file(options.source, loaded), *contents.items()], wrap=width))
+    _print_memory(memory)
     if options.features:
         _print_features(used)
     else:
@@ -99,10 +112,10 @@ def _print_features(used: Mapping[str, bool]) -> None:
         print(f"\n{title}\n{label_lines(rows, indent='  ', min_width=name_width)}")
 
 
-def _print_memory(scene: CompiledScene, needs: Needs, device_choice: str | None) -> None:
-    """What a render takes; without an OpenCL device only that there is none."""
+def _memory(scene: CompiledScene, needs: Needs, device_choice: str | None) -> dict[str, object]:
+    """What a render takes, in bytes; without an OpenCL device only the `error` that there is none."""
     from isonoise.device.opencl import Device
-    from isonoise.integrator.memory_plan import fit_pool, format_bytes
+    from isonoise.integrator.memory_plan import fit_pool
     from isonoise.integrator.wavefront import plan_memory
     from isonoise.strategies import DEFAULT_STRATEGY
 
@@ -111,13 +124,28 @@ def _print_memory(scene: CompiledScene, needs: Needs, device_choice: str | None)
         plan = plan_memory(device, scene, needs)
         plan = fit_pool(lambda pool_size: replace(plan, pool_size=pool_size), plan.pool_size, device)
     except DeviceError as error:
-        print(f"\nmemory: {error}")
+        return {"error": str(error)}
+    return {
+        "strategy": DEFAULT_STRATEGY,
+        "pool_size": plan.pool_size,
+        "device": device.name,
+        "shares_memory": device.shares_memory,
+        "bytes": dict(plan.rows()),
+        "total_bytes": plan.shared if device.shares_memory else plan.device,
+    }
+
+
+def _print_memory(memory: Mapping) -> None:
+    from isonoise.integrator.memory_plan import format_bytes
+
+    if "error" in memory:
+        print(f"\nmemory: {memory['error']}")
         return
-    total = plan.shared if device.shares_memory else plan.device
-    print(f"\nmemory of a render (strategy {DEFAULT_STRATEGY}, {plan.pool_size:,} paths) on {device.name}:")
-    rows = [(name, format_bytes(size)) for name, size in plan.rows()]
-    where = "at a time, for device and host" if device.shares_memory else "on the device"
-    print(label_lines([*rows, ("total", f"{format_bytes(total)} {where}")], indent="  "))
+    paths = f"{memory['pool_size']:,} paths"
+    print(f"\nmemory of a render (strategy {memory['strategy']}, {paths}) on {memory['device']}:")
+    rows = [(name, format_bytes(size)) for name, size in memory["bytes"].items()]
+    where = "at a time, for device and host" if memory["shares_memory"] else "on the device"
+    print(label_lines([*rows, ("total", f"{format_bytes(memory['total_bytes'])} {where}")], indent="  "))
 
 
 def describe_file(source: str, loaded: "LoadedScene") -> list[tuple[str, str]]:

@@ -1,10 +1,11 @@
 """`isonoise merge`: adds renders of one scene with different seeds, from their checkpoints."""
 
 import argparse
-import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from isonoise import __version__
+from isonoise.command_output import logger, print_json
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
 from isonoise.device.opencl import Device
 from isonoise.error.stated_error import stated_error
@@ -40,24 +41,37 @@ def run(options: argparse.Namespace) -> int:
     if options.checkpoint:
         write_checkpoint(options.checkpoint, merged)
     renders = merged.values["merged"]["renders"]
-    time = format_duration(sum(render["elapsed_s"] for render in renders))
-    error = format_percent(float(stated_error(statistics, [_QUANTILE], floor)[0]))
-    per_pixel = statistics.samples / statistics.count.size
-    lines = [
-        (
-            "merged",
-            f"{len(renders)} renders, {time}, {statistics.samples:,} samples, {format_number(per_pixel, 4)} per pixel",
-        ),
-        ("seeds", ", ".join(str(render["seed"]) for render in renders)),
-        ("error", f"{error} (stated, quantile {_QUANTILE:g})"),
-        *(("image", image.path) for image in written if image.path),
-        *([("state", options.checkpoint)] if options.checkpoint else []),
-    ]
-    print(label_lines(lines))
+    result = {
+        "renders": len(renders),
+        "time_s": sum(render["elapsed_s"] for render in renders),
+        "samples": statistics.samples,
+        "spp": statistics.samples / statistics.count.size,
+        "seeds": [render["seed"] for render in renders],
+        "quantile": _QUANTILE,
+        "stated_error": float(stated_error(statistics, [_QUANTILE], floor)[0]),
+        "output": [image.path for image in written if image.path],
+        "checkpoint": options.checkpoint,
+    }
+    if options.json:
+        print_json(result)
+    else:
+        print(label_lines(_lines(result)))
     failures = [image for image in written if image.failure]
     for image in failures:
-        print(f"isonoise: {image.message()}", file=sys.stderr)
+        logger.error(image.message())
     return EXIT_BAD_INPUT if failures else EXIT_DONE
+
+
+def _lines(result: Mapping) -> list[tuple[str, str]]:
+    """The result as text, by label."""
+    time, per_pixel = format_duration(result["time_s"]), format_number(result["spp"], 4)
+    return [
+        ("merged", f"{result['renders']} renders, {time}, {result['samples']:,} samples, {per_pixel} per pixel"),
+        ("seeds", ", ".join(map(str, result["seeds"]))),
+        ("error", f"{format_percent(result['stated_error'])} (stated, quantile {_QUANTILE:g})"),
+        *(("image", path) for path in result["output"]),
+        *([("state", result["checkpoint"])] if result["checkpoint"] else []),
+    ]
 
 
 def _header(merged: State) -> dict[str, object]:

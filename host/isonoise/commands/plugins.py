@@ -1,9 +1,9 @@
 """`isonoise plugins`: lists Mitsuba 3's plugins with their support, or the parameters of one plugin."""
 
 import argparse
-import json
 import shutil
 
+from isonoise.command_output import print_json
 from isonoise.commands import EXIT_DONE
 from isonoise.errors import UserError
 from isonoise.scene.parse import plugin_tables
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     described = [(kind, name) for kind in kinds_of(name) if kind in plugin_tables.KINDS] if not kinds else None
     if options.json:
         listed = described or [(kind, row[0]) for kind in kinds for row in plugin_tables.list_plugins(kind)]
-        print(json.dumps([_facts(kind, plugin) for kind, plugin in listed], indent=1))
+        print_json([_facts(kind, plugin) for kind, plugin in listed])
     elif described:
         print("\n\n".join("\n".join(_description(kind, plugin)) for kind, plugin in described))
     else:

@@ -1,11 +1,11 @@
 """`isonoise render`: checks the files, sets up, renders, writes images and log, reports."""
 
 import argparse
-import sys
 import traceback
 from contextlib import ExitStack
 from pathlib import Path
 
+from isonoise.command_output import logger, print_json
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE, EXIT_ERROR_NOT_MET
 from isonoise.commands.render_checkpoint import Checkpoints
 from isonoise.commands.render_result import image_header, print_result, print_settings, print_setup_times, result_fields
@@ -44,8 +44,7 @@ def run(options: argparse.Namespace) -> int:
         checkpoints.check(renderer)
         _check_reference_size(options, reference, renderer)
         raise_if_received()
-        if not options.json:
-            print_setup_times(renderer)
+        print_setup_times(renderer)
         with deferred() as received:
             return _Render(options, renderer, reference, images, log, checkpoints, viewers).run(received)
 
@@ -107,7 +106,7 @@ class _Render:
         try:
             self._checkpoints.keep(loop)
         except Exception as error:
-            print(f"isonoise: no new checkpoint is written, an earlier one stays: {error}", file=sys.stderr)
+            logger.error(f"no new checkpoint is written, an earlier one stays: {error}")
 
     def _save(self, loop: RenderLoop) -> None:
         """Write the images in the middle of the render."""
@@ -116,7 +115,7 @@ class _Render:
             for path, image in zip(self._options.output, self._write_images(outcome, has_ended=False), strict=True):
                 if image.failure and path not in self._warned:
                     self._warned.add(path)
-                    print(f"isonoise: warning: {image.failure}; the render goes on", file=sys.stderr)
+                    logger.warning(f"{image.failure}; the render goes on")
 
     def _write_images(self, outcome: Outcome, has_ended: bool) -> list[WrittenFile]:
         header = image_header(result_fields(self._options, self._renderer, self._stops, outcome))
@@ -128,7 +127,7 @@ class _Render:
         """Write images and log, report, and return the exit code; or raise the `failure` that has ended the render."""
         options = self._options
         if outcome.statistics.samples == 0:
-            print("isonoise: stopped before the first sample; no image is written", file=sys.stderr)
+            logger.error("stopped before the first sample; no image is written")
             if failure:
                 raise failure
             return EXIT_DONE  # `cli` adds the signal
@@ -138,17 +137,21 @@ class _Render:
         log = self._log.end(outcome.rows)
         self._viewers.show(outcome)
         result = result_fields(options, self._renderer, self._stops, outcome)
-        print_result(result | {"output": [image.path for image in images if image.path]}, options.json)
+        result |= {"output": [image.path for image in images if image.path]}
+        if options.json:
+            print_json(result)
+        else:
+            print_result(result)
         for path, image in zip(options.output, images, strict=True):
             if image.failure:
-                print(f"isonoise: {image.message()}", file=sys.stderr)
+                logger.error(image.message())
             elif image.path != path:
-                print(f"isonoise: '{path}' stays as it was: the new image lacks pixels", file=sys.stderr)
+                logger.error(f"'{path}' stays as it was: the new image lacks pixels")
         if checkpoint and checkpoint.failure:
-            print(f"isonoise: {checkpoint.message()}", file=sys.stderr)
+            logger.error(checkpoint.message())
         if log:
             state = "incomplete" if failures else "incomplete, the image is complete"
-            print(f"isonoise: {log.failure}; the log is {state}; {log.place()}", file=sys.stderr)
+            logger.error(f"{log.failure}; the log is {state}; {log.place()}")
         internal = [image.failure for image in failures if not isinstance(image.failure, (UserError, MemoryError))]
         if failure or internal:
             raise failure or internal[0]
@@ -221,8 +224,7 @@ class _SetUpDisplay:
         if not self._has_printed:
             self._has_printed = True
             self.close()  # a bar would take what is printed to standard output
-            if not self._options.json:
-                print_settings(self._options, renderer)
+            print_settings(self._options, renderer)
             self._bar = ProgressBar("compiling").__enter__()
         if program:
             self._bar.show(done, total, f"compiling kernels, {done} of {total} done: {program}")

@@ -2,10 +2,10 @@
 
 import argparse
 import os
-import sys
 from dataclasses import asdict, fields
 from pathlib import Path
 
+from isonoise.command_output import logger
 from isonoise.errors import UserError
 from isonoise.film.fallback import WrittenFile, write_elsewhere
 from isonoise.film.files import PathLock, check_writable
@@ -76,7 +76,7 @@ class Checkpoints:
         before = self.state.settings.get("device") if self.state else None
         device = ", ".join(renderer.devices)
         if before not in (None, device):
-            _warn(f"the render was begun on {before}; its last bits may differ on {device}")
+            logger.warning(f"the render was begun on {before}; its last bits may differ on {device}")
 
     def periodic(self) -> list[Periodic]:
         """What the render loop does at intervals."""
@@ -111,7 +111,7 @@ class Checkpoints:
             self._writer.finish()
         except UserError as error:
             if not self._has_warned:
-                _warn(f"{error}; the render goes on without checkpoints until one can be written")
+                logger.warning(f"{error}; the render goes on without checkpoints until one can be written")
             self._has_warned = True
         reuse = self._last_state or self.state  # a continued render has taken over what it needs of it
         self._last_state = self.state = None
@@ -143,7 +143,3 @@ def _complete(options: argparse.Namespace, state: State | None) -> None:
     for name, default in _DEFAULTS.items():
         if getattr(options, name) is None:
             setattr(options, name, default)
-
-
-def _warn(message: str) -> None:
-    print(f"isonoise: warning: {message}", file=sys.stderr)

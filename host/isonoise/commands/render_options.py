@@ -71,7 +71,7 @@ def add_render(commands) -> None:
         type=argument_types.interval,
         help="write the images every S seconds during the render, too",
     )
-    reports.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    shared_options.add_output(reports)
     _add_viewers(render)
 
 

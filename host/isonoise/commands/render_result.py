@@ -1,8 +1,6 @@
 """The result of `isonoise render`: the fields of --json and of image headers, and the lines that it prints."""
 
 import argparse
-import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
@@ -74,13 +72,6 @@ def image_header(result: Mapping[str, object]) -> dict[str, object]:
     return {f"isonoise.{key}": result[key] for key in HEADER_FIELDS}
 
 
-def _without_nan(value):
-    """The value with None for NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _print_line(label: str, text: str) -> None:
     print(f"{label:9} {text}", flush=True)
 
@@ -100,11 +91,8 @@ def print_setup_times(renderer: Renderer) -> None:
     _print_line("set-up", ", ".join(times))
 
 
-def print_result(result: Mapping[str, object], as_json: bool) -> None:
-    """Print the result as text or as one JSON object."""
-    if as_json:
-        print(json.dumps(_without_nan(result)))
-        return
+def print_result(result: Mapping[str, object]) -> None:
+    """Print the result as text."""
     time, samples, spp = format_duration(result["time_s"]), f"{result['samples']:,}", format_number(result["spp"], 4)
     _print_line("rendered", f"{time}, {samples} samples, {spp} per pixel")
     if result["workers"]:

@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Iterable
 
+from isonoise.command_output import STANDARD_OUTPUT, print_json
 from isonoise.commands import EXIT_DONE
 from isonoise.device.drivers import describe_driver, driver_fields
 from isonoise.device.opencl import Device
@@ -19,7 +20,7 @@ SCHEMA = {"schema": "isonoise-selftest", "schema_version": 2}
 
 def run(options: argparse.Namespace) -> int:
     """Runs the self-test; returns the exit code. Raises UserError if the options are wrong."""
-    if options.json:
+    if options.json and options.json != STANDARD_OUTPUT:
         check_writable(options.json)
     device = Device(options.device)
     print(f"{device.name}, {describe_driver(device.device)}", flush=True)
@@ -32,7 +33,9 @@ def run(options: argparse.Namespace) -> int:
     case_count, failed_count = _counts(results)
     elapsed_s, cpu_s = (sum(getattr(group, name) for group in results) for name in ("elapsed_s", "cpu_s"))
     print(f"\n{case_count} cases, {failed_count} failed; {elapsed_s:.0f} s, {cpu_s:.0f} s of CPU time")
-    if options.json:
+    if options.json == STANDARD_OUTPUT:
+        print_json(to_json(device, results))
+    elif options.json:
         text = json.dumps(to_json(device, results), indent=1, allow_nan=False) + "\n"
         write_atomically(options.json, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return EXIT_FAILED if failed_count else EXIT_DONE

@@ -5,6 +5,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from isonoise import argument_types
+from isonoise.command_output import STANDARD_OUTPUT
+
+
+def add_output(parser, json_help: str = "print the result as one JSON object") -> None:
+    """--json and --quiet, which every command has."""
+    parser.add_argument("--json", action="store_true", help=json_help)
+    add_quiet(parser)
+
+
+def add_json_file(parser, fields: str) -> None:
+    """--json with a file, for commands with much to write; `fields` says where its fields are explained."""
+    parser.add_argument(
+        "--json",
+        metavar="FILE",
+        nargs="?",
+        const=STANDARD_OUTPUT,
+        help=f"write all figures to a file, or without FILE print them in place of the text; fields: {fields}",
+    )
+
+
+def add_quiet(parser) -> None:
+    parser.add_argument(
+        "-q", "--quiet", action="store_true", help="print no text and no progress; warnings and errors stay"
+    )
 
 
 def add_size(parser) -> None:

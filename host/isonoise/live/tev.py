@@ -9,9 +9,9 @@ little-endian, texts are UTF-8 and end with a zero byte (tev's `Ipc.h` and `Ipc.
   int64 offset of every channel, int64 stride of every channel, float32 values
 """
 
+import logging
 import socket
 import struct
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -31,6 +31,8 @@ MAX_SHARE = 0.02
 """Share of the time that images may take: later ones come less often."""
 MAX_TILE_BYTES = 1 << 20
 """Most bytes of the pixels in a packet."""
+
+logger = logging.getLogger("isonoise.live")
 
 _CLOSE, _CREATE, _UPDATE = 2, 4, 6
 
@@ -127,7 +129,7 @@ class TevViewer:
             for packet in update_packets(self._image, channels):
                 self._socket.sendall(packet)
         except OSError as error:
-            print(f"isonoise: warning: tev no longer shows the render: {error.strerror or error}", file=sys.stderr)
+            logger.warning(f"tev no longer shows the render: {error.strerror or error}")
             self.close()
 
     def close(self) -> None:
