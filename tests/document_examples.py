@@ -108,6 +108,7 @@ def make_folder(folder: Path) -> dict[str, str]:
     _write_program(programs / "isonoise", f"#!{sys.executable}\n{_RUN_COMMAND}")
     _write_program(programs / "python", f'#!/bin/sh\nexec {shlex.quote(sys.executable)} "$@"\n')
     return os.environ | {
+        "HOME": str(folder),
         "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": os.pathsep.join([str(CHECKOUT / "host"), str(CHECKOUT / "tests")]),
     }

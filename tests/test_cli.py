@@ -201,9 +201,9 @@ def test_bad_option_values_are_reported(option, value, message, capsys):
 
 
 def test_points_and_axes_may_begin_with_a_minus():
-    from isonoise.cli import _parser
+    from isonoise.cli import make_parser
 
-    options = _parser().parse_args(
+    options = make_parser().parse_args(
         ["render", "a.glb", "-o", "a.png", "--look-at", "-1,0,-2:-.5,1e-3,0", "--up", "-z", "-D", "a=-1"]
     )
     assert options.look_at == ((-1, 0, -2), (-0.5, 1e-3, 0))

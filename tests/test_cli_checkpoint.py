@@ -152,11 +152,11 @@ def test_a_lost_device_leaves_the_last_checkpoint_and_the_last_image(capsys, mon
 def test_a_continued_render_has_the_view_of_its_checkpoint():
     import damaged_checkpoints
 
-    from isonoise.cli import _parser
+    from isonoise.cli import make_parser
     from isonoise.commands.render_checkpoint import _complete
     from isonoise.scene.view import View, view_of
 
     state = damaged_checkpoints.render_state()
-    options = _parser().parse_args(["render", "s.xml", "-o", "a.exr", "--look-at", "4,5,6"])
+    options = make_parser().parse_args(["render", "s.xml", "-o", "a.exr", "--look-at", "4,5,6"])
     _complete(options, state)
     assert view_of(options) == View(fov=40.0, look_at=((4, 5, 6),))

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isonoise.cli import _parser
+from isonoise.cli import make_parser
 from isonoise.film.exr import read_exr
 
 README = Path(__file__).resolve().parent.parent / "host" / "README.md"
@@ -46,7 +46,7 @@ def test_shell_syntax(script):
 def test_options_of_isonoise():
     for script in SHELL:
         for command in commands(script, "isonoise", "render"):
-            assert _parser().parse_args(command[1:]).dask == command[command.index("--dask") + 1]
+            assert make_parser().parse_args(command[1:]).dask == command[command.index("--dask") + 1]
 
 
 def dask_options(tool: str) -> set[str]:

@@ -6,7 +6,7 @@ import importlib
 import document_examples
 import pytest
 
-from isonoise.cli import _parser
+from isonoise.cli import make_parser
 
 BLOCKS = [block for page in document_examples.PAGES for block in document_examples.blocks(page)]
 PAGES_WITH_EXAMPLES = sorted(
@@ -29,7 +29,7 @@ def test_blocks_name_their_language():
 @of_language("sh")
 def test_commands_have_these_options(block):
     for arguments in document_examples.isonoise_commands(block.body):
-        assert _parser().parse_args(arguments).command == arguments[0]
+        assert make_parser().parse_args(arguments).command == arguments[0]
 
 
 @of_language("python")

@@ -86,7 +86,7 @@ def test_the_bar_shows_time_samples_error_and_time_left(monkeypatch):
 
 def test_set_up_prints_the_settings_before_kernels_are_compiled(monkeypatch, capsys):
     """And shows the program that is compiled, on a terminal; what is printed does not end up in the bar."""
-    from isonoise.cli import _parser
+    from isonoise.cli import make_parser
     from isonoise.commands import render
 
     monkeypatch.setenv("TERM", "xterm")
@@ -94,7 +94,7 @@ def test_set_up_prints_the_settings_before_kernels_are_compiled(monkeypatch, cap
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
     monkeypatch.setattr(render, "print_settings", lambda options, renderer: print("scene", renderer))
-    display = render._SetUpDisplay(_parser().parse_args(["render", "a.glb", "-o", "a.exr"]))
+    display = render._SetUpDisplay(make_parser().parse_args(["render", "a.glb", "-o", "a.exr"]))
     display.update("it", "", 0, 0)
     assert capsys.readouterr().out == "scene it\n"
     display.update("it", "shade", 1, 3)

@@ -3,40 +3,42 @@
 Nothing slow is imported here, so that `isonoise --help` answers at once.
 """
 
-import argparse
-import importlib
-import re
 import signal
 import sys
 
 from isonoise import __version__, argument_types
+from isonoise.command_parser import CommandParser
 from isonoise.commands import bench_options, compare_options, render_options, shared_options
 from isonoise.run_command import run_command
 from isonoise.signals import exit_code
 from isonoise.standard_streams import safe_streams
+
+SHELLS = ("bash", "zsh", "fish", "tcsh")
+"""Shells that can complete the command line."""
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command in `argv` (default: the process's arguments); return the exit code."""
     try:
         with safe_streams() as output:
-            return run_command(_parser().parse_args(argv), output)
+            return run_command(make_parser().parse_args(argv), output)
     except KeyboardInterrupt:  # before or after the command
         print("isonoise: interrupted", file=sys.stderr)
         return exit_code() or 128 + signal.SIGINT
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def make_parser() -> CommandParser:
+    """The parser of all commands."""
+    parser = CommandParser(
         prog="isonoise",
         description="An OpenCL path tracer that measures the noise of every pixel and samples where it is needed.",
         epilog="`isonoise COMMAND --help` lists a command's options.",
     )
     parser.add_argument("--version", action="version", version=f"isonoise {__version__}", help="print the version")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_CommandParser)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=CommandParser)
     for add_command in (
         render_options.add_render, _add_merge, _add_convert, compare_options.add_compare, _add_bench, _add_selftest,
-        _add_devices, _add_plugins, _add_formats, _add_info,
+        _add_devices, _add_plugins, _add_formats, _add_info, _add_completion,
     ):  # fmt: skip
         add_command(commands)
     return parser
@@ -168,17 +170,14 @@ def _add_convert(commands) -> None:
     shared_options.add_output(convert)
 
 
-class _CommandParser(argparse.ArgumentParser):
-    """A parser that keeps line breaks, and gets the epilog `epilog_name` from `help_texts` when help is printed."""
-
-    epilog_name = None
-
-    def __init__(self, **options):
-        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
-        # argparse takes what matches this for a value and no option: points and axes, too, not just numbers
-        self._negative_number_matcher = re.compile(r"-(?:[0-9.][0-9.,:eE+-]*|[xyz])$")
-
-    def format_help(self) -> str:
-        if self.epilog_name:
-            self.epilog = getattr(importlib.import_module("isonoise.help_texts"), self.epilog_name)()
-        return super().format_help()
+def _add_completion(commands) -> None:
+    completion = commands.add_parser(
+        "completion",
+        help="print a script with which a shell completes commands, options and file names",
+        description="Print a script with which a shell completes commands, options and file names. For bash:\n"
+        "  isonoise completion bash > ~/.local/share/bash-completion/completions/isonoise\n"
+        "For zsh, into a folder of $fpath:\n"
+        "  isonoise completion zsh > _isonoise",
+    )
+    completion.add_argument("shell", metavar="SHELL", choices=SHELLS, help=f"one of {', '.join(SHELLS)}")
+    completion.set_defaults(make_parser=make_parser)
