@@ -65,7 +65,7 @@ class FakeSettings(TracerSettings):
 def task(number: int) -> Task:
     counts = np.random.default_rng(number).integers(0, 9, (1, PIXELS), np.uint32)
     state = {"count": counts, "sums": np.zeros((2, PIXELS), np.float32)}
-    return Task(number, np.arange(PIXELS, dtype=np.uint32), np.full(PIXELS, 2, np.uint32), state)
+    return Task(number, np.arange(PIXELS, dtype=np.uint32), np.full(PIXELS, 2, np.uint32), state, 0)
 
 
 def make_local(workers: int):

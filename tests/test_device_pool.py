@@ -27,7 +27,7 @@ def fake_device(label: str, driver: str = "a driver") -> SimpleNamespace:
 
 
 def task(number: int) -> Task:
-    return Task(number, np.arange(2, dtype=np.uint32), np.array([1, 3], np.uint32), {"count": np.zeros((1, 2))})
+    return Task(number, np.arange(2, dtype=np.uint32), np.array([1, 3], np.uint32), {"count": np.zeros((1, 2))}, 0)
 
 
 class FakeTracer:

@@ -38,18 +38,18 @@ def test_a_task_is_a_pure_function():
     expected = renderer._wavefront.reduction.read()
     counts = (expected["count"] + expected["rejected"])[0]
     needs = renderer.strategy.needs.with_sampler(renderer.scene.sampler)
-    tracer = ShardTracer(Device(), renderer.scene, needs, SEED)
+    tracer = ShardTracer(Device(), renderer.scene, needs)
     order = np.random.default_rng(1).permutation(len(counts)).astype(np.uint32)
     for number, pixels in enumerate((order[:1], order[1:700], order[700:])):
         first = counts[pixels] // 3
-        begun = tracer.trace(Task(0, pixels, first, zero_state(needs, len(pixels))))
-        result = tracer.trace(Task(number, pixels, counts[pixels] - first, begun.state))
+        begun = tracer.trace(Task(0, pixels, first, zero_state(needs, len(pixels)), SEED))
+        result = tracer.trace(Task(number, pixels, counts[pixels] - first, begun.state, SEED))
         assert result.number == number
         assert result.remaining is None
         assert result.state.keys() == expected.keys()
         for name, planes in expected.items():
             assert result.state[name].tobytes() == planes[:, pixels].tobytes(), name
-    stopped = tracer.trace(Task(9, order, counts[order], zero_state(needs, len(order))), lambda: False)
+    stopped = tracer.trace(Task(9, order, counts[order], zero_state(needs, len(order)), SEED), lambda: False)
     assert np.array_equal(stopped.remaining, counts[order])
 
 

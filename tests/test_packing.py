@@ -26,7 +26,7 @@ def make_state(pixels: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 def make_task(pixels: int) -> Task:
     numbers = np.random.default_rng(1).permutation(2 * pixels)[:pixels].astype(np.uint32)
-    return Task(7, numbers, np.full(pixels, 3, np.uint32), make_state(pixels))
+    return Task(7, numbers, np.full(pixels, 3, np.uint32), make_state(pixels), 2**64 - 1)
 
 
 def assert_same_arrays(first, second) -> None:
@@ -41,7 +41,7 @@ def assert_same_arrays(first, second) -> None:
 def test_tasks_and_results_come_back(pixels, compress):
     task = make_task(pixels)
     back = packing.unpack_task(packing.pack_task(task, compress))
-    assert back.number == 7
+    assert (back.number, back.seed) == (7, 2**64 - 1)
     np.testing.assert_array_equal(task.pixels, back.pixels)
     np.testing.assert_array_equal(task.allocation, back.allocation)
     assert_same_arrays(task.state, back.state)
@@ -125,7 +125,7 @@ BOMB = zlib.compress(bytes(10**6), 9)
 )
 def test_wrong_messages_are_refused(changes, content):
     with pytest.raises(PackingError):
-        packing.unpack_task(sealed({"number": 1, "pixels": 3, "arrays": []} | changes, content))
+        packing.unpack_task(sealed({"number": 1, "seed": 0, "pixels": 3, "arrays": []} | changes, content))
 
 
 def test_a_task_is_no_result():

@@ -118,7 +118,7 @@ def test_prediction_for_four_workers():
     scene = compile_scene(load("cornell", size=size), size=size)
     needs = BASIC_NEEDS.with_sampler(scene.sampler)
     with Cluster.local(4) as cluster:
-        pool = cluster.pool(scene, needs, seed=1)
+        pool = cluster.pool(scene, needs)
         wait_for_workers(pool, 4)
         measured, simulated = measure_and_simulate(TimedRender(pool, scene, needs), 4, samples=64, waves=7)
     assert simulated == pytest.approx(measured, rel=0.1)

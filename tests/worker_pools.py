@@ -79,7 +79,7 @@ class InlineCluster:
         self._on_task = on_task
         self.pools: list[InlinePool] = []
 
-    def pool(self, scene, needs, seed, pool_size, memory, *_) -> InlinePool:
-        tracer = ShardTracer(Device(), scene, needs, seed, pool_size, memory)
+    def pool(self, scene, needs, pool_size, memory, *_) -> InlinePool:
+        tracer = ShardTracer(Device(), scene, needs, pool_size, memory)
         self.pools.append(InlinePool(self.names, tracer, self._on_task))
         return self.pools[-1]

@@ -23,11 +23,17 @@ class CurrentStatistics:
         Radiance in the scene's units over radiance on the device.
     uniform : UniformSamples or None
         For `Statistics.uniform`; None if it is not needed.
+
+    Attributes
+    ----------
+    generation : int
+        Changes whenever samples are added.
     """
 
     def __init__(self, accumulator: Accumulator, scale: float, uniform: UniformSamples | None):
         self._accumulator, self._scale, self.uniform = accumulator, scale, uniform
         self.is_uniform_wave = False
+        self.generation = 0
         self._kept: Statistics | None = None  # None: out of date
 
     def read(self) -> Statistics:
@@ -50,6 +56,7 @@ class CurrentStatistics:
         """Samples will be added. Statistics that are still in use get their RGB now."""
         in_use = (lambda: None) if self._kept is None else weakref.ref(self._kept)
         self._kept = None
+        self.generation += 1
         statistics = in_use()
         if statistics is not None:
             _ = statistics.rgb

@@ -39,8 +39,6 @@ ERROR_MARGIN = 1.05
 """A wave is cut to this multiple of the samples missing to the stated error: the error is an estimate."""
 MIN_WAVE_SHARE = 1 / 16
 """The stated error cuts no wave below this share of the samples so far."""
-MIN_REMAINING_PIXEL_SAMPLES = 2**20
-"""A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
 
 
 def render_loop(renderer: Renderer, stops: Stops, **options) -> Outcome:
@@ -250,7 +248,7 @@ class RenderLoop:
             return "interrupted"
         if self._error_stop is not None and self._error_stop.passed:
             return "error"
-        if self.renderer.remaining_pixel_samples < MIN_REMAINING_PIXEL_SAMPLES:
+        if self.renderer.is_full:
             return "full"
         if self._max_samples is not None and self.renderer.samples >= self._max_samples:
             return "spp"

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isonoise.argument_checks import check_seed
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
-from isonoise.device.pool_size import MAX_POOL_SIZE
 from isonoise.device.selection import SelectedDevice, select_devices
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
 from isonoise.errors import UserError
 from isonoise.integrator.set_up import make_wavefront
-from isonoise.samplers import SAMPLERS
+from isonoise.renderer_options import check_options
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.files import record_files
 from isonoise.scene.load_compiled import load_compiled, source_name
@@ -28,6 +28,7 @@ from isonoise.state.settings import check_settings, render_settings
 from isonoise.state.state import State
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
+from isonoise.strategies.reset import StrategyReset
 from isonoise.strips import LARGE_IMAGE_PIXELS
 from isonoise.wave import WaveRecord
 from isonoise.wave_tracer import WaveTracer
@@ -36,6 +37,10 @@ if TYPE_CHECKING:
     from isonoise.distributed.cluster import Cluster
     from isonoise.distributed.distributed_wavefront import DistributedWavefront
     from isonoise.distributed.worker_report import WorkerReport
+    from isonoise.integrator.wavefront import Wavefront
+
+MIN_REMAINING_PIXEL_SAMPLES = 2**20
+"""A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
 
 
 class Renderer:
@@ -130,14 +135,9 @@ class Renderer:
         cluster: "Cluster | None" = None,
         on_compile: "Callable[[Renderer, str, int, int], None] | None" = None,
     ):
-        if not 0 <= seed < 2**64:
-            raise UserError(f"seed = {seed} is out of range: it goes from 0 to 2^64 - 1")
-        if pool_size is not None and not 1 <= pool_size <= MAX_POOL_SIZE:
-            raise UserError(f"pool_size = {pool_size} is out of range: it goes from 1 to {MAX_POOL_SIZE}")
-        if memory is not None and memory < 1:
-            raise UserError(f"memory = {memory} must be 1 byte or more")
-        if sampler not in (None, *SAMPLERS):
-            raise UserError(f"sampler = {sampler!r} is not one of {', '.join(SAMPLERS)}")
+        options = check_options(locals())  # all arguments by name
+        seed, size, max_depth = options["seed"], options["size"], options["max_depth"]
+        pool_size, memory = options["pool_size"], options["memory"]
         self.strategy, self.seed = make_strategy(strategy), seed
         self.source_name = source_name(scene)
         self.parameters = {name: str(value) for name, value in (parameters or {}).items()}
@@ -153,12 +153,23 @@ class Renderer:
         selected = [] if cluster else select_devices(device)
         self._distributed: DistributedWavefront | None = None  # the wavefront, if there are workers
         if len(selected) == 1:
-            self._use_device(Device(selected[0], profile), *settings)
+            wavefront = self._use_device(Device(selected[0], profile), *settings)
         else:
-            self._use_workers(selected, cluster, *settings)
-        self._waves = WaveTracer(self._wavefront, self.strategy, self.scene, needs.uniform)
+            wavefront = self._use_workers(selected, cluster, *settings)
+        self._strategy_reset = StrategyReset(self.strategy)
+        self._open_waves: WaveTracer | None = WaveTracer(wavefront, self.strategy, self.scene, needs.uniform)
 
-    def _use_device(self, device: Device, scene, needs, seed, pool_size, memory, is_adaptive, report) -> None:
+    @property
+    def _waves(self) -> WaveTracer:
+        if self._open_waves is None:
+            raise UserError("the renderer is closed: its device has been freed; make another Renderer")
+        return self._open_waves
+
+    @property
+    def _wavefront(self) -> "Wavefront | DistributedWavefront":
+        return self._waves.wavefront
+
+    def _use_device(self, device: Device, scene, needs, seed, pool_size, memory, is_adaptive, report) -> "Wavefront":
         """Set up the wavefront on one device."""
         with self._measured("build"):
             bvh = build_scene_bvh(scene)
@@ -166,9 +177,11 @@ class Renderer:
             self.device_name, self.driver = device.name, describe_driver(device.device)
             report("", 0, 0)
             options = {"memory": memory, "is_adaptive": is_adaptive, "on_compile": report}
-            self._wavefront = make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
+            return make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
 
-    def _use_workers(self, selected: list[SelectedDevice], cluster: "Cluster | None", *settings) -> None:
+    def _use_workers(
+        self, selected: list[SelectedDevice], cluster: "Cluster | None", *settings
+    ) -> "DistributedWavefront":
         """Set up a wavefront on several devices, or on the workers of a cluster."""
         from isonoise.distributed import set_up  # a render on one device does not need it
 
@@ -181,7 +194,22 @@ class Renderer:
             if self._distributed is not None:
                 self._distributed.close()
             raise
-        self._wavefront = self._distributed
+        return self._distributed
+
+    def __iter__(self) -> Iterator[WaveRecord]:
+        """Render wave after wave, until the caller stops or `is_full`: `step` before every record.
+
+        Examples
+        --------
+        >>> with isonoise.Renderer("cornell", size=(32, 32)) as renderer:
+        ...     for wave in renderer:
+        ...         if wave.statistics.samples >= 16 * 32 * 32:
+        ...             break
+        >>> wave.number, renderer.samples
+        (1, 16384)
+        """
+        while not self.is_full:
+            yield self.step()
 
     def __enter__(self) -> "Renderer":
         return self
@@ -190,14 +218,52 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Free the device and end the workers. Statistics that were read stay; nothing may be called afterwards."""
-        if self._wavefront is None:
+        """Free the device and end the workers. Statistics that were read stay; nothing may be called afterwards.
+
+        A second call does nothing.
+        """
+        if self._open_waves is None:
             return
         with contextlib.suppress(UserError):  # the device may have failed
             self._waves.statistics.forget()
         if self._distributed is not None:
             self._distributed.close()
-        self._wavefront = self._distributed = self._waves = None
+        self._open_waves = self._distributed = None
+
+    def reset(self, seed: int | None = None) -> None:
+        """Forget all samples and begin anew, with the kernels and buffers that are there: nothing is compiled.
+
+        The image is that of a new renderer, bit by bit. The strategy, too, is as it was at first. Records and
+        statistics that were read stay.
+
+        Parameters
+        ----------
+        seed : int or None
+            0 to 2^64 - 1. None: the same seed, so the same samples, as before.
+
+        Raises
+        ------
+        UserError
+            If the seed is out of range, or the strategy keeps something that cannot be copied, such as an open file.
+
+        Examples
+        --------
+        >>> means = []
+        >>> with isonoise.Renderer("cornell", size=(32, 32)) as renderer:
+        ...     for seed in range(3):
+        ...         renderer.reset(seed)
+        ...         means.append(renderer.step().statistics.mean.mean())
+        >>> len(set(means))
+        3
+        """
+        seed = self.seed if seed is None else check_seed(seed)
+        waves = self._waves
+        self._strategy_reset(self.strategy)
+        waves.statistics.forget()
+        waves.wavefront.reset(seed)
+        self.seed = seed
+        self._open_waves = WaveTracer(waves.wavefront, self.strategy, self.scene, waves.statistics.uniform is not None)
+        vars(self).pop("settings", None)  # which have the seed
 
     @contextlib.contextmanager
     def _measured(self, name: str) -> Iterator[None]:
@@ -220,6 +286,11 @@ class Renderer:
     def remaining_pixel_samples(self) -> int:
         """Samples that one pixel can still take: the device counts them in 32 bits."""
         return self._waves.planner.remaining_pixel_samples
+
+    @property
+    def is_full(self) -> bool:
+        """Whether a pixel's 32-bit sample count is nearly full, so that a render has to end."""
+        return self.remaining_pixel_samples < MIN_REMAINING_PIXEL_SAMPLES
 
     @property
     def has_little_memory(self) -> bool:
@@ -249,7 +320,7 @@ class Renderer:
         return None if self._distributed is None else self._distributed.waiting_s
 
     def step(self, samples: int | None = None, should_continue: Callable[[int], bool] | None = None) -> WaveRecord:
-        """Render the strategy's next wave.
+        """Render the strategy's next wave, or the rest of one that has begun.
 
         Parameters
         ----------
@@ -270,7 +341,8 @@ class Renderer:
         UserError
             If the strategy returns an invalid wave or allocation map.
         """
-        self.begin_wave(samples)
+        if self.wave_kind is None:
+            self.begin_wave(samples)
         self.continue_wave(should_continue)
         return self.end_wave()
 

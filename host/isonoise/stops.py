@@ -2,8 +2,19 @@
 
 from dataclasses import dataclass
 
+from isonoise.argument_checks import check_number
 from isonoise.errors import UserError
 from isonoise.limits import MAX_STOP, MIN_STOP
+
+_LIMIT = (lambda value: MIN_STOP <= value <= MAX_STOP, f"a number from {MIN_STOP:g} to {MAX_STOP:g}")
+_CHECKS = {
+    "spp": _LIMIT,
+    "time": _LIMIT,
+    "error": _LIMIT,
+    "quantile": (lambda value: 0 < value < 1, "between 0 and 1"),
+    "confidence": (lambda value: 0.5 <= value < 1, "at least 0.5 and below 1"),
+}
+"""Name of a parameter -> whether a number is accepted, and what is, in words."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +48,9 @@ class Stops:
     confidence: float = 0.95
 
     def __post_init__(self):
-        for name in ("spp", "time", "error"):
+        for name, (is_valid, accepted) in _CHECKS.items():
             value = getattr(self, name)
-            if value is not None and not MIN_STOP <= value <= MAX_STOP:
-                raise UserError(f"{name} has to be a number from {MIN_STOP:g} to {MAX_STOP:g}, not {value}")
-        if not 0 < self.quantile < 1:
-            raise UserError(f"quantile has to lie between 0 and 1, not {self.quantile}")
-        if not 0.5 <= self.confidence < 1:
-            raise UserError(f"confidence has to be at least 0.5 and below 1, not {self.confidence}")
+            if value is not None or name in ("quantile", "confidence"):
+                object.__setattr__(self, name, check_number(name, value, is_valid, accepted))
         if self.spp is None and self.time is None and self.error is None:
             raise UserError("a render needs a limit: spp, time or error")

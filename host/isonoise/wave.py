@@ -1,8 +1,13 @@
 """A wave: the one in progress, and the record of one that has ended. Made by `Renderer`."""
 
-from dataclasses import dataclass
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
+
+from isonoise.errors import UserError
+from isonoise.statistics import Statistics
 
 
 @dataclass(frozen=True)
@@ -21,6 +26,17 @@ class WaveRecord:
         Wall-clock time of the call.
     workers : int
         Devices, or processes of a cluster, that traced samples of it.
+    number : int
+        Of the wave in its render, from 1.
+
+    Examples
+    --------
+    >>> with isonoise.Renderer("cornell", size=(32, 32), strategy="uniform:wave_spp=8") as renderer:
+    ...     for wave in renderer:
+    ...         if wave.number == 3:
+    ...             break
+    >>> wave.kind, wave.samples, wave.statistics.count.max()
+    ('uniform', 8192, 24)
     """
 
     kind: str
@@ -28,6 +44,18 @@ class WaveRecord:
     planned: int
     seconds: float
     workers: int = 1
+    number: int = 1
+    _read: Callable[[], Statistics] | None = field(default=None, repr=False, compare=False)
+
+    @functools.cached_property
+    def statistics(self) -> Statistics:
+        """The statistics of all samples of the render after this wave; read when they are first asked for.
+
+        Raises UserError if the renderer has gone on, or is closed, and they were not read before.
+        """
+        if self._read is None:
+            raise UserError("this record of a wave has no statistics: it was not made by a Renderer")
+        return self._read()
 
 
 @dataclass

@@ -1,17 +1,18 @@
 """Waves of a strategy on a wavefront: planned, traced and counted, one at a time. Made and called by `Renderer`."""
 
 import time
+import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isonoise.current_statistics import CurrentStatistics
-from isonoise.errors import DeviceError
+from isonoise.errors import DeviceError, UserError
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.state.state import State, copy_array, split_strategy_state, with_group
-from isonoise.statistics import UniformSamples
+from isonoise.statistics import Statistics, UniformSamples
 from isonoise.strategies import Strategy
 from isonoise.strategies.planner import WavePlanner
 from isonoise.wave import WAVE_VALUES, WaveInProgress, WaveRecord
@@ -36,6 +37,8 @@ class WaveTracer:
 
     Attributes
     ----------
+    wavefront : Wavefront or DistributedWavefront
+        As given.
     planner : WavePlanner
         The position in the schedule.
     statistics : CurrentStatistics
@@ -54,7 +57,7 @@ class WaveTracer:
         has_uniform: bool,
     ):
         shape = scene.height, scene.width
-        self._wavefront, self._strategy = wavefront, strategy
+        self.wavefront, self._strategy = wavefront, strategy
         self.planner = WavePlanner(strategy, shape)
         self.wave: WaveInProgress | None = None
         self.samples = 0
@@ -85,7 +88,7 @@ class WaveTracer:
 
         self.statistics.forget()
         try:
-            self._wavefront.trace(wave.remaining, lambda: should_continue(wave.traced), on_reduced)
+            self.wavefront.trace(wave.remaining, lambda: should_continue(wave.traced), on_reduced)
         finally:
             wave.seconds += time.perf_counter() - start
         return wave.traced == wave.planned
@@ -96,11 +99,27 @@ class WaveTracer:
         self.wave = wave.remaining = None
         self.statistics.end_wave()
         seconds = wave.seconds + time.perf_counter() - start
-        return WaveRecord(wave.kind, wave.traced, wave.planned, seconds, workers)
+        number = self.planner.waves
+        return WaveRecord(wave.kind, wave.traced, wave.planned, seconds, workers, number, self._reader(number))
+
+    def _reader(self, number: int) -> Callable[[], Statistics]:
+        """Returns the statistics as they are now, as long as no samples are added. It does not keep the render alive."""
+        generation, reference = self.statistics.generation, weakref.ref(self)
+
+        def read() -> Statistics:
+            waves = reference()
+            if waves is None or waves.statistics.generation != generation:
+                raise UserError(
+                    f"the statistics after wave {number} are gone, because the renderer has gone on or is closed; "
+                    "read `statistics` of a wave before the next one"
+                )
+            return waves.statistics.read()
+
+        return read
 
     def state(self, settings: dict[str, object], reuse: State | None) -> State:
         """As `Renderer.state`, of a render with these settings."""
-        reduction = self._wavefront.accumulator.state({} if reuse is None else reuse.group("reduction"))
+        reduction = self.wavefront.accumulator.state({} if reuse is None else reuse.group("reduction"))
         samples = sum(int(reduction[name].sum(dtype=np.int64)) for name in ("count", "rejected"))
         if samples != self.samples:
             raise DeviceError(f"the device holds {samples} samples of {self.samples}: the render cannot be continued")
@@ -118,7 +137,7 @@ class WaveTracer:
         """Continue from what `state` has returned. Only for waves that have not begun yet."""
         values, wave = state.values["renderer"], state.values["renderer"]["wave"]
         self.statistics.forget()
-        self._wavefront.accumulator.set_state(state.group("reduction"))
+        self.wavefront.accumulator.set_state(state.group("reduction"))
         self.planner.set_state(values["planner"])
         self._strategy.set_state(state.values["strategy"] | state.group("strategy"))
         self.wave = None if wave is None else WaveInProgress(remaining=state.arrays["wave/remaining"].copy(), **wave)

@@ -161,7 +161,7 @@ class _OneWorker:
 
     def _submit(self, worker: str, pixels: np.ndarray, samples: int, state: dict[str, np.ndarray]) -> Task:
         self._next_number += 1
-        task = Task(self._next_number, pixels, np.full(len(pixels), samples, np.uint32), state)
+        task = Task(self._next_number, pixels, np.full(len(pixels), samples, np.uint32), state, SEED)
         self._pool.submit(worker, task)
         self._submitted.add(task.number)
         return task
@@ -361,7 +361,7 @@ def main() -> None:
     wave = measure_wave_costs(options.scene, REPEAT, size=size)
     wave_pixel_s = wave["total_share"]["median"] * wave["wave_s"]["median"] / (size[0] * size[1])
     with Cluster.local(4) as cluster:
-        pool = cluster.pool(scene, needs, SEED)
+        pool = cluster.pool(scene, needs)
         wait_for_workers(pool, 4)
         render = TimedRender(pool, scene, needs)
         measured = measure(render, 1)

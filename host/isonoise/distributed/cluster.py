@@ -165,7 +165,6 @@ class Cluster:
         self,
         scene: CompiledScene,
         needs: Needs,
-        seed: int,
         pool_size: int | None = None,
         memory: int | None = None,
     ):
@@ -173,7 +172,7 @@ class Cluster:
 
         Parameters
         ----------
-        scene, needs, seed, pool_size, memory
+        scene, needs, pool_size, memory
             As for `ShardTracer`.
 
         Returns
@@ -187,7 +186,7 @@ class Cluster:
         """
         from isonoise.distributed.dask_pool import DaskPool
 
-        settings = TracerSettings(needs, seed, pool_size, memory)
+        settings = TracerSettings(needs, pool_size, memory)
         pool = DaskPool(self.client, self.device_of, scene, settings, self.size or 0)
         try:
             pool.wait_for_worker(self._while_waiting)

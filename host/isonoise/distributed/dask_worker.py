@@ -42,7 +42,6 @@ class TracerSettings:
     """What a `ShardTracer` depends on besides scene and device: its parameters."""
 
     needs: Needs
-    seed: int
     pool_size: int | None = None
     memory: int | None = None
 
@@ -52,7 +51,7 @@ class TracerSettings:
         from isonoise.device.pocl_cache import store_pocl_kernels
         from isonoise.distributed.shard_tracer import ShardTracer
 
-        tracer = ShardTracer(Device(device.select()), scene, self.needs, self.seed, self.pool_size, self.memory)
+        tracer = ShardTracer(Device(device.select()), scene, self.needs, self.pool_size, self.memory)
         store_programs()  # now, because Dask's processes end without the functions of `atexit`
         store_pocl_kernels()
         return tracer

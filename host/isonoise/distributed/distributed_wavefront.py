@@ -72,6 +72,8 @@ class DistributedWavefront:
         Statistics that the strategy and the sampler need.
     pool : WorkerPool
         The workers, which have the scene. It is closed with this object.
+    seed : int
+        Of the samples, 0 to 2^64 - 1.
     memory : int or None
         Most bytes to take in this process, as for `Renderer`, without those of workers.
     is_adaptive : bool
@@ -91,6 +93,7 @@ class DistributedWavefront:
         scene: CompiledScene,
         needs: Needs,
         pool: WorkerPool,
+        seed: int = 0,
         memory: int | None = None,
         is_adaptive: bool = True,
         on_compile: OnCompile = lambda name, done, total: None,
@@ -106,7 +109,13 @@ class DistributedWavefront:
         self._shards = Shards(shape)
         self._dealer = Dealer(self._shards.sizes, MAX_TASK_PIXELS)
         self._tally = WorkerTally()
+        self._seed = seed
         self.waiting_s = 0.0
+
+    def reset(self, seed: int) -> None:
+        """Forget all samples; those that follow are of this seed."""
+        self._seed = seed
+        self.accumulator.reset()
 
     def trace(
         self,
@@ -160,7 +169,7 @@ class DistributedWavefront:
         pixels, allocation = pixels[is_touched], allocation[is_touched]
         runs = _find_runs(pixels, len(remaining))
         part = {name: runs.gather(planes) for name, planes in state.items()}
-        self._pool.submit(assignment.worker, Task(assignment.number, pixels, allocation, part))
+        self._pool.submit(assignment.worker, Task(assignment.number, pixels, allocation, part, self._seed))
         return _Sent(pixels, runs, allocation, _samples(part))
 
     def _receive(

@@ -44,7 +44,7 @@ def pack_task(task: Task, compress: bool) -> bytes:
     """A task as bytes; `compress` saves bytes and takes time."""
     arrays = {"pixels": task.pixels[None], "allocation": task.allocation[None]}
     arrays |= {f"state/{name}": array for name, array in task.state.items()}
-    return _pack({"number": task.number}, arrays, compress)
+    return _pack({"number": task.number, "seed": task.seed}, arrays, compress)
 
 
 def unpack_task(data: bytes) -> Task:
@@ -52,7 +52,7 @@ def unpack_task(data: bytes) -> Task:
     values, arrays = _unpack(data)
     try:
         pixels, allocation = arrays.pop("pixels"), arrays.pop("allocation")
-        return Task(int(values["number"]), pixels[0], allocation[0], _state(arrays))
+        return Task(int(values["number"]), pixels[0], allocation[0], _state(arrays), int(values["seed"]))
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise PackingError(f"this is no task: {error}") from error
 

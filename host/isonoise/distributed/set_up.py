@@ -48,25 +48,25 @@ def make_distributed_wavefront(
     """
     client = Device(selected[0].number if selected else None)
     if cluster:
-        pool = cluster.pool(scene, needs, seed, pool_size, memory)
+        pool = cluster.pool(scene, needs, pool_size, memory)
     else:
         memory_each = memory
         if memory is not None and client.shares_memory:
             left = memory - plan_client_memory(client, scene, needs, is_adaptive).shared
             memory_each = max(left // len(selected), 0) + PROCESS_BYTES  # the plan of each device counts the process
-        pool = _device_pool(selected, scene, needs, seed, pool_size, memory_each, on_compile)
+        pool = _device_pool(selected, scene, needs, pool_size, memory_each, on_compile)
     try:
-        return DistributedWavefront(client, scene, needs, pool, memory, is_adaptive, on_compile)
+        return DistributedWavefront(client, scene, needs, pool, seed, memory, is_adaptive, on_compile)
     except BaseException:
         pool.close()
         raise
 
 
-def _device_pool(selected, scene, needs, seed, pool_size, memory, on_compile) -> DevicePool:
+def _device_pool(selected, scene, needs, pool_size, memory, on_compile) -> DevicePool:
     """A pool of tracers that share the BVH of the scene."""
     bvh = build_scene_bvh(scene)
 
     def make_tracer(device: Device, on_compile: OnCompile) -> ShardTracer:
-        return ShardTracer(device, scene, needs, seed, pool_size, memory, bvh, on_compile)
+        return ShardTracer(device, scene, needs, pool_size, memory, bvh, on_compile)
 
     return DevicePool([Device(each) for each in selected], make_tracer, on_compile)

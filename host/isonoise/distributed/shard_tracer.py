@@ -24,8 +24,6 @@ class ShardTracer:
         The scene.
     needs : Needs
         Statistics of the state, those of the sampler included (`Needs.with_sampler`).
-    seed : int
-        Of the render.
     pool_size, memory : int or None
         As for `Renderer`.
     bvh : Bvh or None
@@ -44,7 +42,6 @@ class ShardTracer:
         device: Device,
         scene: CompiledScene,
         needs: Needs,
-        seed: int,
         pool_size: int | None = None,
         memory: int | None = None,
         bvh: Bvh | None = None,
@@ -52,11 +49,12 @@ class ShardTracer:
     ):
         self.device = device
         bvh, options = bvh or build_scene_bvh(scene), {"memory": memory, "has_image": False, "on_compile": on_compile}
-        self._wavefront = make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
+        self._wavefront = make_wavefront(device, scene, bvh, needs, pool_size=pool_size, **options)
 
     def trace(self, task: Task, should_continue: Callable[[], bool] = lambda: True) -> TaskResult:
         """Trace the samples of a task, until `should_continue` returns False; the state of its pixels with them."""
         start, remaining = time.perf_counter(), task.allocation.copy()
+        self._wavefront.set_seed(task.seed)
         self._wavefront.set_pixels(task.pixels, task.state)
         self._wavefront.trace(remaining, should_continue)
         state = self._wavefront.reduction.read()

@@ -20,12 +20,15 @@ class Task:
         Samples to trace for each of them, 1 or more.
     state : dict of str to array
         Their state of the stage `reduce`: name -> (planes, n) float32 or uint32, as of `ReductionState`.
+    seed : int
+        Of the render, 0 to 2^64 - 1.
     """
 
     number: int
     pixels: np.ndarray
     allocation: np.ndarray
     state: Mapping[str, np.ndarray]
+    seed: int
 
     @property
     def samples(self) -> int:

@@ -86,6 +86,7 @@ class Accumulator:
     def reset(self) -> None:
         """Forget all samples."""
         self.reduction.reset()
+        self.expire_luminance()
 
     def state(self, reuse: Mapping[str, np.ndarray] = MappingProxyType({})) -> dict[str, np.ndarray]:
         """Read the state of `reduce`: name -> (planes, height, width) float32 or uint32. Waits for the device.

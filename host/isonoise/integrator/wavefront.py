@@ -167,7 +167,8 @@ class Wavefront:
             self.accumulator = self.errors = None
             self.reduction = ReductionState(self._stages, 1, needs)
         self._arguments.update(scene_buffers)
-        self._arguments.update(self._path_arguments(seed))
+        self._arguments.update(self._path_arguments())
+        self.set_seed(seed)
         if feature_override:
             from isonoise.integrator.feature_superset import dummy_buffers
 
@@ -179,18 +180,26 @@ class Wavefront:
         """The kernels, for measurements that launch them one by one."""
         return self._stages
 
-    def _path_arguments(self, seed: int) -> dict[str, object]:
+    def _path_arguments(self) -> dict[str, object]:
         """Buffers of the paths in flight and of the samples of a slice."""
         sizes = {
             **path_buffers(self.features, self.pool_size, self._form.path_block_size),
             **sample_buffers(self.pool_size, self.scene.width * self.scene.height),
         }
         return {
-            "seed": np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32),
             "plane_stride": np.uint32(self.pool_size + PLANE_PADDING),
             **dict.fromkeys(BOUNCE_BUFFERS),
             **{name: self.device.buffer(size, _BUFFER_LABELS.get(name, "the paths")) for name, size in sizes.items()},
         }
+
+    def set_seed(self, seed: int) -> None:
+        """Trace samples of this seed from now on."""
+        self._arguments["seed"] = np.array([seed & 0xFFFFFFFF, seed >> 32 & 0xFFFFFFFF], np.uint32)
+
+    def reset(self, seed: int) -> None:
+        """Forget all samples of the image; those that follow are of this seed."""
+        self.set_seed(seed)
+        self.accumulator.reset()
 
     def set_pixels(self, pixels: np.ndarray, state: Mapping[str, np.ndarray]) -> None:
         """Trace samples of these pixels of the image from now on, which have this state. Not with `has_image`.

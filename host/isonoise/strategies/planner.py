@@ -34,6 +34,11 @@ class WavePlanner:
         self._max_pixel_samples = 0  # upper bound of the samples that any pixel has
 
     @property
+    def waves(self) -> int:
+        """Waves planned so far."""
+        return self._wave_index
+
+    @property
     def remaining_pixel_samples(self) -> int:
         """Samples that one pixel can still take: the device counts them in 32 bits."""
         return MAX_COUNT - self._max_pixel_samples
