@@ -20,6 +20,7 @@ SHARED = {
         "planner",
         "parameters",
         "registry",
+        "reset",
         "schedule",
         "uniform_allocation",
     )

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isonoise.argument_checks import check_seed
-from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
-from isonoise.device.selection import SelectedDevice, select_devices
+from isonoise.device.selection import select_devices
 from isonoise.error.distribution import ErrorDistribution
 from isonoise.error.stated_error import error_distribution
 from isonoise.errors import UserError
-from isonoise.integrator.set_up import make_wavefront
+from isonoise.render_devices import RenderDevices
 from isonoise.renderer_options import check_options
-from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.renderer_set_up import set_up_device, set_up_workers
 from isonoise.scene.files import record_files
 from isonoise.scene.load_compiled import load_compiled, source_name
 from isonoise.scene.view import NO_VIEW, View
@@ -29,21 +28,17 @@ from isonoise.state.state import State
 from isonoise.statistics import Statistics
 from isonoise.strategies import DEFAULT_STRATEGY, Strategy, make_strategy
 from isonoise.strategies.reset import StrategyReset
-from isonoise.strips import LARGE_IMAGE_PIXELS
 from isonoise.wave import WaveRecord
 from isonoise.wave_tracer import WaveTracer
 
 if TYPE_CHECKING:
     from isonoise.distributed.cluster import Cluster
-    from isonoise.distributed.distributed_wavefront import DistributedWavefront
-    from isonoise.distributed.worker_report import WorkerReport
-    from isonoise.integrator.wavefront import Wavefront
 
 MIN_REMAINING_PIXEL_SAMPLES = 2**20
 """A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
 
 
-class Renderer:
+class Renderer(RenderDevices):
     """Renders a scene wave by wave. `close`, or the end of a `with` block, frees the device and ends the workers.
 
     Parameters
@@ -148,53 +143,25 @@ class Renderer:
             self.scene = load_compiled(scene, parameters, allow_outside, view, size, max_depth, sampler)
         self.files: tuple[Path, ...] = tuple(files)
         needs = self.strategy.needs.with_sampler(self.scene.sampler)
-        report = functools.partial(on_compile or (lambda *progress: None), self)
-        settings = (self.scene, needs, seed, pool_size, memory, self.strategy.is_adaptive, report)
-        selected = [] if cluster else select_devices(device)
-        self._distributed: DistributedWavefront | None = None  # the wavefront, if there are workers
-        if len(selected) == 1:
-            wavefront = self._use_device(Device(selected[0], profile), *settings)
-        else:
-            wavefront = self._use_workers(selected, cluster, *settings)
-        self._strategy_reset = StrategyReset(self.strategy)
-        self._open_waves: WaveTracer | None = WaveTracer(wavefront, self.strategy, self.scene, needs.uniform)
+        settings = (self.scene, needs, seed, pool_size, memory, self.strategy.is_adaptive)
 
-    @property
-    def _waves(self) -> WaveTracer:
-        if self._open_waves is None:
-            raise UserError("the renderer is closed: its device has been freed; make another Renderer")
-        return self._open_waves
+        def report(*progress) -> None:
+            if on_compile is not None:
+                on_compile(self, *progress)
 
-    @property
-    def _wavefront(self) -> "Wavefront | DistributedWavefront":
-        return self._waves.wavefront
-
-    def _use_device(self, device: Device, scene, needs, seed, pool_size, memory, is_adaptive, report) -> "Wavefront":
-        """Set up the wavefront on one device."""
-        with self._measured("build"):
-            bvh = build_scene_bvh(scene)
-        with self._measured("compile"):
-            self.device_name, self.driver = device.name, describe_driver(device.device)
+        def on_device(name: str, driver: str) -> None:
+            self.device_name, self.driver = name, driver
             report("", 0, 0)
-            options = {"memory": memory, "is_adaptive": is_adaptive, "on_compile": report}
-            return make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
 
-    def _use_workers(
-        self, selected: list[SelectedDevice], cluster: "Cluster | None", *settings
-    ) -> "DistributedWavefront":
-        """Set up a wavefront on several devices, or on the workers of a cluster."""
-        from isonoise.distributed import set_up  # a render on one device does not need it
-
-        try:
-            with self._measured("compile"):
-                self.device_name, self.driver = set_up.describe_workers(selected, cluster)
-                settings[-1]("", 0, 0)  # reports the names
-                self._distributed = set_up.make_distributed_wavefront(selected, cluster, *settings)
-        except BaseException:  # a signal ends the set-up late
-            if self._distributed is not None:
-                self._distributed.close()
-            raise
-        return self._distributed
+        hooks = {"measured": self._measured, "on_device": on_device, "on_compile": report}
+        selected = [] if cluster else select_devices(device)
+        self._distributed = None
+        if len(selected) == 1:
+            wavefront = set_up_device(Device(selected[0], profile), *settings, **hooks)
+        else:
+            wavefront = self._distributed = set_up_workers(selected, cluster, *settings, **hooks)
+        self._strategy_reset = StrategyReset(self.strategy)
+        self._open_waves = WaveTracer(wavefront, self.strategy, self.scene, needs.uniform)
 
     def __iter__(self) -> Iterator[WaveRecord]:
         """Render wave after wave, until the caller stops or `is_full`: `step` before every record.
@@ -214,21 +181,8 @@ class Renderer:
     def __enter__(self) -> "Renderer":
         return self
 
-    def __exit__(self, *exception) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
-
-    def close(self) -> None:
-        """Free the device and end the workers. Statistics that were read stay; nothing may be called afterwards.
-
-        A second call does nothing.
-        """
-        if self._open_waves is None:
-            return
-        with contextlib.suppress(UserError):  # the device may have failed
-            self._waves.statistics.forget()
-        if self._distributed is not None:
-            self._distributed.close()
-        self._open_waves = self._distributed = None
 
     def reset(self, seed: int | None = None) -> None:
         """Forget all samples and begin anew, with the kernels and buffers that are there: nothing is compiled.
@@ -273,16 +227,6 @@ class Renderer:
         self.setup_times[name] = time.perf_counter() - start
 
     @property
-    def samples(self) -> int:
-        """Samples traced so far, rejected ones included."""
-        return self._waves.samples
-
-    @property
-    def features(self) -> dict[str, bool]:
-        """Feature name -> whether the kernels are compiled with it."""
-        return self._wavefront.features
-
-    @property
     def remaining_pixel_samples(self) -> int:
         """Samples that one pixel can still take: the device counts them in 32 bits."""
         return self._waves.planner.remaining_pixel_samples
@@ -291,33 +235,6 @@ class Renderer:
     def is_full(self) -> bool:
         """Whether a pixel's 32-bit sample count is nearly full, so that a render has to end."""
         return self.remaining_pixel_samples < MIN_REMAINING_PIXEL_SAMPLES
-
-    @property
-    def has_little_memory(self) -> bool:
-        """Whether the image is large and the device shares the host's memory: keep no statistics during a wave."""
-        return self._wavefront.device.shares_memory and self.scene.width * self.scene.height >= LARGE_IMAGE_PIXELS
-
-    @property
-    def device_seconds(self) -> float | None:
-        """Seconds that kernels ran on the device, without set-up; None without `profile`, and with several devices."""
-        device = self._wavefront.device
-        return sum(device.seconds.values()) if device.profile else None
-
-    @property
-    def devices(self) -> list[str]:
-        """Names of the devices that trace, each once; of a cluster those of the workers that have been ready so far."""
-        if self._distributed is None:
-            return [self._wavefront.device.selected.whole_name]
-        return sorted({report.device for report in self.worker_reports()})
-
-    def worker_reports(self) -> "list[WorkerReport]":
-        """What every worker has done so far; empty on one device."""
-        return [] if self._distributed is None else self._distributed.worker_reports()
-
-    @property
-    def waiting_s(self) -> float | None:
-        """Seconds that the host has waited for workers; None on one device."""
-        return None if self._distributed is None else self._distributed.waiting_s
 
     def step(self, samples: int | None = None, should_continue: Callable[[int], bool] | None = None) -> WaveRecord:
         """Render the strategy's next wave, or the rest of one that has begun.

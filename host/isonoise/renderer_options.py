@@ -21,7 +21,6 @@ from isonoise.strategies import Strategy
 
 if TYPE_CHECKING:
     from isonoise.distributed.cluster import Cluster
-    from isonoise.renderer import Renderer
 
 MAX_MEMORY_BYTES = 2**63 - 1
 
@@ -42,7 +41,7 @@ class RendererOptions(TypedDict, total=False):
     memory: int | None
     view: View | None
     cluster: "Cluster | None"
-    on_compile: "Callable[[Renderer, str, int, int], None] | None"
+    on_compile: Callable[..., None] | None
 
 
 def check_options(options: Mapping[str, Any]) -> dict[str, Any]:

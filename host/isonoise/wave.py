@@ -33,10 +33,10 @@ class WaveRecord:
     --------
     >>> with isonoise.Renderer("cornell", size=(32, 32), strategy="uniform:wave_spp=8") as renderer:
     ...     for wave in renderer:
-    ...         if wave.number == 3:
+    ...         if wave.statistics.count.min() >= 24:
     ...             break
-    >>> wave.kind, wave.samples, wave.statistics.count.max()
-    ('uniform', 8192, 24)
+    >>> wave.number, wave.kind, wave.samples
+    (3, 'uniform', 8192)
     """
 
     kind: str

@@ -103,7 +103,7 @@ class WaveTracer:
         return WaveRecord(wave.kind, wave.traced, wave.planned, seconds, workers, number, self._reader(number))
 
     def _reader(self, number: int) -> Callable[[], Statistics]:
-        """Returns the statistics as they are now, as long as no samples are added. It does not keep the render alive."""
+        """Returns the statistics as they are now, while no samples are added. It does not keep the render alive."""
         generation, reference = self.statistics.generation, weakref.ref(self)
 
         def read() -> Statistics:
