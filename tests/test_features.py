@@ -112,10 +112,10 @@ def test_all_features_run_a_simple_scene(device, monkeypatch, tmp_path):
 def test_all_features_build(device, form, off):
     """Builds all kernels; the long tests launch them, which takes twice as long."""
     constants = build_constants(EVERY_STATISTIC, FORMS[form])
-    for few in (False, True):
-        for file in dict.fromkeys(row.file for row in kernel_table(all_but(*off), few).values()):
-            text, options = stage_source(file, STRUCTS, constants, all_but(*off), generated_headers())
-            device.build(text, (*options, "-Werror"))
+    rows = (row for few in (False, True) for row in kernel_table(all_but(*off), few).values())
+    for file in dict.fromkeys(row.file for row in rows):
+        text, options = stage_source(file, STRUCTS, constants, all_but(*off), generated_headers())
+        device.build(text, (*options, "-Werror"))
 
 
 @pytest.mark.long

@@ -33,7 +33,7 @@ def assert_all_pass(targets: list[str], first: int, count: int, folder: Path, ti
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits process memory in the way of Linux")
 def test_mutated_files(tmp_path):
-    assert_all_pass(list(fuzzing.TARGETS), 0, 30, tmp_path, 120)
+    assert_all_pass(list(fuzzing.TARGETS), 0, 15, tmp_path, 120)
 
 
 @pytest.mark.long
