@@ -7,7 +7,7 @@ from small_scene import lamp_over_floor
 
 from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene
 from isonoise.cli import main
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 
@@ -22,7 +22,7 @@ def run_isonoise(*arguments) -> int:
 
 def small_prepared_scene(pool_size: int = 64, samples: int = 400, **scene) -> PreparedScene:
     """`lamp_over_floor(**scene)`, ready to be measured."""
-    compiled = compile_scene(load(lamp_over_floor(**scene)))
+    compiled = compile_scene(load_description(lamp_over_floor(**scene)))
     return PreparedScene(compiled, MeasuredDevice(), samples, pool_size)
 
 

@@ -13,7 +13,7 @@ from kernel_build import build_kernels
 from records import slot
 
 from isonoise.device.opencl import Device
-from isonoise.scene import load, structs
+from isonoise.scene import load_description, structs
 from isonoise.scene.material.bsdf_kinds import KINDS, bsdf_bits, feature_of
 from isonoise.scene.material.bsdfs import Bsdfs
 from isonoise.scene.material.presets import conductors
@@ -175,7 +175,7 @@ def smallest_alpha(bsdf: dict) -> float:
 def description(bsdf: dict) -> dict:
     """As a scene gives it, defaults filled in."""
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "ball": {"type": "sphere", "material": bsdf}}
-    return load(scene)["ball"]["bsdf"]
+    return load_description(scene)["ball"]["bsdf"]
 
 
 class Lobe:

@@ -98,13 +98,13 @@ def write_file(tmp_path):
 @pytest.fixture
 def scene_of(tmp_path):
     """Loads a scene from the content of its <scene> element; adds a sensor if it has none."""
-    from isonoise.scene import load
+    from isonoise.scene import load_description
 
     def make(inside: str, **parameters) -> dict:
         sensor = "" if "<sensor" in inside else '<sensor type="perspective"/>'
         path = tmp_path / "scene.xml"
         path.write_text(f'<scene version="3.0.0">\n{inside}\n{sensor}\n</scene>')
-        return load(path, parameters)
+        return load_description(path, parameters)
 
     return make
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from fuzz_mutations import NAMES
 
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 
 SCENE_HEAD = '<scene version="{version}"><default name="n" value="4"/>'
 SENSOR = """<integrator type="volpath"><integer name="max_depth" value="$n"/></integrator>
@@ -124,4 +124,4 @@ def compile_damaged_dict(path: Path) -> None:
         container = rng.choice(containers)
         key = rng.choice([*map(str, container), rng.choice(NAMES)])
         container[key] = rng.choice(ODD_VALUES)() if rng.random() < 0.9 else rng.choice(containers)
-    compile_scene(load(scene))
+    compile_scene(load_description(scene))

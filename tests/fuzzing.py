@@ -37,7 +37,7 @@ from isonoise.benchmark.measure import SCHEMA, SCHEMA_VERSION
 from isonoise.convert.convert import convert
 from isonoise.errors import UserError
 from isonoise.film.exr import read_header, read_reference
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.image.image import read_image
 
@@ -71,7 +71,7 @@ class Target:
 
 def compile_file(path: Path) -> None:
     """Compile a scene or a bare mesh to the arrays for the device, which have to be finite."""
-    _compile(load(path))
+    _compile(load_description(path))
 
 
 def _compile(description: dict) -> None:
@@ -103,7 +103,7 @@ def _compile_textured(name: str, sky: dict) -> None:
         "a": {"type": "rectangle", "bsdf": surface},
         "sky": sky,
     }
-    compile_scene(load(scene))
+    compile_scene(load_description(scene))
 
 
 def read_picture(path: Path) -> None:
@@ -118,7 +118,7 @@ def compile_shape(path: Path) -> None:
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "a": {"type": kind, "filename": str(path)}}
     if kind == "serialized":
         scene["b"] = scene["a"] | {"shape_index": 1}
-    compile_scene(load(scene))
+    compile_scene(load_description(scene))
 
 
 def compile_attributes(path: Path) -> None:
@@ -129,7 +129,7 @@ def compile_attributes(path: Path) -> None:
         f"shape {number}": {"type": "ply", "filename": str(path), "bsdf": {"type": "diffuse", "reflectance": colour}}
         for number, colour in enumerate(colours)
     }
-    _compile(load({"type": "scene", "sensor": {"type": "perspective"}, **shapes}))
+    _compile(load_description({"type": "scene", "sensor": {"type": "perspective"}, **shapes}))
 
 
 def read_baseline(path: Path) -> None:
@@ -149,7 +149,7 @@ def compile_volume(path: Path) -> None:
     ):
         ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "heterogeneous", **medium}}
         scene = {"type": "scene", "integrator": {"type": "volpath"}, "sensor": {"type": "perspective"}, "ball": ball}
-        compiled = compile_scene(load(scene)).heterogeneous
+        compiled = compile_scene(load_description(scene)).heterogeneous
         for array in (compiled.values, compiled.extinction_bounds, compiled.grids["to_local"]):
             assert np.isfinite(array).all()
 
@@ -160,12 +160,12 @@ def compile_mtl(path: Path) -> None:
 
 def convert_file(path: Path) -> None:
     """Compile a scene, convert it to Mitsuba 3 XML, and compile that."""
-    description = load(path)
+    description = load_description(path)
     compile_scene(description)
     converted = path.with_name("converted.xml")
     try:
         convert(path, converted)
-        compile_scene(load(converted))
+        compile_scene(load_description(converted))
     except UserError as error:
         raise AssertionError(f"the scene is sound, but not what becomes of it: {error}") from error
 

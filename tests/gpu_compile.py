@@ -22,7 +22,7 @@ from isonoise.integrator.build_constants import build_constants
 from isonoise.integrator.features import features
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import STRUCTS, kernel_table, programs
-from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load_description
 from isonoise.statistics import Needs
 from isonoise.strategies.registry import make_strategy
 
@@ -168,7 +168,7 @@ def compile_features(target: str, on: Mapping[str, bool], needs: Needs, bvh_stac
 
 def scene_features(scene: str) -> tuple[Mapping[str, bool], Needs]:
     """Features of a scene and needs of the default strategy."""
-    compiled = compile_scene(load(scene))
+    compiled = compile_scene(load_description(scene))
     needs = make_strategy("pooled").needs.with_sampler(compiled.sampler)
     return features(compiled, needs), needs
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 
 
 def four(v: np.ndarray, w: float) -> np.ndarray:
@@ -55,7 +55,7 @@ def mixed_lights(count: int = 60, seed: int = 5, beyond: bool = True) -> dict:
 
 
 def compiled(**objects):
-    return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, **objects}))
+    return compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, **objects}))
 
 
 def some_points(rng, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from isonoise.integrator.kernel_table import (
     path_bytes,
 )
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, load, structs
+from isonoise.scene import builtin_scenes, compile_scene, load_description, structs
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.light.envmap import ENVIRONMENT
 from isonoise.statistics import BASIC_NEEDS, Needs
@@ -40,7 +40,7 @@ def allocated(
 
 @pytest.mark.parametrize("name", builtin_scenes())
 def test_no_buffer_without_a_feature_that_reads_it(monkeypatch, name):
-    scene = compile_scene(load(name))
+    scene = compile_scene(load_description(name))
     sizes, wavefront = allocated(monkeypatch, scene)
     used = wavefront.features
     for_features = {buffer for feature in FEATURES.values() for buffer in feature.buffers}
@@ -57,7 +57,7 @@ def test_no_buffer_without_a_feature_that_reads_it(monkeypatch, name):
 
 @pytest.mark.parametrize("name", builtin_scenes())
 def test_path_state_is_the_sum_of_the_stated_bytes(monkeypatch, name):
-    scene = compile_scene(load(name))
+    scene = compile_scene(load_description(name))
     sizes, wavefront = allocated(monkeypatch, scene)
     planes = int(wavefront.stages.arguments["plane_stride"])
     assert {each: sizes[each] for each in path_bytes(wavefront.features)} == {
@@ -72,7 +72,7 @@ def test_path_state_is_the_sum_of_the_stated_bytes(monkeypatch, name):
 @pytest.mark.parametrize("name", builtin_scenes())
 def test_an_additional_feature_takes_the_stated_bytes(monkeypatch, name):
     """Exactly those of the paths, and a dummy for each of its buffers; other buffers do not change."""
-    scene = compile_scene(load(name))
+    scene = compile_scene(load_description(name))
     without, wavefront = allocated(monkeypatch, scene)
     used = wavefront.features
     planes = int(wavefront.stages.arguments["plane_stride"])
@@ -102,7 +102,7 @@ def test_an_additional_feature_takes_the_stated_bytes(monkeypatch, name):
 
 
 def test_statistics_take_the_stated_bytes(monkeypatch):
-    scene = compile_scene(load("cornell"), size=(16, 8))
+    scene = compile_scene(load_description("cornell"), size=(16, 8))
     bare, wavefront = allocated(monkeypatch, scene)
     for needs, features_, bytes_a_pixel in (
         (Needs(median=True, chunk=7), {"CHUNK_MEDIANS"}, 4 * 7 + 4),
@@ -121,7 +121,7 @@ def test_statistics_take_the_stated_bytes(monkeypatch):
 
 def test_a_filter_takes_the_stated_bytes(monkeypatch, tmp_path):
     box, table = (
-        allocated(monkeypatch, compile_scene(load(scene_with(only(*names), tmp_path))))[0]
+        allocated(monkeypatch, compile_scene(load_description(scene_with(only(*names), tmp_path))))[0]
         for names in ((), ("FILTER_TABLE",))
     )
     assert {each: table[each] for each in table if each not in box} == {"inverse_cdf": stated("inverse_cdf")}
@@ -136,7 +136,7 @@ def stated(buffer: str) -> int:
 def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
     """In a scene that uses all features."""
     row = all_but()
-    scene = compile_scene(load(scene_with(row, tmp_path)))
+    scene = compile_scene(load_description(scene_with(row, tmp_path)))
     used = features(scene, needs_of(row))
     assert {each for each in row if not used[each]} <= {
         "COUNT_TESTS",

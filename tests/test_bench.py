@@ -17,7 +17,7 @@ from isonoise.benchmark.report_text import header_text, scene_text, summary_text
 from isonoise.commands import bench
 from isonoise.integrator.kernel_table import COMPACTION_KERNELS
 from isonoise.integrator.wavefront import PLANE_PADDING
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 
 START = {"process_s": 1.0, "load_s": 0.1, "build_s": 0.01, "compile_s": 0.5}
 STARTUP = {"uncached": START, "cached": {name: {"median": s, "min": s, "max": s} for name, s in START.items()}}
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 @pytest.fixture(scope="module")
 def cornell():
     """The report of a small `cornell`; only the start-up times are not measured."""
-    scene = compile_scene(load("cornell"), size=SETTINGS.size)
+    scene = compile_scene(load_description("cornell"), size=SETTINGS.size)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isonoise.benchmark.measure.startup_times", lambda *arguments: STARTUP)
         result = report_header(SCHEMA, SCHEMA_VERSION, SETTINGS, MeasuredDevice())

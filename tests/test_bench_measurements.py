@@ -17,7 +17,7 @@ from isonoise.benchmark.bvh_stats import bvh_statistics, sah_cost
 from isonoise.benchmark.measure import Settings
 from isonoise.benchmark.prepared_scene import MeasuredDevice, PreparedScene
 from isonoise.commands import bench
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.accel.build import build_scene_bvh
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -48,7 +48,7 @@ def test_intersection_tests_are_bounded_and_independent_of_the_pool():
     """test_intersection.py checks the tests of single rays."""
     vertices, faces = generated_scenes.bumpy_ring(12, 8)
     ring = {"type": "mesh", "vertices": 0.3 * vertices + [0, 0, 0.3], "faces": faces, "face_normals": True}
-    compiled = compile_scene(load(lamp_over_floor() | {"ring": ring}))
+    compiled = compile_scene(load_description(lamp_over_floor() | {"ring": ring}))
     sums = []
     for pool_size in (64, 512):
         measured = PreparedScene(compiled, MeasuredDevice(), 700, pool_size)
@@ -72,7 +72,7 @@ def test_without_a_bvh_every_ray_is_tested_against_all_triangles():
 
 
 def test_without_light_there_are_no_shadow_rays():
-    scene = compile_scene(load(without(lamp_over_floor(), "lamp")))
+    scene = compile_scene(load_description(without(lamp_over_floor(), "lamp")))
     assert count_shadow_rays(PreparedScene(scene, MeasuredDevice(), 35, 64)) == []
 
 
@@ -88,7 +88,7 @@ def test_an_allocation_is_split_in_pixel_order(size):
 
 def test_sah_cost_is_the_mean_number_of_visits_of_random_lines():
     """Boxes of `cornell` hit by uniformly distributed lines through its bounding sphere."""
-    scene = compile_scene(load("cornell"))
+    scene = compile_scene(load_description("cornell"))
     bvh = build_scene_bvh(scene)
     used = np.isfinite(bvh.nodes[:, 0])
     lower = np.moveaxis(bvh.nodes[:, 0:3], 1, 2)[used].astype(float)
@@ -121,7 +121,7 @@ def test_sah_cost_of_instances():
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "group": ball}
     for number, matrix in enumerate(moved):
         scene[f"i{number}"] = {"type": "instance", "to_world": matrix, "group": {"type": "ref", "id": "group"}}
-    compiled = compile_scene(load(scene))
+    compiled = compile_scene(load_description(scene))
     facts = bvh_statistics(build_scene_bvh(compiled), compiled)
     assert facts["sah_cost"] == pytest.approx(1 + 2 * 12 / 36 * (1 + 2), rel=1e-4)
     assert facts["leaves"] == 3  # one ball, two instances of it
@@ -204,7 +204,7 @@ def test_a_generated_scene_is_a_closed_mesh(monkeypatch, capsys):
     assert triangles == {"mesh-82k": 81_920, "mesh-1.3m": 1_310_720}
     monkeypatch.setitem(generated_scenes.GENERATED_SCENES, "mesh-82k", (32, 20))
     assert generated_scenes.main(["mesh-82k", "generated"]) == 0
-    scene = compile_scene(load(capsys.readouterr().out.strip()))
+    scene = compile_scene(load_description(capsys.readouterr().out.strip()))
     assert len(scene.faces) == 2 * 32 * 20 + 2
     assert scene.environment is not None
     corners, faces = generated_scenes.bumpy_ring(32, 20)

@@ -25,7 +25,7 @@ from isonoise.device.opencl import Device, Launch
 from isonoise.errors import UserError
 from isonoise.integrator.kernel_table import KERNELS, PATH_STATE, path_bytes
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.accel.build import build_scene_bvh
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -263,7 +263,7 @@ def test_members_of_a_ray_that_intersect_does_not_count_do_not_matter():
     """`intersect` finds the same hits whatever is in the members of its buffers that `traffic` leaves out."""
     vertices, faces = generated_scenes.bumpy_ring(12, 8)
     ring = {"type": "mesh", "vertices": 0.3 * vertices + [0, 0, 0.3], "faces": faces}
-    scene = compile_scene(load(lamp_over_floor() | {"ring": ring}))
+    scene = compile_scene(load_description(lamp_over_floor() | {"ring": ring}))
     paths, device = 400, Device()
     wavefront = Wavefront(device, scene, build_scene_bvh(scene), pool_size=512)
     wavefront.warm_up()

@@ -14,7 +14,7 @@ from isonoise.benchmark import embree, peers, specialisation, startup
 from isonoise.benchmark.measure import Settings
 from isonoise.benchmark.prepared_scene import MeasuredDevice
 from isonoise.benchmark.report_text import peers_text
-from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load_description
 from isonoise.statistics import BASIC_NEEDS
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -86,7 +86,7 @@ def test_embree_hits_the_same_triangles(monkeypatch):
     if importlib.util.find_spec("embreex") is None:
         pytest.skip("embreex is in the extra 'peers'")
     monkeypatch.setattr(embree, "MAX_RAYS", 4096)
-    scene = compile_scene(load("cornell"))
+    scene = compile_scene(load_description("cornell"))
     difference = embree.measure_rays("cornell", scene, MeasuredDevice(), 1, lambda done, what: None)
     for row in difference["rays"]:
         assert row["same_triangle_share"] > 0.99  # the rest hits an edge, where both are right
@@ -94,7 +94,7 @@ def test_embree_hits_the_same_triangles(monkeypatch):
 
 def test_bounced_rays_are_diffuse():
     """The mean cosine to the normal is 2/3 with a variance of 1/18: 4 standard errors."""
-    scene = compile_scene(load(lamp_over_floor()))
+    scene = compile_scene(load_description(lamp_over_floor()))
     floor = np.flatnonzero(scene.triangle_shape == 0)[0]
     number = 20_000
     origins, directions = np.tile([0.1, -0.2, 5.0], (number, 1)), np.tile([0.0, 0.0, -1.0], (number, 1))
@@ -154,7 +154,7 @@ def test_different_images_are_not_bit_identical():
 def test_programs_of_a_scene(integrator, more, names):
     scene = lamp_over_floor() | more
     scene["integrator"] = scene["integrator"] | {"type": integrator}
-    assert list(specialisation.programs(compile_scene(load(scene)))) == names
+    assert list(specialisation.programs(compile_scene(load_description(scene)))) == names
 
 
 def test_compilation_is_timed_in_a_process_with_empty_caches(monkeypatch):

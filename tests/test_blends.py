@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isonoise.render_scene import render
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
 from isonoise.selftest.scenes import look_at, rgb
 
@@ -50,7 +50,7 @@ def scene_of_floor(bsdf: dict, light: dict, max_depth: int = 2) -> dict:
     ids=str,
 )
 def test_both_parts_are_evaluated_if_they_scatter_the_light_of_the_same_side(parts, both):
-    bsdfs = compile_scene(load(scene_of_floor(blend(*parts), {}))).bsdfs
+    bsdfs = compile_scene(load_description(scene_of_floor(blend(*parts), {}))).bsdfs
     assert bsdfs["kind"][-1] == bsdf_bits("blend")
     assert bool(bsdfs["flags"][-1] & structs.BSDF_EVALUATE_BOTH) == both
 
@@ -74,7 +74,7 @@ def test_direct_light_of_a_blend_is_the_weighted_sum(parts):
     light = {"lamp": lamp, "sky": {"type": "constant", "radiance": 0.3}}
 
     def means(bsdf: dict) -> np.ndarray:
-        scene = load(scene_of_floor(bsdf, light))
+        scene = load_description(scene_of_floor(bsdf, light))
         images = [render(scene, spp=32, seed=s, sampler="independent").statistics.rgb for s in range(16)]
         return np.mean(images, axis=(1, 2), dtype=float)
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load_description
 from isonoise.scene.builtin import find_scene
 
 SHA256 = {
@@ -33,11 +33,11 @@ def test_scene_is_unchanged(name):
 
 @pytest.mark.parametrize("name", SHA256)
 def test_scene_has_the_documented_settings(name):
-    scene = compile_scene(load(name))
+    scene = compile_scene(load_description(name))
     assert (scene.width, scene.height, scene.filter) == (256, 256, "box")
     assert (scene.max_depth, scene.rr_depth) == DEPTHS[name]
     assert scene.sample_count == 256
-    assert compile_scene(load(name, {"spp": "7"})).sample_count == 7
+    assert compile_scene(load_description(name, {"spp": "7"})).sample_count == 7
 
 
 @pytest.mark.parametrize("name", SHA256)

@@ -5,7 +5,7 @@ import pytest
 
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.spectra import colour_to_rgb
 
 RGB = {"type": "rgb", "value": [0.1, 0.2, 0.6]}
@@ -29,7 +29,7 @@ PLACES = {  # colours: a parameter of a BSDF, of a texture, of emitters
 def loaded(name: str, plugin: dict) -> dict:
     """The plugin in a scene, as it is compiled."""
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "plugin": plugin}
-    return load(scene)["plugin"]
+    return load_description(scene)["plugin"]
 
 
 @pytest.mark.parametrize("texture", TEXTURES, ids=str)
@@ -61,7 +61,9 @@ def test_references_and_xml(scene_of):
 def test_a_constant_normal_map_needs_no_textures():
     inner = {"type": "diffuse"}
     flat = {"type": "normalmap", "normalmap": {"type": "rawconstant", "value": [0.5, 0.5, 1.0]}, "inner": inner}
-    compiled = compile_scene(load({"type": "scene", "a": {"type": "perspective"}, "b": {"type": "sphere", "c": flat}}))
+    compiled = compile_scene(
+        load_description({"type": "scene", "a": {"type": "perspective"}, "b": {"type": "sphere", "c": flat}})
+    )
     on = features(compiled)
     assert on["NORMAL_MAP"]
     assert on["UVS"]

@@ -19,7 +19,7 @@ from scene_generator import write_scene
 from isonoise.cli import main
 from isonoise.convert.convert import convert
 from isonoise.errors import SceneError, UserError
-from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load_description
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.image.image import Image, read_image
 from isonoise.scene.transforms import rotate, scale, translate
@@ -53,7 +53,7 @@ def convert_and_compare(source, folder: Path) -> str:
     """Converts a scene, and asserts that it stays the same; returns the written XML."""
     path = folder / "out.xml"
     convert(source, path)
-    scene, expected = compile_scene(load(path)), compile_scene(load(source))
+    scene, expected = compile_scene(load_description(path)), compile_scene(load_description(source))
     if scene.hash != expected.hash:
         assert_same_scene(scene, expected)
     return path.read_text("utf-8")
@@ -203,7 +203,7 @@ def test_small_models_are_scaled_up(write_file, tmp_path, capsys):
     assert main(["convert", str(path), str(tmp_path / "out.xml")]) == 0
     assert "lengths times 10000" in capsys.readouterr().out
     assert "times 10000" in (tmp_path / "out.xml").read_text("utf-8")
-    scene, expected = compile_scene(load(tmp_path / "out.xml")), compile_scene(load(path))
+    scene, expected = compile_scene(load_description(tmp_path / "out.xml")), compile_scene(load_description(path))
     np.testing.assert_allclose(scene.vertices, 1e4 * expected.vertices, rtol=1e-5, atol=1e-4)
     to_world, expected_to_world = (one.camera["to_world"].reshape(3, 4) for one in (scene, expected))
     np.testing.assert_allclose(to_world[:, :3], expected_to_world[:, :3], atol=1e-6)
@@ -219,7 +219,7 @@ def test_transforms_stay_invertible(factors, tmp_path):
         "to_world": np.array([[1, 1, 0, 0], [1, 1 + 1e-9, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
     }
     convert(scene_of_shapes(plane=plane, sheared=sheared), tmp_path / "out.xml")
-    scene = load(tmp_path / "out.xml")
+    scene = load_description(tmp_path / "out.xml")
     np.testing.assert_allclose(scene["plane"]["to_world"], plane["to_world"], rtol=1e-7, atol=1e-16)
     assert np.linalg.matrix_rank(scene["sheared"]["to_world"]) == 4
 
@@ -260,7 +260,9 @@ def test_size_replaces_that_of_the_film(tmp_path):
     film = {"type": "hdrfilm", "width": 40, "height": 30, "crop_width": 10, "rfilter": {"type": "tent"}}
     scene = scene_of_shapes(ball={"type": "sphere"}) | {"sensor": SENSOR | {"film": film}}
     convert(scene, tmp_path / "out.xml", size=(17, 9))
-    assert_same_scene(compile_scene(load(tmp_path / "out.xml")), compile_scene(load(scene), size=(17, 9)))
+    assert_same_scene(
+        compile_scene(load_description(tmp_path / "out.xml")), compile_scene(load_description(scene), size=(17, 9))
+    )
 
 
 def test_command_replaces_its_output(in_tmp_path, write_file, capsys):

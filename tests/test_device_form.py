@@ -11,7 +11,7 @@ from isonoise.device.form import FORMS, MAX_STACK_SIZE
 from isonoise.device.opencl import Device
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.render_scene import render
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
@@ -56,7 +56,7 @@ def fog() -> dict:
 
 @pytest.mark.parametrize("scene", [lamp_over_floor, nested_triangles])
 def test_the_form_changes_no_bit(monkeypatch, scene):
-    compiled = compile_scene(load(scene()))
+    compiled = compile_scene(load_description(scene()))
     needs = BASIC_NEEDS.with_sampler(compiled.sampler)
     first, *others = statistics_of_all_forms(monkeypatch, compiled, needs)
     assert_sound(first)
@@ -84,7 +84,7 @@ def test_the_form_changes_no_bit_of_a_render(monkeypatch, scene, strategy):
 @pytest.mark.parametrize("number", range(PARTS))
 def test_the_form_changes_no_bit_with_every_pair_of_features(monkeypatch, tmp_path, number):
     for on in part_of_rows(number):
-        scene, needs = compile_scene(load(scene_with(on, tmp_path))), needs_of(on)
+        scene, needs = compile_scene(load_description(scene_with(on, tmp_path))), needs_of(on)
         first, *others = statistics_of_all_forms(monkeypatch, scene, needs, on)
         for other in others:
             assert_same_bits(first, other)
@@ -110,5 +110,5 @@ def test_the_stack_is_the_smallest_that_the_tree_fits(form):
 
 
 def test_the_nested_triangles_need_a_large_stack():
-    stack = build_scene_bvh(compile_scene(load(nested_triangles()))).stack
+    stack = build_scene_bvh(compile_scene(load_description(nested_triangles()))).stack
     assert [form.stack_size(stack) for form in FORMS.values()] == [MAX_STACK_SIZE, MAX_STACK_SIZE, 130]

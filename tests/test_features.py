@@ -26,7 +26,7 @@ from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import STRUCTS, kernel_table
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load_description
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
@@ -69,7 +69,7 @@ def assert_runs_as_specialised(
     """
     build = Device.build
     monkeypatch.setattr(Device, "build", lambda self, text, options: build(self, text, (*options, "-Werror")))
-    scene, needs = compile_scene(load(scene_with(scene_features or row, folder))), needs_of(row)
+    scene, needs = compile_scene(load_description(scene_with(scene_features or row, folder))), needs_of(row)
     used = features(scene, needs) | {name: row[name] for name in KEPT_FEATURES}
     for name in ("MANY_LIGHTS", "NEXT_EVENT"):  # tree and list need them
         used[name] |= row["LIGHT_TREE"] or row["LIGHT_LIST"]
@@ -142,7 +142,7 @@ def test_every_pair_of_features_runs(device, monkeypatch, tmp_path, number):
 @pytest.mark.parametrize("volpath", [False, True])
 def test_all_features_give_the_same_image(device, name, volpath):
     """Bit-identical, 64 samples in each of 65,536 pixels: without fast-math no compiler may reorder operations."""
-    scene = compile_scene(load(name))
+    scene = compile_scene(load_description(name))
     feature_override = feature_superset(features(scene), volpath)
     full = render_wave(device, scene, 64, EVERY_STATISTIC, feature_override)
     specialised = render_wave(device, scene, 64, EVERY_STATISTIC)

@@ -20,7 +20,7 @@ from isonoise.device import program_cache, tuned
 from isonoise.errors import SceneError, UserError
 from isonoise.film.exr import read_exr, read_reference, write_exr
 from isonoise.renderer import Renderer
-from isonoise.scene import load
+from isonoise.scene import load_description
 from isonoise.strategies import make_strategy
 
 MAX_SECONDS = 20
@@ -169,14 +169,14 @@ def test_mesh_attributes_have_to_be_finite_where_they_are_used():
     Path("a.ply").write_bytes(head + b"0 0 0 1e308 0 0\n1 0 0 0 0 0\n0 1 0 0 0 0\n3 0 1 2\n")
     shape = {"type": "ply", "filename": "a.ply"}
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "part": shape}
-    compile_scene(load(scene))  # unused
+    compile_scene(load_description(scene))  # unused
     colour = {"type": "mesh_attribute", "name": "vertex_color"}
     for used in (
         {"bsdf": {"type": "diffuse", "reflectance": colour}},
         {"emitter": {"type": "area", "radiance": colour}},
     ):
         with pytest.raises(SceneError, match=r"part.*'vertex_color'.*no finite 32-bit number"):
-            compile_scene(load(scene | {"part": shape | used}))
+            compile_scene(load_description(scene | {"part": shape | used}))
 
 
 def test_numbers_of_the_library_are_limited():

@@ -27,7 +27,7 @@ from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import CONSTANTS, KERNELS, STRUCTS
 from isonoise.integrator.stages import Stages
 from isonoise.scene import compile as compile_module
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.mesh.triangle_records import corner_normals, triangle_records
@@ -81,7 +81,7 @@ class IntersectStage:
 
     def __init__(self, description: dict | CompiledScene, monkeypatch):
         monkeypatch.setattr(compile_module, "find_placement", lambda *geometry: UNPLACED)  # rays have world coordinates
-        scene = description if isinstance(description, CompiledScene) else compile_scene(load(description))
+        scene = description if isinstance(description, CompiledScene) else compile_scene(load_description(description))
         self.scene = scene
         self.device = device = Device()
         # all shapes, so that the scenes share their programs
@@ -329,13 +329,13 @@ def test_ten_thousand_instances(monkeypatch):
     count = 10_000
     matrices = [make_transform(0.01, random.uniform(-1, 1, 3)) for _ in range(count)]
     start_s = time.process_time()
-    scene = compile_scene(load(with_instances({"ball": icosphere()}, *matrices)))
+    scene = compile_scene(load_description(with_instances({"ball": icosphere()}, *matrices)))
     bvh = build_scene_bvh(scene)
     elapsed_s = time.process_time() - start_s
     assert len(scene.faces) == len(mesh.faces) == 1280
     assert len(scene.instances) == count
     size = sum(array.nbytes for array in (*vars(scene).values(), *vars(bvh).values()) if isinstance(array, np.ndarray))
-    once = compile_scene(load(with_instances({"ball": icosphere()}, matrices[0])))
+    once = compile_scene(load_description(with_instances({"ball": icosphere()}, matrices[0])))
     group = sum(array.nbytes for array in vars(once).values() if isinstance(array, np.ndarray))
     assert size < 3 * group + 200 * count
     assert elapsed_s < 15  # about 1.5

@@ -12,7 +12,7 @@ from isonoise.errors import SceneError
 from isonoise.integrator.features import features
 from isonoise.integrator.wavefront import Wavefront
 from isonoise.render_scene import render
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.accel.build import build_scene_bvh
 
 shared_programs = share_programs(
@@ -121,16 +121,16 @@ def test_white_furnace_with_an_instance(scale):
 
 def test_scene_bounds_include_instances_but_not_groups():
     group = {"box": {"type": "cube", "to_world": make_transform(1, (10, 0, 0))}}
-    scene = compile_scene(load(with_instances(group, make_transform(2, (0, 0, 5)))))
+    scene = compile_scene(load_description(with_instances(group, make_transform(2, (0, 0, 5)))))
     np.testing.assert_allclose(scene.bounds, [[18, -2, 3], [22, 2, 7]])
-    scene = compile_scene(load(with_instances(group, make_transform(), wall={"type": "rectangle"})))
+    scene = compile_scene(load_description(with_instances(group, make_transform(), wall={"type": "rectangle"})))
     np.testing.assert_allclose(scene.bounds, [[-1, -1, -1], [11, 1, 1]])
 
 
 def test_a_group_without_instances_is_left_out():
     wall = {"wall": {"type": "rectangle"}}
-    with_group = compile_scene(load({**with_instances({"ball": icosphere()}), **wall}))
-    without = compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, **wall}))
+    with_group = compile_scene(load_description({**with_instances({"ball": icosphere()}), **wall}))
+    without = compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, **wall}))
     assert with_group.hash == without.hash
     assert not features(with_group)["INSTANCES"]
 
@@ -146,7 +146,7 @@ def test_groups_share_primitives_in_the_order_of_their_first_instance():
         "third": {"type": "instance", "it": {"type": "ref", "id": "late"}},
         "disk": {"type": "disk"},
     }
-    compiled = compile_scene(load(scene))
+    compiled = compile_scene(load_description(scene))
     assert compiled.group_offsets.tolist() == [[0, 1], [2, 1], [14, 2]]
     assert compiled.instances["root"].tolist() == [1, 2, 2]
     assert compiled.shapes["first_primitive"].tolist() == [0, 0, 1, 2]
@@ -159,7 +159,7 @@ def test_deep_bvhs_fit_the_stack(monkeypatch):
     corners = (random.uniform(-1, 1, (1, 3, 3)) * np.geomspace(1e-6, 1e3, 1000)[:, None, None]).reshape(-1, 3)
     nested = {"type": "mesh", "vertices": corners, "faces": np.arange(3000).reshape(-1, 3), "face_normals": True}
     matrices = [make_transform(scale) for scale in np.geomspace(1e-3, 1e3, 1000)]
-    scene = compile_scene(load(with_instances({"nested": nested}, *matrices)))
+    scene = compile_scene(load_description(with_instances({"nested": nested}, *matrices)))
     assert build_scene_bvh(scene).stack <= 256
 
 
@@ -239,6 +239,6 @@ def test_no_buffer_without_instances(monkeypatch):
         (with_instances({"ball": {"type": "sphere"}}, make_transform()), True),
     ):
         buffer_names.clear()
-        scene = compile_scene(load(description), size=(4, 4))
+        scene = compile_scene(load_description(description), size=(4, 4))
         Wavefront(Device(), scene, build_scene_bvh(scene), pool_size=64)
         assert ("the instances" in buffer_names) == present

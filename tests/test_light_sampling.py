@@ -13,7 +13,7 @@ from PIL import Image
 from test_environment import normal_deviate
 
 from isonoise.device.opencl import Device
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.light.light_kinds import KINDS
 from isonoise.scene.material import textures
 from isonoise.scene.mesh.triangle_records import triangle_records
@@ -134,7 +134,9 @@ class Lit:
 
     def __init__(self, device: Device, kernels, **objects):
         self.device, self.kernels = device, kernels
-        self.scene = scene = compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, **objects}))
+        self.scene = scene = compile_scene(
+            load_description({"type": "scene", "sensor": {"type": "perspective"}, **objects})
+        )
         arrays = (triangle_records(scene), scene.faces, scene.uvs, scene.analytics, scene.shapes)
         arrays += (scene.textures, scene.texel_bytes, textures.SRGB, scene.lights, scene.projections)
         self.buffers = tuple(device.buffer(a, "the scene") if a.size else None for a in arrays)

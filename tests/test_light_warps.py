@@ -11,7 +11,7 @@ import pytest
 from kernel_build import build_kernels
 
 from isonoise.device.opencl import Device
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.mesh.triangle_records import triangle_records
 
 GRID, STRATA = 256, 16
@@ -66,7 +66,7 @@ class LightWarp:
         shape, self.reference = SHAPES[name]
         scene = {"type": "scene", "sensor": {"type": "perspective"}}
         scene["lamp"] = shape | {"emitter": {"type": "area", "radiance": 1.0}}
-        self.scene = compile_scene(load(scene))
+        self.scene = compile_scene(load_description(scene))
         assert len(self.scene.lights) == 1
         self.device = Device()
         area = ["AREA_LIGHTS", "TRIANGLES", "ANALYTICS", "SPHERES", "DISKS", "CYLINDERS", "NEXT_EVENT"]

@@ -20,7 +20,7 @@ import small_files
 from isonoise.cli import main
 from isonoise.errors import SceneError, UserError
 from isonoise.film.exr import read_reference
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.mesh.ply import read_ply
 
 MAX_SECONDS = 5.0  # processor time
@@ -255,7 +255,7 @@ def test_bad_scenes(case, tmp_path, capsys):
     path = write(tmp_path / "scene.xml", content)
     if "device" in case:
         with pytest.raises(SceneError, match=message):
-            compile_scene(load(path, allow_outside=True))
+            compile_scene(load_description(path, allow_outside=True))
     else:
         assert_rejected(path, message, capsys)
 
@@ -301,7 +301,7 @@ def test_references_that_double_at_every_level(kind, tmp_path):
     """Following every reference would give 2^50 materials or textures."""
     path = write(tmp_path / "scene.xml", chain(kind, 50, 2))
     start_s = time.process_time()
-    scene = compile_scene(load(path))
+    scene = compile_scene(load_description(path))
     assert time.process_time() - start_s < MAX_SECONDS
     assert len(scene.bsdfs) <= 50
     assert len(scene.textures) <= 60
@@ -313,7 +313,7 @@ def test_many_parameters(tmp_path):
     uses = "".join(f'<default name="b{i}" value="$parameter{i} $parameter{19_999 - i}"/>' for i in range(20_000))
     path = write(tmp_path / "scene.xml", SCENE.format(defaults + uses))
     start_s = time.process_time()
-    load(path)
+    load_description(path)
     assert time.process_time() - start_s < MAX_SECONDS
 
 
@@ -342,7 +342,7 @@ def test_many_materials_of_an_obj(tmp_path):
     path = write(tmp_path / "m.obj", VERTICES + faces.encode())
     start_s = time.process_time()
     with pytest.warns(UserWarning, match="material 'm0' and 3999 more: no MTL file defines it"):
-        load(path)
+        load_description(path)
     assert time.process_time() - start_s < MAX_SECONDS
 
 
@@ -360,7 +360,7 @@ def test_truncated_files(tmp_path):
         for length in range(0, len(data), 5):
             write(tmp_path / f"m.{name}", data[:length])
             try:
-                compile_scene(load(path))
+                compile_scene(load_description(path))
             except SceneError:
                 rejected += 1
         assert rejected > 9

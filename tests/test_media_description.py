@@ -6,7 +6,7 @@ from media_scenes import HALF, LIGHT, lit_floor, sheets
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import PATH_STATE
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
 from isonoise.scene.mesh.triangle_records import triangle_records
 
@@ -106,18 +106,19 @@ def test_blends_of_what_is_seen_through_have_a_limit(scene_of):
 def test_scenes_without_media_do_not_pay_for_them():
     """The same features under `volpath` as under `path`; so the same programs and buffers."""
     path, volpath = (
-        features(compile_scene(load(lit_floor(integrator) | {"light": LIGHT}))) for integrator in ("path", "volpath")
+        features(compile_scene(load_description(lit_floor(integrator) | {"light": LIGHT})))
+        for integrator in ("path", "volpath")
     )
     assert path == volpath
     assert not path["VOLPATH"]
     assert not path["MEDIA"]
-    cornell = features(compile_scene(load("cornell")))
+    cornell = features(compile_scene(load_description("cornell")))
     assert not cornell["VOLPATH"]
     assert not cornell["MEDIA"]
 
 
 def test_masks_pay_for_no_media(scene_of):
-    on = features(compile_scene(load(sheets([HALF]))))
+    on = features(compile_scene(load_description(sheets([HALF]))))
     assert on["VOLPATH"]
     assert not on["MEDIA"]
     assert PATH_STATE["medium"].planes == 1

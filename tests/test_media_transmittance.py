@@ -23,7 +23,7 @@ from media_scenes import (
 from shared_programs import share_programs
 
 from isonoise.integrator.features import features
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 
 SHEETS_AND_LAMP = (
     *("TRIANGLES", "UVS", "TEXTURES", "CHECKERBOARDS", "ORTHOGRAPHIC", "VOLPATH"),
@@ -94,7 +94,7 @@ def test_instances_have_the_media_of_their_group():
 def test_path_sees_no_media_and_is_blocked_by_boundaries():
     shapes = LAYERS["one"][0]
     assert (radiance(lit_floor("path", **shapes))[0] == 0).all()
-    compiled = compile_scene(load(lit_floor("path", **shapes)))
+    compiled = compile_scene(load_description(lit_floor("path", **shapes)))
     assert len(compiled.media) == 0
     assert compiled.sensor_medium == structs.MEDIUM_NONE
     assert not features(compiled)["VOLPATH"]

@@ -7,7 +7,7 @@ import tracemalloc
 
 import pytest
 
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 
 WIDTH, HEIGHT = 3000, 2000
 LIMIT = 2 * 2**30
@@ -70,10 +70,10 @@ def test_memory_of_many_shapes(tmp_path):
     scene = '<scene version="3.0.0"><sensor type="perspective"/>' + "".join(sphere.format(i) for i in range(count))
     path = tmp_path / "spheres.xml"
     path.write_text(scene + "</scene>")
-    compile_scene(load("cornell"))  # what is imported and cached at the first scene
+    compile_scene(load_description("cornell"))  # what is imported and cached at the first scene
     tracemalloc.start()
     try:
-        compiled = compile_scene(load(path))
+        compiled = compile_scene(load_description(path))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

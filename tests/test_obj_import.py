@@ -13,7 +13,7 @@ from isonoise.scene.formats.obj import read as obj_format
 from isonoise.scene.formats.obj.mtl import read_mtl
 from isonoise.scene.formats.obj.support import SUPPORT
 from isonoise.scene.formats.report import ImportReport
-from isonoise.scene.load import load
+from isonoise.scene.load import load_description
 from isonoise.scene.mesh.obj import read_obj
 from isonoise.scene.mesh.polygons import triangle_fans, triangulate
 from isonoise.scene.spectra import srgb_to_linear
@@ -30,7 +30,7 @@ def read(folder: Path, obj: str, mtl: str = "") -> tuple[dict, list[str]]:
     scene = obj_format.read(folder / "a.obj", folder.resolve(), report)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        load(folder / "a.obj")
+        load_description(folder / "a.obj")
     return scene, report.loss_texts()
 
 

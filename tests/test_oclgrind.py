@@ -15,7 +15,7 @@ from isonoise.device.program_cache import FOLDER_VARIABLE
 from isonoise.integrator.brute_force import use_brute_force
 from isonoise.integrator.features import FEATURES, features, statistics_features
 from isonoise.renderer import Renderer
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.statistics import BASIC_NEEDS
 from isonoise.strategies import make_strategy
 
@@ -42,7 +42,7 @@ def test_the_cases_cover_every_feature(many, tmp_path):
         without |= {"VOLPATH", "MEDIA", "HETEROGENEOUS", "NULL", *statistics_features(BASIC_NEEDS)}
     seen, kinds = set(), set()
     for number, case in enumerate(case for case in CASES.values() if case.many == many):
-        scene = compile_scene(load(case.source(tmp_path / str(number))))
+        scene = compile_scene(load_description(case.source(tmp_path / str(number))))
         on = features(scene, make_strategy(case.strategy).needs.with_sampler(scene.sampler))
         if many and on["VOLPATH"]:
             continue

@@ -86,8 +86,8 @@ def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
     assert run(installed / "isonoise", "--version", cwd=tmp_path).startswith("isonoise ")
     code = """
 import importlib.resources, pathlib, sys, isonoise.cli
-from isonoise.scene import compile_scene, load
-assert len(compile_scene(load("cornell")).faces) > 0
+from isonoise.scene import compile_scene, load_description
+assert len(compile_scene(load_description("cornell")).faces) > 0
 kernels = importlib.resources.files("isonoise.kernels")
 assert "kernel" in (kernels / "stages/shade.cl").read_text()
 print(*(pathlib.Path(str(place)).resolve() for place in (isonoise.cli.__file__, kernels)), sep="\\n")

@@ -14,7 +14,7 @@ from small_scene import lamp_over_floor
 
 from isonoise.film.exr import write_exr
 from isonoise.render_scene import render
-from isonoise.scene import CompiledScene, compile_scene, load, structs
+from isonoise.scene import CompiledScene, compile_scene, load_description, structs
 from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
 from isonoise.scene.placement import UNPLACED, Placement, find_placement
@@ -106,7 +106,7 @@ def room(scale: float = 1.0, offset: float = 0.0, camera: str = "perspective", s
 
 def points_lengths_and_intensities(scene: dict) -> tuple[np.ndarray, ...]:
     """All numbers of a compiled scene that depend on its place and its unit of length, by their dimension."""
-    compiled = compile_scene(load(scene))
+    compiled = compile_scene(load_description(scene))
     camera, lights = compiled.camera, compiled.lights
     is_lamp = np.isin(lights["kind"], (light_bits("point"), light_bits("spot")))
     analytics = compiled.analytics[: compiled.group_offsets[0, 1]]
@@ -154,7 +154,7 @@ def test_a_moved_and_scaled_projector_gives_the_same_irradiance(scale, offset):
         "ball": {"type": "sphere", "to_world": place, "center": centre.tolist()},
         "lamp": {"type": "projector", "to_world": place @ rigid, "irradiance": 1.0},
     }
-    compiled = compile_scene(load(scene))
+    compiled = compile_scene(load_description(scene))
     light, rows = compiled.lights[0], compiled.projections["to_uv"][0].reshape(3, 3).astype(float)
     arm = (compiled.analytics["center"][0] - light["position"]).astype(float)
     cosine = light["axis"] @ arm / np.linalg.norm(arm)
@@ -171,7 +171,9 @@ def test_groups_are_placed_in_their_own_space():
 
     def scene(offset: float) -> CompiledScene:
         mesh = {"type": "mesh", "vertices": vertices + offset, "faces": faces, "face_normals": True}
-        return compile_scene(load(with_instances({"mesh": mesh}, make_transform(2.0, (3 - 2 * offset,) * 3))))
+        return compile_scene(
+            load_description(with_instances({"mesh": mesh}, make_transform(2.0, (3 - 2 * offset,) * 3)))
+        )
 
     near, far = scene(0.0), scene(1e8)
     for compiled in (near, far):
@@ -203,7 +205,7 @@ def test_placements_follow_each_other():
 def messages(scene: dict) -> str:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        compile_scene(load(scene))
+        compile_scene(load_description(scene))
     return "\n".join(str(warning.message) for warning in caught)
 
 

@@ -19,7 +19,7 @@ from plugin_cases import (
 from isonoise import Renderer
 from isonoise.commands import info
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.vocabulary import UNSUPPORTED_PLUGINS, plugins_of
 from isonoise.scene.vocabulary.plugin import COLOURS, IGNORED, SUPPORTED, UNSUPPORTED, Plugin
 
@@ -31,14 +31,16 @@ def files(tmp_path_factory) -> Path:
 
 def compiled(plugin: Plugin, description: dict, files: Path) -> tuple:
     """What has to differ if the scene differs."""
-    result = compile_scene(load(scene_with(plugin, description, files)))
+    result = compile_scene(load_description(scene_with(plugin, description, files)))
     return result.hash, result.sample_count, result.filter, result.exposure
 
 
 @pytest.mark.parametrize("plugin", SUPPORTED_PLUGINS, ids=case_id)
 def test_every_plugin_compiles(plugin, files):
     assert plugin.meaning
-    description = info.describe_scene(compile_scene(load(scene_with(plugin, minimal_plugin(plugin, files), files))))
+    description = info.describe_scene(
+        compile_scene(load_description(scene_with(plugin, minimal_plugin(plugin, files), files)))
+    )
     assert all(description.values())
     assert plugin.status in (SUPPORTED, IGNORED)
 

@@ -10,7 +10,7 @@ from isonoise.errors import SceneError
 from isonoise.scene.formats.ply import read as ply_format
 from isonoise.scene.formats.ply.support import SUPPORT
 from isonoise.scene.formats.report import ImportReport
-from isonoise.scene.load import load
+from isonoise.scene.load import load_description
 from isonoise.scene.spectra import srgb_to_linear
 
 SQUARE = ("0 0 0", "1 0 0", "1 1 0", "0 1 0")
@@ -31,7 +31,7 @@ def read(folder: Path, text: str) -> tuple[dict, list[str]]:
     path.write_text(text)
     report = ImportReport("a.ply", SUPPORT)
     scene = ply_format.read(path, folder.resolve(), report)
-    load({**scene, "sensor": {"type": "perspective"}})
+    load_description({**scene, "sensor": {"type": "perspective"}})
     return scene["mesh"], report.loss_texts()
 
 

@@ -20,7 +20,7 @@ from isonoise.integrator.features import FEATURES
 from isonoise.integrator.kernel_table import path_bytes
 from isonoise.limits import MAX_PIXELS
 from isonoise.renderer import Renderer
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.statistics import Needs
 
 UNTUNED = 1000
@@ -164,7 +164,7 @@ def test_another_size_is_chosen_only_if_faster_in_every_turn(speeds, chosen):
 
 def test_pools_are_measured_in_turn(monkeypatch):
     monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
-    scene = compile_scene(load(lamp_over_floor()))
+    scene = compile_scene(load_description(lamp_over_floor()))
     progress = []
     speeds = tune.measure_pools(
         [scene, scene], Settings(repeat=2, spp=4.0), lambda done, what: progress.append(done), FORMS["lanes"]
@@ -180,7 +180,7 @@ def test_forms_are_measured_on_cpus(device, monkeypatch):
     monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
     # its error estimate takes long to compile
     monkeypatch.setitem(FORMS, "cpu", FORMS["lanes"]._replace(name="cpu", lanes=1, shade_lanes=1))
-    scene = compile_scene(load(lamp_over_floor()))
+    scene = compile_scene(load_description(lamp_over_floor()))
     speeds = tune.measure_forms([scene], Settings(repeat=2, spp=4.0), lambda *_: None)
     assert list(speeds) == (["lanes", "cpu"] if drivers.is_cpu(device) else [])
     monkeypatch.setattr(Device, "is_cpu", False)
@@ -208,7 +208,7 @@ def test_a_tuned_form_is_used(device, monkeypatch, folder):
 def test_pools_that_do_not_fit_in_memory_are_skipped(monkeypatch):
     monkeypatch.setattr(tune, "untuned_pool_size", lambda device: 256)
     monkeypatch.setattr(tune, "MEMORY_SHARE", 0.0)
-    scene = compile_scene(load(lamp_over_floor()))
+    scene = compile_scene(load_description(lamp_over_floor()))
     assert list(tune.measure_pools([scene], Settings(repeat=1, spp=1.0), lambda *_: None, FORMS["lanes"])) == [256]
 
 

@@ -14,7 +14,7 @@ from small_scene import BUILT_IN, PIXELS, assert_same_bits, assert_sound, lamp_o
 from isonoise.errors import UserError
 from isonoise.render_scene import render
 from isonoise.renderer import Renderer
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.statistics import Statistics
 from isonoise.strategies import available_strategies
 
@@ -60,7 +60,7 @@ def test_renders_are_repeatable(strategy):
 
 
 def test_a_compiled_scene_renders_to_the_same_bits_also_after_it_was_pickled(thirty_spp):
-    scene = pickle.loads(pickle.dumps(compile_scene(load(lamp_over_floor()))))
+    scene = pickle.loads(pickle.dumps(compile_scene(load_description(lamp_over_floor()))))
     options = {"spp": 30, "seed": 3, "strategy": "relative-median:warmup=30"}
     assert_same_bits(render(scene, **options).statistics, thirty_spp)
     with pytest.raises(UserError, match="a compiled scene has its size"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 
 SPHERE = '<shape type="sphere">{}</shape>'
 FLOAT = '<float name="radius" value="{}"/>'
@@ -206,7 +206,7 @@ def test_invalid_files(content, message, tmp_path):
     path = tmp_path / "scene.xml"
     path.write_bytes(content)
     with pytest.raises(SceneError, match=message) as error:
-        load(path)
+        load_description(path)
     assert str(path) in str(error.value)
 
 
@@ -217,7 +217,7 @@ def test_truncated_scenes(tmp_path):
     for length in range(len(text)):
         path.write_text(text[:length])
         with pytest.raises(SceneError):
-            load(path)
+            load_description(path)
 
 
 def test_include_cycles_and_exponential_includes(tmp_path):
@@ -225,12 +225,12 @@ def test_include_cycles_and_exponential_includes(tmp_path):
     (tmp_path / "a.xml").write_text(scene.format('<include filename="b.xml"/>'))
     (tmp_path / "b.xml").write_text(scene.format('<include filename="a.xml"/>'))
     with pytest.raises(SceneError, match="includes itself"):
-        load(tmp_path / "a.xml")
+        load_description(tmp_path / "a.xml")
     for number in range(14):  # 2^14 files without a limit
         (tmp_path / f"{number}.xml").write_text(scene.format(f'<include filename="{number + 1}.xml"/>' * 2))
     (tmp_path / "14.xml").write_text(scene.format(""))
     with pytest.raises(SceneError, match="too many includes"):
-        load(tmp_path / "0.xml")
+        load_description(tmp_path / "0.xml")
 
 
 def test_exponential_parameters(scene_of):
@@ -284,16 +284,16 @@ DICTS = [
 @pytest.mark.parametrize(("source", "message"), DICTS)
 def test_invalid_dicts(source, message):
     with pytest.raises(SceneError, match=message):
-        load(source)
+        load_description(source)
 
 
 def test_missing_files_and_folders(tmp_path):
     for source in (tmp_path, tmp_path / "none.xml", "no-such-scene", "\0", "x" * 5000, ""):
         with pytest.raises(SceneError):
-            load(source)
+            load_description(source)
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "a": {"type": "ply", "filename": "/no/where.ply"}}
     with pytest.raises(SceneError, match=r"/no/where.ply: cannot be read"):
-        compile_scene(load(scene))
+        compile_scene(load_description(scene))
 
 
 TINY, HUGE = np.diag([1e-60, 1e-60, 1e-60, 1]), np.diag([1e38, 1e38, 1e38, 1])
@@ -308,13 +308,13 @@ def test_shapes_out_of_range():
         # among shapes of usual size: alone it would be scaled down
         usual = {f"near {i}": {"type": "rectangle"} for i in range(3)}
         with pytest.raises(SceneError, match=r"shape 'far' extends beyond 1e\+18"):
-            compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "far": shape, **usual}))
+            compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, "far": shape, **usual}))
     for shape in (
         {"type": "cylinder", "radius": 1e38, "p1": [0, 0, 1e38], "to_world": HUGE},
         {"type": "disk", "to_world": TINY},
     ):
         with pytest.raises(SceneError, match="shape 'odd': its size exceeds the range"):
-            compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "odd": shape}))
+            compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, "odd": shape}))
 
 
 def test_nested_twosided():
@@ -323,7 +323,7 @@ def test_nested_twosided():
 
     def compiled(bsdf: dict):
         ball = {"type": "sphere", "bsdf": bsdf}
-        return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "ball": ball}))
+        return compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, "ball": ball}))
 
     plain = compiled({"type": "twosided", "a": red})
     assert compiled({"type": "twosided", "a": {"type": "twosided", "b": red}}).bsdfs[-1] == plain.bsdfs[-1]

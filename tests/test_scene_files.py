@@ -13,7 +13,7 @@ import small_files
 
 from isonoise.cli import main
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.builtin import find_scene
 from isonoise.scene.files import record_files
 
@@ -49,7 +49,7 @@ def write_scene(path: Path, case: str, name: str) -> Path:
 
 def files_of(scene, **options) -> list[Path]:
     with record_files() as files:
-        compile_scene(load(scene, **options))
+        compile_scene(load_description(scene, **options))
     return list(files)
 
 
@@ -103,9 +103,9 @@ def test_files_outside_the_folder_are_refused(case, tmp_path):
     for name in ("../other/file", str(file), "sub/../../other/file"):
         path = write_scene(tmp_path / "scene" / "main.xml", case, name)
         with pytest.raises(SceneError, match=r"main\.xml:1.*is outside the scene's folder .*--allow-outside"):
-            load(path)
+            load_description(path)
         if case != "include":
-            compile_scene(load(path, allow_outside=True))
+            compile_scene(load_description(path, allow_outside=True))
     for name in ("sub/file", "../scene/sub/file", str(tmp_path / "scene" / "sub" / "file")):
         path = write_scene(tmp_path / "scene" / "main.xml", case, name)
         if case != "include":
@@ -122,7 +122,7 @@ def test_links_that_lead_outside_are_refused(case, tmp_path):
     (scene / "folder").symlink_to(tmp_path / "other")
     for name in ("link", "folder/file"):
         with pytest.raises(SceneError, match="is outside the scene's folder"):
-            load(write_scene(scene / "main.xml", case, name))
+            load_description(write_scene(scene / "main.xml", case, name))
 
 
 @CAN_LINK
@@ -150,11 +150,11 @@ def test_folders_of_included_files_stay_inside(tmp_path):
     assert len(files_of(top)) == 3
     write(part, inside.format("../../a.ply"))
     with pytest.raises(SceneError, match=r"part\.xml:1.*is outside the scene's folder"):
-        load(top)
+        load_description(top)
     assert len(files_of(top, allow_outside=True)) == 3
     write(top, '<scene version="3.0.0"><path value=".."/></scene>')
     with pytest.raises(SceneError, match=r"<path.*is outside the scene's folder"):
-        load(top)
+        load_description(top)
 
 
 def test_material_files_outside_the_folder_are_refused(tmp_path):
@@ -163,7 +163,7 @@ def test_material_files_outside_the_folder_are_refused(tmp_path):
     for name in ("../a.mtl", str(outside)):
         obj = write(tmp_path / "scene" / "a.obj", small_files.obj().replace(b"a.mtl", name.encode()))
         with pytest.raises(SceneError, match=r"a\.obj: .*a\.mtl' is outside the scene's folder"):
-            load(obj)
+            load_description(obj)
         assert files_of(obj, allow_outside=True) == [obj.resolve(), outside.resolve()]
         beside = write(tmp_path / "scene" / "a.mtl", small_files.mtl())
         assert files_of(obj) == [obj.resolve(), beside.resolve()]
@@ -179,7 +179,7 @@ def test_files_of_a_glb_outside_the_folder_are_refused(kind, tmp_path):
         write(folder / "t.png", small_files.image_file("PNG"))
     path = write(tmp_path / "scene" / "a.glb", glb)
     with pytest.raises(SceneError, match="is outside the scene's folder"):
-        load(path)
+        load_description(path)
     assert (tmp_path / names[kind]).resolve() in files_of(path, allow_outside=True)
 
 
@@ -211,7 +211,7 @@ def test_only_regular_files_are_read(case, kind, tmp_path, monkeypatch):
     else:
         name = "/dev/zero"
     with pytest.raises(SceneError, match="it is not a regular file"):
-        compile_scene(load(write_scene(tmp_path / "main.xml", case, name), allow_outside=True))
+        compile_scene(load_description(write_scene(tmp_path / "main.xml", case, name), allow_outside=True))
     if server:
         server.close()
 
@@ -221,12 +221,12 @@ def test_bare_meshes_read_only_regular_files(tmp_path):
     """A pipe as the file of a GLB's image or buffer, or as an MTL file."""
     os.mkfifo(tmp_path / "a.mtl")
     with pytest.raises(SceneError, match="it is not a regular file"):
-        load(write(tmp_path / "a.obj", small_files.obj()))
+        load_description(write(tmp_path / "a.obj", small_files.obj()))
     for buffer, image in (("a.mtl", "t.png"), ("b.bin", "a.mtl")):
         glb, content = glb_with_files(buffer, image)
         write(tmp_path / "b.bin", content)
         with pytest.raises(SceneError, match="it is not a regular file"):
-            load(write(tmp_path / "a.glb", glb))
+            load_description(write(tmp_path / "a.glb", glb))
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc on this system")
@@ -234,7 +234,9 @@ def test_bare_meshes_read_only_regular_files(tmp_path):
 def test_files_of_proc_are_read_up_to_their_size(case, tmp_path):
     """Their size is 0. Some, such as /proc/kmsg, are regular files and have no end."""
     with pytest.raises(SceneError):
-        compile_scene(load(write_scene(tmp_path / "main.xml", case, "/proc/self/status"), allow_outside=True))
+        compile_scene(
+            load_description(write_scene(tmp_path / "main.xml", case, "/proc/self/status"), allow_outside=True)
+        )
 
 
 def test_no_scene_names_code(tmp_path):
@@ -251,7 +253,7 @@ def test_no_scene_names_code(tmp_path):
     ):
         sensor = "" if "<sensor" in inside else '<sensor type="perspective"/>'
         with pytest.raises(SceneError, match=r"strategy|evil:Strategy"):
-            load(write(tmp_path / "main.xml", f'<scene version="3.0.0">{sensor}{inside}</scene>'))
+            load_description(write(tmp_path / "main.xml", f'<scene version="3.0.0">{sensor}{inside}</scene>'))
     assert "evil" not in sys.modules
 
 

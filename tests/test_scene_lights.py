@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from records import slot
 
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.light.light_kinds import light_bits
 from isonoise.scene.light.lights import light_power_cdf
 from isonoise.scene.light.parallelograms import find_parallelograms
@@ -13,7 +13,7 @@ from isonoise.scene.spectra import MITSUBA_LUMINANCE
 
 
 def scene_with(**objects) -> dict:
-    return load({"type": "scene", "sensor": {"type": "perspective"}, **objects})
+    return load_description({"type": "scene", "sensor": {"type": "perspective"}, **objects})
 
 
 def weight_distributions() -> list[np.ndarray]:
@@ -232,7 +232,7 @@ def test_triangles_belong_to_one_parallelogram_at_most():
 
 
 def test_the_box_of_cornell_has_one_light():
-    assert compile_scene(load("cornell")).lights["kind"].tolist() == [light_bits("parallelogram")]
+    assert compile_scene(load_description("cornell")).lights["kind"].tolist() == [light_bits("parallelogram")]
 
 
 @pytest.mark.parametrize("radiance", [None, 0.0, 1.0])

@@ -10,7 +10,7 @@ import pytest
 from records import slot
 
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.mesh.triangle_records import triangle_records
 
 MIRROR = np.diag([-1.0, 1, 1, 1])
@@ -19,7 +19,7 @@ MIRROR = np.diag([-1.0, 1, 1, 1])
 def compile_mesh(path, **extra):
     kind = path.suffix[1:]
     shape = {"type": kind, "filename": str(path), **extra}
-    return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "it": shape}))
+    return compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, "it": shape}))
 
 
 def icosphere(levels: int) -> tuple[np.ndarray, np.ndarray]:
@@ -211,7 +211,7 @@ INVALID_MESHES = [
 def test_invalid_meshes_are_rejected_in_bounded_memory(name, content, message, write_file):
     path = write_file(name, content)
     tracemalloc.start()
-    for read in (compile_mesh, load):
+    for read in (compile_mesh, load_description):
         with pytest.raises(SceneError, match=message) as error:
             read(path)
         assert str(path) in str(error.value)
@@ -228,7 +228,7 @@ def test_pipes_are_rejected(kind, tmp_path):
     os.mkfifo(path)
     scene = {"type": "scene", "sensor": {"type": "perspective"}, "it": {"type": kind, "filename": str(path)}}
     with pytest.raises(SceneError, match=r"pipe: cannot be read .it is not a regular file"):
-        compile_scene(load(scene))
+        compile_scene(load_description(scene))
 
 
 @pytest.mark.parametrize("suffix", ["stl", "glb"])
@@ -238,7 +238,7 @@ def test_invalid_stl_and_glb_files_are_rejected(suffix, content, write_file):
     with pytest.raises(
         SceneError, match=r"not a readable|no triangles|ends before 'endsolid'|nor valid JSON|version 0 of GLB"
     ):
-        load(path)
+        load_description(path)
 
 
 def model_triangles(description: dict) -> int:
@@ -254,7 +254,7 @@ def test_bare_meshes_get_a_camera_and_light(tmp_path):
     for suffix in ("obj", "ply", "stl", "glb"):
         path = tmp_path / f"it.{suffix}"
         mesh.export(path, **({"include_normals": True} if suffix == "glb" else {}))
-        description = load(path)
+        description = load_description(path)
         scene = compile_scene(description)
         assert (scene.width, scene.height) == (512, 512)
         assert model_triangles(description) == len(mesh.faces) == 1280
@@ -282,7 +282,7 @@ def test_bare_obj_uses_colours_and_emission_of_its_mtl(write_file):
     quad = "v {0} 0 0\nv {0} 1 0\nv {0} 1 1\nv {0} 0 1\n"
     quads = quad.format(0) + quad.format(1) + quad.format(2)
     text = f"mtllib folder/it.mtl\n{quads}f 1 2 3 4\nusemtl red\nf 5 6 7 8\nusemtl lamp\nf -4 -3 -2 -1\n"
-    scene = compile_scene(load(write_file("it.obj", text)))
+    scene = compile_scene(load_description(write_file("it.obj", text)))
     colours = slot(scene.bsdfs, "reflectance")[scene.shapes["bsdf"]]
     np.testing.assert_allclose(colours, [[0.5] * 3, [0.8, 0.1, 0.1], [0] * 3], rtol=1e-6)
     assert len(scene.lights) == 2
@@ -305,7 +305,7 @@ def test_bare_glb_uses_transforms_colours_and_emission(tmp_path):
         )
     path = tmp_path / "it.glb"
     scene.export(path)
-    compiled = compile_scene(load(path))
+    compiled = compile_scene(load_description(path))
     corners = compiled.vertices[compiled.faces[:24]].reshape(-1, 3)
     np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[-11, -0.5, -0.5], [1, 0.5, 0.5]])
     materials = compiled.bsdfs[compiled.shapes["bsdf"][:2]]
@@ -328,7 +328,7 @@ def test_public_meshes(public_scenes):
         ("obj/CornellBox-Original.obj", 36),
         ("gltf/SimpleInstancing/SimpleInstancing.glb", 1500),
     ):
-        assert model_triangles(load(public_scenes / name)) == count
+        assert model_triangles(load_description(public_scenes / name)) == count
 
 
 @pytest.mark.parametrize("transform", [np.eye(4), np.diag([-1.0, 2, 1, 1])], ids=["identity", "mirrored"])
@@ -364,7 +364,7 @@ def test_a_million_triangles_load_in_seconds(suffix, tmp_path):
     path = tmp_path / f"it.{suffix}"
     mesh.export(path)
     start = time.perf_counter()
-    description = load(path)
+    description = load_description(path)
     triangles = model_triangles(description)
     assert time.perf_counter() - start < 15  # measured: 2 to 8 s on two busy cores; the first image is due after 20 s
     assert triangles == 1_310_720

@@ -11,7 +11,7 @@ import pytest
 from scalar_mitsuba import import_mitsuba
 
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.mesh.serialized import read_serialized
 
 NORMALS, UVS, COLOURS, FLAT, SINGLE, DOUBLE = 0x1, 0x2, 0x8, 0x10, 0x1000, 0x2000
@@ -136,7 +136,7 @@ def test_a_published_file_against_mitsuba(public_scenes):
         np.testing.assert_array_equal(mesh.vertices, theirs["vertex_positions"])
         np.testing.assert_allclose(mesh.normals, theirs["vertex_normals"], atol=1e-6)
     assert len(mesh.faces) == 14404
-    scene = compile_scene(load(folder / "scene.xml"))
+    scene = compile_scene(load_description(folder / "scene.xml"))
     assert len(scene.faces) == 14404 + 6 * 2
     assert len(scene.lights) == 1
 

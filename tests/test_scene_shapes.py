@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 
 SHEAR = np.array([[1.2, 0.3, 0, 1], [0, 0.7, 0.2, 2], [0.1, 0, 1.5, 3], [0, 0, 0, 1.0]])
 ROTATION_AND_SCALE = np.array([[0, -2, 0, 1], [2, 0, 0, -1], [0, 0, 2, 0.5], [0, 0, 0, 1.0]])  # 90 degrees, factor 2
@@ -20,7 +20,7 @@ ANY_AFFINE = {**TRANSFORMS, "sheared": SHEAR, "sheared and mirrored": SHEAR @ np
 
 
 def compile_shape(**shape):
-    return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "it": shape}))
+    return compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, "it": shape}))
 
 
 def face_normals(scene) -> np.ndarray:
@@ -177,7 +177,9 @@ def test_camera_rays_agree_with_mitsuba(sensor, film, mitsuba):
     """Rays through points of the image, computed from structs.CAMERA."""
     description = {"type": "perspective", **sensor, "film": {"type": "hdrfilm", **film, "rfilter": {"type": "box"}}}
     theirs = mitsuba.load_dict({**description, "to_world": mitsuba.ScalarTransform4f(np.array(VIEW))})
-    camera = compile_scene(load({"type": "scene", "sensor": {**description, "to_world": np.array(VIEW)}})).camera[0]
+    camera = compile_scene(
+        load_description({"type": "scene", "sensor": {**description, "to_world": np.array(VIEW)}})
+    ).camera[0]
     to_world = camera["to_world"].reshape(3, 4).astype(float)
     for image in itertools.product((0.0, 0.3, 1.0), repeat=2):
         ray, _ = theirs.sample_ray(0.0, 0.0, image, (0.0, 0.0))
@@ -198,7 +200,7 @@ def test_camera_axes_in_closed_form():
             "type": "scene",
             "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 40, "height": 20}, **sensor},
         }
-        return compile_scene(load(scene)).camera["tan_half_fov"][0].tolist()
+        return compile_scene(load_description(scene)).camera["tan_half_fov"][0].tolist()
 
     assert tangents(fov=90) == pytest.approx([1, 0.5])
     assert tangents(fov=90, fov_axis="larger") == pytest.approx([1, 0.5])
@@ -220,13 +222,15 @@ def test_camera_axes_in_closed_form():
 )
 def test_filters(rfilter, name, radius):
     film = {"type": "hdrfilm", "rfilter": rfilter}
-    scene = compile_scene(load({"type": "scene", "sensor": {"type": "perspective", "film": film}}))
+    scene = compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective", "film": film}}))
     assert (scene.filter, scene.camera["filter_radius"][0]) == (name, radius)
 
 
 def test_emitters_without_surface():
     def light(**emitter):
-        return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "it": emitter})).lights[0]
+        return compile_scene(
+            load_description({"type": "scene", "sensor": {"type": "perspective"}, "it": emitter})
+        ).lights[0]
 
     turn = [[0, 0, 1, 4], [1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 0, 1]]
     assert light(type="point", position=[1, 2, 3])["position"].tolist() == [1, 2, 3]

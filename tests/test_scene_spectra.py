@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from records import slot
 
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.material.presets import conductors, refractive_indices
 from isonoise.scene.spectra import MITSUBA_LUMINANCE, constant_to_rgb, spectrum_to_rgb
 
@@ -70,7 +70,7 @@ def test_emission_of_a_scene(xml, expected, scene_of):
 def test_every_emitter_converts_its_spectrum_as_emission(kind):
     name = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}[kind]
     emitter = {"type": kind, name: {"type": "spectrum", "value": [(400, 1.0), (700, 1.0)]}}
-    scene = compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "light": emitter}))
+    scene = compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, "light": emitter}))
     np.testing.assert_allclose(scene.lights["radiance"][0] / scene.radiance_scale, RADIANCE[0][1], **TOLERANCE)
 
 

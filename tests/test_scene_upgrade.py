@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isonoise.errors import SceneError
-from isonoise.scene import load
+from isonoise.scene import load_description
 from isonoise.scene.parse.elements import Element, Reference
 from isonoise.scene.parse.xml_reader import read_xml
 from isonoise.scene.parse.xml_upgrade import snake_case
@@ -156,7 +156,7 @@ def test_errors(inside, message, tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(f'<scene version="0.5.0">\n{inside}<sensor type="perspective"/></scene>')
     with pytest.raises(SceneError, match=rf"scene\.xml:2: .*{message}"):
-        load(path)
+        load_description(path)
 
 
 def flatten(scene: Element) -> list[Element]:

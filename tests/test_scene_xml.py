@@ -5,7 +5,7 @@ import pytest
 from records import slot
 
 from isonoise.errors import SceneError
-from isonoise.scene import builtin_scenes, compile_scene, load
+from isonoise.scene import builtin_scenes, compile_scene, load_description
 from isonoise.scene.load import load_scene
 from isonoise.scene.material.bsdf_kinds import bsdf_bits
 
@@ -79,7 +79,7 @@ def test_parameters_may_be_numbers(tmp_path):
         '<scene version="3.0.0"><default name="n" value="1"/><sensor type="perspective">'
         '<sampler type="independent"><integer name="sample_count" value="$n"/></sampler></sensor></scene>'
     )
-    assert compile_scene(load(path, {"n": 12})).sample_count == 12
+    assert compile_scene(load_description(path, {"n": 12})).sample_count == 12
 
 
 def test_references_share_one_object_before_and_after_its_definition(scene_of):
@@ -126,10 +126,10 @@ def test_objects_of_the_scene_that_take_effect_where_they_are_referenced(scene_o
         },
         "ball": {"type": "sphere", "light": {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}}},
     }
-    assert compile_scene(load(inline)).hash == compiled.hash
+    assert compile_scene(load_description(inline)).hash == compiled.hash
     top = {"smp": inline["sensor"].pop("sampler"), "lamp": inline["ball"].pop("light")}
     inline["sensor"]["sampler"], inline["ball"]["light"] = ({"type": "ref", "id": name} for name in top)
-    assert compile_scene(load(inline | top)).hash == compiled.hash
+    assert compile_scene(load_description(inline | top)).hash == compiled.hash
 
 
 def test_includes_and_paths(tmp_path):
@@ -147,7 +147,7 @@ def test_includes_and_paths(tmp_path):
         '<scene version="3.0.0"><path value="meshes"/><default name="r" value="4"/>'
         '<include filename="sub/part.xml"/><sensor type="perspective"/></scene>'
     )
-    scene = load(main)
+    scene = load_description(main)
     assert scene["ball"]["radius"] == 4
     assert scene["ball"]["bsdf"] is scene["paint"]
     assert scene["mesh"]["filename"] == str(tmp_path / "meshes" / "t.obj")
@@ -209,7 +209,7 @@ def test_dicts_and_files_give_the_same_scene(scene_of):
         '<spectrum name="radiance" value="400:1, 700:2"/></emitter></shape>'
         '<emitter type="point"><point name="position" value="1 2 3"/></emitter>'
     )
-    from_dict = load(
+    from_dict = load_description(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 6},
@@ -238,7 +238,7 @@ def test_dicts_and_files_give_the_same_scene(scene_of):
 def test_dict_references_by_id_and_by_keys():
     ball = {"type": "sphere", "paint": {"type": "diffuse", "reflectance": 0.2}}
     for name in ("mine", "ball.paint"):
-        scene = load(
+        scene = load_description(
             {
                 "type": "scene",
                 "sensor": {"type": "perspective"},
@@ -286,19 +286,21 @@ def test_size_replaces_the_film(scene_of):
 def test_built_in_scenes_by_name():
     assert {"bright-spots", "cornell", "penumbra"} <= set(builtin_scenes())
     for name in builtin_scenes():
-        assert len(compile_scene(load(name)).lights)
+        assert len(compile_scene(load_description(name)).lights)
     with pytest.raises(SceneError, match=r"did you mean 'cornell'\? \(built-in: .*cornell.*penumbra"):
-        load("cornel")
+        load_description("cornel")
 
 
 def test_public_scenes(public_scenes):
-    scene = compile_scene(load(public_scenes / "cornell-box" / "scene.xml", {"spp": "5"}))
+    scene = compile_scene(load_description(public_scenes / "cornell-box" / "scene.xml", {"spp": "5"}))
     assert (len(scene.faces), len(scene.lights), scene.max_depth, scene.sample_count) == (36, 1, 16, 5)
     np.testing.assert_allclose(scene.lights["radiance"][0] / scene.radiance_scale, (17, 12, 4), rtol=1e-6)
     folder = public_scenes / "mitsuba-tests" / "tests" / "scenes"
-    scene = compile_scene(load(folder / "floating_sphere" / "test_directional_direct.xml", allow_outside=True))
+    scene = compile_scene(
+        load_description(folder / "floating_sphere" / "test_directional_direct.xml", allow_outside=True)
+    )
     assert (len(scene.faces), scene.max_depth) == (32514, 2)
-    scene = compile_scene(load(public_scenes / "cbox-spheres" / "scene.xml"))
+    scene = compile_scene(load_description(public_scenes / "cbox-spheres" / "scene.xml"))
     assert {bsdf_bits("diffuse"), bsdf_bits("thin_dielectric")} <= set(scene.bsdfs["kind"])
 
 

@@ -12,7 +12,7 @@ from isonoise.integrator.features import features
 from isonoise.integrator.kernel_table import KERNELS, STRUCTS
 from isonoise.integrator.stages import Stages
 from isonoise.render_scene import render
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 
 BLOCK_CAMERA = 1  # kernels/util/random.h
 SEED = (7, 9)
@@ -47,7 +47,7 @@ def scene_with(sensor: dict, film: dict) -> dict:
 
 def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
     """Returns origins with lengths, and directions, both (pixels, SAMPLES, 4), as the kernel writes them."""
-    scene = compile_scene(load(description))
+    scene = compile_scene(load_description(description))
     device = Device()
     constants = structs.CONSTANTS | {"LANES": device.form.lanes}
     stages = Stages(device, {"generate": KERNELS["generate"]}, features(scene), constants, STRUCTS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isonoise.distributed.simulation import Costs, SimulatedWorker, Simulation
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.statistics import BASIC_NEEDS
 
 SHARD_PIXELS = np.full(256, 1024)
@@ -115,7 +115,7 @@ def test_prediction_for_four_workers():
     from isonoise.distributed.cluster import Cluster
 
     size = 512, 512
-    scene = compile_scene(load("cornell", size=size), size=size)
+    scene = compile_scene(load_description("cornell", size=size), size=size)
     needs = BASIC_NEEDS.with_sampler(scene.sampler)
     with Cluster.local(4) as cluster:
         pool = cluster.pool(scene, needs)

@@ -5,7 +5,7 @@ import pytest
 
 from isonoise import View
 from isonoise.errors import SceneError, UserError
-from isonoise.scene import load
+from isonoise.scene import load_description
 from isonoise.scene.camera import compile_camera
 from isonoise.scene.formats.framing import FILL, find_extent
 from isonoise.scene.formats.model_lights import brightness_by_own_lights
@@ -38,7 +38,7 @@ SQUARE = ((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0))
 
 
 def compiled_camera(scene: dict) -> np.ndarray:
-    return compile_camera(load(scene)["sensor"], None)[0][0]
+    return compile_camera(load_description(scene)["sensor"], None)[0][0]
 
 
 def image_points(scene: dict, points: np.ndarray) -> np.ndarray:
@@ -283,7 +283,7 @@ def test_a_camera_of_the_model_is_chosen_by_name_or_number(camera, position):
     assert len(sensors) == 1
     np.testing.assert_allclose(scene[sensors[0]]["to_world"][:3, 3], position)
     assert scene[sensors[0]]["film"]["width"] == 200
-    load(scene)
+    load_description(scene)
 
 
 @pytest.mark.parametrize(
@@ -335,7 +335,7 @@ def test_stl_files_stand_on_z(tmp_path):
     for suffix, up in (("stl", 2), ("ply", 1)):
         path = tmp_path / f"a.{suffix}"
         path.write_bytes(small_files.from_trimesh("stl") if suffix == "stl" else small_files.ply())
-        scene = load(path)
+        scene = load_description(path)
         assert abs(scene["sensor"]["to_world"][up, 0]) < 1e-6
         assert scene["sensor"]["to_world"][up, 2] < 0
 
@@ -347,7 +347,7 @@ def test_a_converted_model_has_the_view_and_no_exposure(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     convert(tmp_path / "a.obj", tmp_path / "b.xml", view=View(look_at=((0, 0, 9), (0, 0, 0))), size=(30, 20))
     assert "exposure" not in (tmp_path / "b.xml").read_text()
-    sensor = load(tmp_path / "b.xml")["sensor"]
+    sensor = load_description(tmp_path / "b.xml")["sensor"]
     np.testing.assert_allclose(sensor["to_world"][:3, 3], (0, 0, 9))
     assert (sensor["film"]["width"], sensor["film"]["height"]) == (30, 20)
 
@@ -361,15 +361,15 @@ def test_views_of_scenes_that_are_no_models(tmp_path):
         "b": {"type": "thinlens", "focal_length": "50mm", "aperture_radius": 0.1},
         "sky": {"type": "constant"},
     }
-    turned = load(scene, view=View(look_at=(5, 0, 0)))["a"]["to_world"]
+    turned = load_description(scene, view=View(look_at=(5, 0, 0)))["a"]["to_world"]
     np.testing.assert_allclose(turned, look_at((0, 3, 8), (5, 0, 0), (0, 1, 0)), atol=1e-12)
-    seen = load(scene, view=View(camera="b", fov=20, env="sky.hdr"), size=(4, 2))
+    seen = load_description(scene, view=View(camera="b", fov=20, env="sky.hdr"), size=(4, 2))
     assert "a" not in seen
     assert "sky" not in seen
     assert (seen["b"]["fov"], seen["b"]["fov_axis"], seen["b"]["film"]["height"]) == (20, "x", 2)
     assert "focal_length" not in seen["b"]
     assert seen["environment"]["filename"].endswith("sky.hdr")
-    level = load(scene, view=View(up=(1, 0, 0)))["a"]["to_world"]
+    level = load_description(scene, view=View(up=(1, 0, 0)))["a"]["to_world"]
     np.testing.assert_allclose(level[:3, 2:], to_world[:3, 2:])
     assert abs(level[0, 0]) < 1e-12
     assert level[0, 1] > 0.9

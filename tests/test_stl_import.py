@@ -10,7 +10,7 @@ from isonoise.errors import SceneError
 from isonoise.scene.formats.report import ImportReport
 from isonoise.scene.formats.stl import read as stl_format
 from isonoise.scene.formats.stl.support import SUPPORT
-from isonoise.scene.load import load
+from isonoise.scene.load import load_description
 from isonoise.scene.spectra import srgb_to_linear
 
 TRIANGLES = np.arange(18, dtype="<f4").reshape(2, 3, 3) ** 2
@@ -35,7 +35,7 @@ def read(folder: Path, data: bytes) -> tuple[dict, ImportReport]:
     (folder / "a.stl").write_bytes(data)
     report = ImportReport("a.stl", SUPPORT)
     scene = stl_format.read(folder / "a.stl", folder, report)
-    load({**scene, "sensor": {"type": "perspective"}})
+    load_description({**scene, "sensor": {"type": "perspective"}})
     return scene["mesh"], report
 
 

@@ -6,7 +6,7 @@ from PIL import Image
 from small_files import write_images
 
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.material.textures import Textures
 from isonoise.scene.spectra import srgb_to_linear
 
@@ -77,7 +77,7 @@ def test_missing_mesh_attributes(tmp_path):
     ply = {"type": "ply", "filename": str(tmp_path / "mesh.ply")}
 
     def compiled(**shape):
-        return compile_scene(load({"type": "scene", "sensor": {"type": "perspective"}, "thing": shape}))
+        return compile_scene(load_description({"type": "scene", "sensor": {"type": "perspective"}, "thing": shape}))
 
     assert len(compiled(**ply, bsdf=wrapped).attributes) == 3
     for shape, message in (

@@ -11,7 +11,7 @@ from scalar_mitsuba import import_mitsuba
 
 from isonoise.errors import SceneError
 from isonoise.integrator.features import features
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.volume.grid_file import VolumeGrid, read_vol, write_vol
 
 VALUES = np.random.default_rng(1).random((5, 6, 7, 3)).astype(np.float32)
@@ -26,7 +26,7 @@ def scene_of_medium(shape: dict | None = None, integrator: str = "volpath", **me
 
 
 def compiled(**medium):
-    return compile_scene(load(scene_of_medium(**medium)))
+    return compile_scene(load_description(scene_of_medium(**medium)))
 
 
 def matrix(rows: np.ndarray) -> np.ndarray:
@@ -103,7 +103,7 @@ def test_a_grid_that_several_media_name_is_stored_once(tmp_path):
     for number in range(3):
         medium = {"type": "heterogeneous", "sigma_t": {**volume}, "albedo": {**volume, "wrap_mode": "mirror"}}
         scene[f"shape {number}"] = {"type": "sphere", "bsdf": NULL, "interior": medium}
-    all_ = compile_scene(load(scene))
+    all_ = compile_scene(load_description(scene))
     media = all_.heterogeneous
     assert (len(all_.media), len(media.records), len(media.grids), media.values.size) == (2, 2, 2, 72)
 
@@ -111,7 +111,7 @@ def test_a_grid_that_several_media_name_is_stored_once(tmp_path):
 def test_homogeneous_media_keep_their_records():
     fog = {"type": "homogeneous", "sigma_t": 2.0}
     scene = scene_of_medium(sigma_t=grid(VALUES)) | {"ball": {"type": "sphere", "bsdf": NULL, "interior": fog}}
-    media = compile_scene(load(scene))
+    media = compile_scene(load_description(scene))
     assert media.heterogeneous.records["sigma_t"].tolist() == [0, structs.NONE]
     assert media.media["sigma_t"].tolist() == [[1.0] * 3, [2.0] * 3]
 
@@ -121,7 +121,7 @@ def test_scenes_without_grids_have_no_feature_and_no_arrays():
         scene_of_medium(integrator="path", sigma_t=grid(VALUES)),
         scene_of_medium() | {"cube": {"type": "cube", "interior": {"type": "homogeneous"}}},
     ):
-        without = compile_scene(load(scene))
+        without = compile_scene(load_description(scene))
         assert without.heterogeneous is None
         assert not features(without)["HETEROGENEOUS"]
     assert features(compiled(sigma_t=grid(VALUES)))["HETEROGENEOUS"]
@@ -184,7 +184,7 @@ def test_far_and_small_scenes_are_placed_with_their_volumes():
         to_world = transform(x=x, y=x, z=x, scale=size)
         for sigma_t in (grid(ramp(0, 1), to_world), {"type": "constvolume", "value": 1.0, "to_world": to_world}):
             shape = {"to_world": to_world @ transform(0.5, 0.5, 0.5, scale=0.5)}
-            scene = compile_scene(load(scene_of_medium(shape, sigma_t=sigma_t, scale=1 / size)))
+            scene = compile_scene(load_description(scene_of_medium(shape, sigma_t=sigma_t, scale=1 / size)))
             record = scene.heterogeneous.records[0]
             assert record["lower"] == pytest.approx(scene.bounds[0], abs=1e-3)
             assert record["upper"] == pytest.approx(scene.bounds[1], abs=1e-3)
@@ -231,7 +231,7 @@ def test_a_file_has_to_be_inside_the_folder(tmp_path):
     for name in ("../a.vol", "b.vol"):
         (tmp_path / "scene" / "s.xml").write_text(text.format(name))
         if name == "b.vol":
-            assert compile_scene(load(tmp_path / "scene" / "s.xml")).heterogeneous.values.size == 24
+            assert compile_scene(load_description(tmp_path / "scene" / "s.xml")).heterogeneous.values.size == 24
         else:
             with pytest.raises(SceneError, match="outside the scene's folder"):
-                load(tmp_path / "scene" / "s.xml")
+                load_description(tmp_path / "scene" / "s.xml")

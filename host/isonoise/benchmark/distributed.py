@@ -24,7 +24,7 @@ from isonoise.distributed.simulation import Costs, SimulatedWave, SimulatedWorke
 from isonoise.distributed.task import Task, TaskResult
 from isonoise.distributed.worker_pool import Lost, Worker, WorkerPool
 from isonoise.integrator.reduction_state import state_planes
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import BASIC_NEEDS, Needs
 from isonoise.tables import Table, columns, markdown_table
@@ -356,7 +356,7 @@ def main() -> None:
     parser.add_argument("--speedup", type=float, default=16.0, help="speed of a worker of a cluster / one core here")
     options = parser.parse_args()
     size = options.size, options.size
-    scene = compile_scene(load(options.scene, size=size), size=size)
+    scene = compile_scene(load_description(options.scene, size=size), size=size)
     needs, cores = BASIC_NEEDS.with_sampler(scene.sampler), len(os.sched_getaffinity(0))
     wave = measure_wave_costs(options.scene, REPEAT, size=size)
     wave_pixel_s = wave["total_share"]["median"] * wave["wave_s"]["median"] / (size[0] * size[1])

@@ -23,7 +23,7 @@ from isonoise.integrator.kernel_table import path_bytes
 from isonoise.progress import ProgressBar
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.load import load
+from isonoise.scene.load import load_description
 
 SCHEMA, SCHEMA_VERSION = "isonoise-bench", 2
 """The version goes up when a field is removed or changes its meaning; fields may be added."""
@@ -94,7 +94,7 @@ def measure_each(sources: Mapping[str, str], measure: Callable[[str, str, ShowPr
 
 def load_scene(source: str, settings: Settings) -> CompiledScene:
     """The compiled scene of a file or built-in scene."""
-    description = load(source, allow_outside=settings.allow_outside, size=settings.size)
+    description = load_description(source, allow_outside=settings.allow_outside, size=settings.size)
     return compile_scene(description, size=settings.size, max_depth=settings.max_depth)
 
 

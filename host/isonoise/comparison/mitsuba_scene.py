@@ -4,7 +4,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from isonoise.errors import SceneError
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.builtin import find_scene
 
 
@@ -17,7 +17,7 @@ def mitsuba_xml(source: Path, sampler: str, size: tuple[int, int] | None, max_de
     if path.suffix.lower() != ".xml":
         raise SceneError(f"{path}: Mitsuba 3 reads .xml scenes only; remove the scene from this comparison")
     # the caller has loaded the scene under the rule of --allow-outside
-    compiled = compile_scene(load(source, allow_outside=True), size=size, max_depth=max_depth)
+    compiled = compile_scene(load_description(source, allow_outside=True), size=size, max_depth=max_depth)
     root = parse(path).getroot()
     sensor = root.find("sensor")
     if sensor is None:

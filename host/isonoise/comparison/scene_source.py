@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.request import PLACEHOLDER, SceneRequest
 from isonoise.errors import SceneError, UserError
-from isonoise.scene import CompiledScene, compile_scene, load
+from isonoise.scene import CompiledScene, compile_scene, load_description
 
 OBJECT = "python:"
 """`SceneEntry.source` of a scene object begins with this; the object's name follows."""
@@ -24,7 +24,7 @@ def compile_request(scene: SceneRequest, allow_outside: bool) -> CompiledScene:
             raise SceneError("a compiled scene has its size, depth and parameters already: give none")
         return scene.source
     values = {name[1:]: value for name, value in scene.settings.items() if name.startswith(PLACEHOLDER)}
-    loaded = load(scene.source, values or None, allow_outside=allow_outside, size=scene.size)
+    loaded = load_description(scene.source, values or None, allow_outside=allow_outside, size=scene.size)
     paths = {path: value for path, value in scene.settings.items() if not path.startswith(PLACEHOLDER)}
     if paths:
         loaded = loaded.copy()  # the caller's object stays as it is

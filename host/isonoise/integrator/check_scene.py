@@ -10,7 +10,7 @@ from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.image.image import Image
 from isonoise.scene.light.envmap import build_environment_map
 from isonoise.scene.light.light_kinds import light_bits
-from isonoise.scene.load import load
+from isonoise.scene.load import load_description
 
 SIDE = 64
 """Pixels per side of the image."""
@@ -74,7 +74,7 @@ class CheckScene:
         }
         if self.has_blocker:
             description["blocker"] = _rectangle(_BLOCKER_EDGE, _FLOOR_SIZE, _FLOOR_SIZE, _BLOCKER_HEIGHT)
-        scene = compile_scene(load(description), sampler=sampler)
+        scene = compile_scene(load_description(description), sampler=sampler)
         return _with_environment_map(scene) if self.is_map else scene
 
 

@@ -3,6 +3,6 @@
 from isonoise.scene.builtin import builtin_scenes
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.load import load
+from isonoise.scene.load import load_description
 
-__all__ = ["CompiledScene", "builtin_scenes", "compile_scene", "load"]
+__all__ = ["CompiledScene", "builtin_scenes", "compile_scene", "load_description"]

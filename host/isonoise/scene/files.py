@@ -1,7 +1,7 @@
 """Opens and reads the files of a scene, records which they are, and checks that they are below the scene's folder."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -27,6 +27,13 @@ def record_files() -> Iterator[dict[Path, None]]:
         yield files
     finally:
         _recorded.reset(token)
+
+
+def note_files(paths: Iterable[Path]) -> None:
+    """Record files that have been read before, for a scene that is used again."""
+    files = _recorded.get()
+    if files is not None:
+        files.update(dict.fromkeys(paths))
 
 
 def open_regular_file(path: Path) -> BinaryIO:

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 class LoadedScene:
     """What `load_scene` returns."""
 
-    description: dict  # as of `load`
+    description: dict  # as of `load_description`
     report: "ImportReport | None"  # of a file in another format than Mitsuba 3's; None for those
-    _element_by_id: dict[str, Element]
+    element_by_id: dict[str, Element]  # of all objects of the file that have an id
     cameras: tuple[str, ...] = ()  # names of all cameras of the file; the description has one of them
     format: str = "Mitsuba 3"
     added: tuple[str, ...] = ()  # what a model got that its file lacks, for people
@@ -41,53 +41,28 @@ class LoadedScene:
     @cached_property
     def ids(self) -> dict[int, str]:
         """The ids of the file's objects, by id() of their dicts in the description."""
-        return {id(element.normalised): name for name, element in self._element_by_id.items() if element.normalised}
+        return {id(element.normalised): name for name, element in self.element_by_id.items() if element.normalised}
+
+    def warn(self) -> None:
+        """Warn of what the description lacks of the file."""
+        for text in self.report.warnings() if self.report else ():
+            warnings.warn(text, stacklevel=3)
 
 
-def load(
+def load_description(
     source: str | os.PathLike | Mapping,
     parameters: dict[str, str] | None = None,
     allow_outside: bool = False,
     view: View | None = None,
     size: tuple[int, int] | None = None,
 ) -> dict:
-    """Read a scene and return its normalised description.
+    """The normalised description of a scene, as plain dicts. Parameters, warnings and errors are those of `load`.
 
-    Parameters
-    ----------
-    source : str, path or dict
-        A Mitsuba 3 XML, glTF, OBJ, PLY, STL or pbrt file, the name of a built-in scene, or a dict as for Mitsuba's
-        `load_dict`.
-    parameters : dict or None
-        Values for the `$name` placeholders of an XML file.
-    allow_outside : bool
-        Whether the files that a scene file names may be anywhere. Otherwise they have to be in its folder or below it,
-        with symbolic links resolved. A dict may name any file.
-    view : View or None
-        Camera and environment in place of the scene's own.
-    size : (width, height) or None
-        Image size in pixels, for which a model is framed. None: the scene's.
-
-    Returns
-    -------
-    dict
-        Plain data in Mitsuba 3's vocabulary: defaults are filled in, references resolved, transforms (4, 4) float64,
-        file names absolute.
-
-    Raises
-    ------
-    SceneError
-        If the scene cannot be read, names a file outside its folder or uses something unsupported.
-
-    Examples
-    --------
-    >>> isonoise.load("cornell")["integrator"]["type"]
-    'path'
+    It is in Mitsuba 3's vocabulary: defaults are filled in, references resolved, transforms (4, 4) float64, file names
+    absolute.
     """
     scene = load_scene(source, parameters, allow_outside, view, size)
-    if scene.report:
-        for text in scene.report.warnings():
-            warnings.warn(text, stacklevel=2)
+    scene.warn()
     return scene.description
 
 
@@ -98,7 +73,7 @@ def load_scene(
     view: View | None = None,
     size: tuple[int, int] | None = None,
 ) -> LoadedScene:
-    """`load` without its warnings, with the report on which they are based. The parameters are those of `load`."""
+    """A scene, with the report of what it has lost. The parameters are those of `load`; there are no warnings."""
     parameters, view = {name: str(value) for name, value in (parameters or {}).items()}, view or NO_VIEW
     if isinstance(source, Mapping):
         if parameters:

@@ -7,12 +7,13 @@ from dataclasses import replace
 from isonoise.errors import SceneError
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
-from isonoise.scene.load import load
+from isonoise.scene.load import load_description
+from isonoise.scene.scene import NO_PARAMETERS, Scene
 from isonoise.scene.view import View
 
 
 def load_compiled(
-    source: str | os.PathLike | Mapping | CompiledScene,
+    source: str | os.PathLike | Mapping | Scene | CompiledScene,
     parameters: dict[str, str] | None = None,
     allow_outside: bool = False,
     view: View | None = None,
@@ -20,19 +21,26 @@ def load_compiled(
     max_depth: int | None = None,
     sampler: str | None = None,
 ) -> CompiledScene:
-    """`compile_scene` of what `load` returns.
+    """`compile_scene` of what `load_description` returns.
 
     Of a CompiledScene only the sampler can be replaced. Raises SceneError, also if the caller tries to replace more.
     """
+    if isinstance(source, Scene):
+        if parameters:
+            raise SceneError(NO_PARAMETERS)
+        return source.compile(size, max_depth, sampler, view)
     if not isinstance(source, CompiledScene):
-        return compile_scene(load(source, parameters, allow_outside, view, size), size, max_depth, sampler)
+        description = load_description(source, parameters, allow_outside, view, size)
+        return compile_scene(description, size, max_depth, sampler)
     if parameters or view or size or max_depth is not None:
         raise SceneError("a compiled scene has its size, depth, view and parameters already: give none")
     return replace(source, sampler=sampler or source.sampler)
 
 
-def source_name(source: str | os.PathLike | Mapping | CompiledScene) -> str:
+def source_name(source: str | os.PathLike | Mapping | Scene | CompiledScene) -> str:
     """Name of a scene in messages and file headers."""
+    if isinstance(source, Scene):
+        return source.name
     if isinstance(source, CompiledScene):
         return "a compiled scene"
     return "a scene in Python" if isinstance(source, Mapping) else os.fspath(source)

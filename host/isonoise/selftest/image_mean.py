@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import compile_scene, load
+from isonoise.scene import compile_scene, load_description
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.selftest.cases import Case, Context
 from isonoise.statistics import Statistics
@@ -35,7 +35,7 @@ class ImageMean:
 
 def render_mean(context: Context, description: dict, spp: int, seed: int = 1) -> ImageMean:
     """Renders with `spp` samples in every pixel."""
-    compiled = compile_scene(load(description))
+    compiled = compile_scene(load_description(description))
     shape = (compiled.height, compiled.width)
     pool = min(2**17, max(2**10, spp * shape[0] * shape[1]))
     wavefront = Wavefront(context.device, compiled, build_scene_bvh(compiled), seed=seed, pool_size=pool)

@@ -12,7 +12,7 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.integrator.wavefront import Wavefront
-from isonoise.scene import compile_scene, load, structs
+from isonoise.scene import compile_scene, load_description, structs
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.selftest.cases import Case, Context, count_case
 from isonoise.selftest.scenes import diffuse, look_at, make_scene, transform
@@ -32,7 +32,7 @@ def _rays_by_bounce(context: Context, description: dict, spp: int = SPP) -> list
     """Returns for each bounce the number of rays and the number of hits."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of bodies that are coarse where they are
-        compiled = compile_scene(load(description))
+        compiled = compile_scene(load_description(description))
     wavefront = Wavefront(context.device, compiled, build_scene_bvh(compiled), seed=1, pool_size=2**17)
     arguments, bounces = wavefront.stages.arguments, []
 
@@ -158,7 +158,7 @@ def singular_instances(context: Context) -> Iterator[Case]:
     accepted = 0
     for matrix in singular.values():
         try:
-            compile_scene(load(_instance(matrix)))
+            compile_scene(load_description(_instance(matrix)))
             accepted += 1
         except SceneError:
             pass

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from isonoise.scene.parse.elements import Element, Reference, SourceLocation
+from isonoise.scene.parse.elements import Element, Reference, SourceLocation, copy_objects
 
 _MAX_DEPTH = 64  # nested dicts; also ends the recursion of a dict that contains itself
 
@@ -17,10 +17,16 @@ def read_dict(source: Mapping) -> Element:
     return _DictReader().read_element(source, "", 0)
 
 
-class _DictReader:
-    """Reads each dict once."""
+def read_value(value: object, path: str, scene: object) -> object:
+    """A value, which may be a dict, for the place `path` of a scene that is loaded already: see `Element.entries`."""
+    return _DictReader(scene).read_value(value, path, 0)
 
-    def __init__(self):
+
+class _DictReader:
+    """Reads each dict once. Objects of `scene`, if it is given, stay the same objects; those of others are copied."""
+
+    def __init__(self, scene: object = None):
+        self.scene = scene
         self.elements: dict[int, Element] = {}  # by id() of the dict
 
     def read_element(self, source: Mapping, path: str, depth: int) -> Element:
@@ -42,12 +48,16 @@ class _DictReader:
             if name in ("type", "id"):
                 continue
             value_path = f"{path}.{name}" if path else name
-            entry = (name, self._read_value(value, value_path, depth), SourceLocation(element=value_path))
+            entry = (name, self.read_value(value, value_path, depth), SourceLocation(element=value_path))
             element.entries.append(entry)
         self.elements[id(source)] = element
         return element
 
-    def _read_value(self, value, path: str, depth: int):
+    def read_value(self, value, path: str, depth: int):
+        if hasattr(value, "is_part_of"):
+            shared = value.is_part_of(self.scene)
+            checked = value.normalised if shared else copy_objects(value.normalised)
+            return Element(SourceLocation(element=path), "", checked["type"], "", normalised=checked)
         if isinstance(value, Mapping):
             type_ = value.get("type")
             type_ = type_ if isinstance(type_, str) else None

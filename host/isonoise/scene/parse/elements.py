@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 from isonoise.errors import SceneError
 
@@ -61,6 +61,36 @@ class Reference:
     """A reference to the object with this id."""
 
     id: str
+
+
+class CheckedObject(Protocol):
+    """An object of a loaded scene, such as a material, that is used in a dict again."""
+
+    @property
+    def normalised(self) -> dict:
+        """The normalised object."""
+        ...
+
+    def is_part_of(self, scene: object) -> bool:
+        """Whether it belongs to this scene, which then shares it."""
+        ...
+
+
+def copy_objects(part: dict, copies: dict[int, dict] | None = None) -> dict:
+    """A copy of a normalised object and all in it: shared objects stay shared, arrays and images are not copied.
+
+    `copies` gets the new dicts by the id() of the old ones.
+    """
+    copies = {} if copies is None else copies
+    if id(part) not in copies:
+        copies[id(part)] = result = {}
+        result.update((k, copy_objects(v, copies) if is_object(v) else v) for k, v in part.items())
+    return copies[id(part)]
+
+
+def is_object(value: object) -> bool:
+    """Whether a value of a normalised object is an object itself: no number, colour, array or dict of arrays."""
+    return isinstance(value, dict) and value.get("type") not in (None, "rgb", "spectrum")
 
 
 def with_article(noun: str) -> str:

@@ -3,9 +3,11 @@
 All checks of names, types and ranges are here, so XML files and Python dicts get the same ones.
 """
 
+from collections import Counter
+
 from isonoise.scene import vocabulary
 from isonoise.scene.parse.constraints import check_constraints
-from isonoise.scene.parse.elements import Element, Location, Reference, did_you_mean, with_article
+from isonoise.scene.parse.elements import Element, Location, Reference, did_you_mean, is_object, with_article
 from isonoise.scene.parse.parameter_values import check_value, constant_of
 from isonoise.scene.parse.xml_tags import MAX_DEPTH
 from isonoise.scene.vocabulary.plugin import COLOURS, IGNORED, UNSUPPORTED, Child, Parameter, Plugin
@@ -54,6 +56,17 @@ class SceneNormaliser:
             self._add_entry(self.plugin, self.scene, self.child_counts, *entry)
         _complete(self.plugin, self.scene, self.child_counts, root.location)
         return self.scene
+
+    def add_to(self, part: dict, entry: tuple[str, object, Location] | None, location: Location) -> dict:
+        """A copy of a normalised object with another entry, and with defaults for all that is missing."""
+        plugin, result = vocabulary.find_plugin(part["type"]), dict(part)
+        nested = (value["type"] for value in part.values() if is_object(value))
+        child_counts = Counter(vocabulary.find_plugin(type_).kind for type_ in nested)
+        if entry:
+            self._collect_ids(entry[1])
+            self._add_entry(plugin, result, child_counts, *entry)
+        _complete(plugin, result, child_counts, location)
+        return result
 
     def _collect_ids(self, value) -> bool:
         """Store the ids of an object and of all inside it. Whether all that it refers to is normalised."""
@@ -256,6 +269,10 @@ def _add_child(plugin: Plugin, child: Child, result: dict, count: int, name: str
         key = name
     else:
         key = f"{child.kind}_{count}" if count else child.kind
+        if key in result:  # an earlier one was replaced
+            key = next(
+                key for key in (child.kind, *map(f"{child.kind}_{{}}".format, range(1, count))) if key not in result
+            )
     result[key] = nested
 
 

@@ -58,6 +58,12 @@ def plugins_of(kind: str) -> Mapping[str, Plugin]:
     return MappingProxyType({p.name: p for p in PLUGINS if p.kind == kind})
 
 
+@cache
+def find_plugin(name: str) -> Plugin:
+    """The supported plugin of this name, which no other kind has."""
+    return next(plugin for plugin in PLUGINS if plugin.name == name)
+
+
 def kinds_of(name: str) -> tuple[str, ...]:
     """All kinds in which Mitsuba 3 has a plugin with this name."""
     supported = tuple(p.kind for p in PLUGINS if p.name == name)

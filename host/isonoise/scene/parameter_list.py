@@ -1,0 +1,97 @@
+"""ParameterList: what `Scene.params()` returns; a mapping that prints as a table."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from isonoise.scene.parse.plugin_tables import parameter_info
+from isonoise.scene.paths import Place, is_film_size
+from isonoise.scene.vocabulary import find_plugin
+from isonoise.tables import LEFT, Column, Table, text_table
+
+_MAX_SHOWN_NUMBERS = 4
+_MAX_SHOWN_CHARS = 48
+
+
+@dataclass(frozen=True)
+class SceneParameter:
+    """A parameter of a scene."""
+
+    path: str
+    type: str  # 'number', 'colour', 'transform' and so on
+    shape: tuple[int, ...]  # of the value; () if it is a single one
+    value: object
+    meaning: str  # one line, with the unit
+
+
+class ParameterList(Mapping[str, object]):
+    """The parameters of a scene that have values: path -> value. Prints as a table of paths, types, shapes and values.
+
+    Attributes
+    ----------
+    parameters : list of SceneParameter
+        With types, shapes and meanings.
+    """
+
+    def __init__(self, places: Iterable[Place]):
+        self.parameters = [_describe(place) for place in places]
+        self._values = {parameter.path: parameter.value for parameter in self.parameters}
+
+    def __getitem__(self, path: str) -> object:
+        return self._values[path]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def table(self) -> Table:
+        """Path, type, shape and value of each parameter as text."""
+        rows = [
+            (parameter.path, parameter.type, "x".join(map(str, parameter.shape)), _shown(parameter.value))
+            for parameter in self.parameters
+        ]
+        return Table([Column(head, LEFT) for head in ("path", "type", "shape", "value")], rows)
+
+    def __repr__(self) -> str:
+        return text_table(self.table(), indent="")
+
+
+def plain_value(value: object) -> object:
+    """A value of the description as users see it: a colour as three numbers, an array read-only."""
+    if isinstance(value, np.ndarray):
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    if isinstance(value, dict):
+        if value.get("type") == "rgb":
+            return tuple(value["value"])
+        return MappingProxyType({name: plain_value(part) for name, part in value.items()})
+    return value
+
+
+def _describe(place: Place) -> SceneParameter:
+    if is_film_size(place.owner, place.key):
+        size = (place.owner["width"], place.owner["height"])
+        return SceneParameter(place.path, "whole numbers", (2,), size, "width and height, pixels")
+    value = plain_value(place.owner[place.key])
+    parameter = find_plugin(place.owner["type"]).parameter(place.key)
+    info = parameter_info(parameter)
+    shape = np.shape(getattr(value, "pixels", () if isinstance(value, Mapping) else value))
+    return SceneParameter(place.path, info["type"], shape, value, info["meaning"])
+
+
+def _shown(value: object) -> str:
+    """A value in a cell of the table."""
+    if isinstance(value, Mapping):
+        text = ", ".join(value) if "type" not in value else str(dict(value))
+    elif isinstance(value, (np.ndarray, tuple)):
+        numbers = np.asarray(value).ravel()
+        text = ", ".join(f"{number:g}" for number in numbers[:_MAX_SHOWN_NUMBERS].tolist())
+        text += ", ..." * (len(numbers) > _MAX_SHOWN_NUMBERS)
+    else:
+        text = f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= _MAX_SHOWN_CHARS else "..." + text[3 - _MAX_SHOWN_CHARS :]

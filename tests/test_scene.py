@@ -1,0 +1,193 @@
+"""Scene: values by path, new objects, copies, errors."""
+
+import numpy as np
+import pytest
+from small_scene import lamp_over_floor
+
+import isonoise
+from isonoise.errors import SceneError
+from isonoise.scene import compile_scene, load_description
+from isonoise.scene.scene import load
+
+
+def error_of(action, *arguments) -> str:
+    """The message of the SceneError that a call raises."""
+    with pytest.raises(SceneError) as caught:
+        action(*arguments)
+    return str(caught.value)
+
+
+def test_values_by_path():
+    scene = load("cornell")
+    assert scene["lamp.radiance"] == scene["lamp.emitter.radiance"] == scene["lamp"]["radiance"] == (21, 18.5, 15.5)
+    assert scene["film.size"] == (scene["sensor.film.width"], scene["film.height"]) == (256, 256)
+    assert scene["floor.bsdf"] == scene["plaster"] != scene["teal"]
+    assert scene["sensor.to_world"].shape == (4, 4)
+    assert "film.width" in scene
+    assert "film.exposure" not in scene
+    assert scene.get("film.exposure", 1.0) == 1.0
+    assert (scene["tall"].kind, scene["tall"].type) == ("shape", "cube")
+    assert list(scene) == list(load_description("cornell"))
+    with pytest.raises(ValueError, match="read-only"):
+        scene["sensor.to_world"][0, 0] = 2
+
+
+def test_set_values_take_effect():
+    scene = load("cornell")
+    scene["film.size"] = (32, 24)
+    scene["integrator.max_depth"] = np.int64(3)
+    scene["lamp.radiance"] = np.array([1.0, 2.0, 3.0])
+    scene["plaster.reflectance"] = 0.25
+    scene["sampler.sample_count"] = 9
+    compiled = scene.compile()
+    assert (compiled.width, compiled.height, compiled.max_depth, compiled.sample_count) == (32, 24, 3, 9)
+    radiance = compiled.lights["radiance"][0] / compiled.radiance_scale
+    np.testing.assert_allclose(radiance, (1, 2, 3))
+    assert scene["floor.bsdf.reflectance"] == 0.25
+    del scene["integrator.max_depth"]
+    assert scene["integrator.max_depth"] == -1
+
+
+def test_a_new_material_takes_effect():
+    """It is that of the shape alone; a new material under its own name is that of all shapes that use it."""
+    scene = load("cornell")
+    scene["floor.bsdf"] = {"type": "conductor", "material": "Au"}
+    assert scene["floor.bsdf.material"] == "Au"
+    assert scene["back.bsdf"].type == "diffuse"
+    scene["plaster"] = {"type": "twosided", "bsdf": scene["plaster"]}
+    assert (scene["back.bsdf"].type, scene["back.bsdf.bsdf"].type, scene["floor.bsdf"].type) == (
+        "twosided",
+        "diffuse",
+        "conductor",
+    )
+    scene["floor.bsdf"] = scene["back.bsdf"]
+    assert scene["floor.bsdf"] == scene["plaster"]
+    scene["floor.bsdf"] = {"type": "ref", "id": "teal"}
+    assert scene["floor.bsdf"] == scene["teal"]
+    source = load_description("cornell")
+    source["floor"]["bsdf"] = source["teal"]
+    expected = load("cornell")
+    expected["floor.bsdf"] = expected["teal"]
+    assert expected.compile().hash == compile_scene(source).hash
+
+
+def test_objects_are_added_and_removed():
+    scene = load("cornell")
+    scene["ball"] = {"type": "sphere", "radius": 0.2, "bsdf": {"type": "twosided", "inner": scene["ochre"]}}
+    assert scene["ball.bsdf.bsdf"] == scene["ochre"]
+    assert len(scene.compile().analytics) == 1
+    scene["ball.emitter"] = {"type": "area", "radiance": 2.0}
+    assert len(scene.compile().lights) == 2
+    del scene["ball.emitter"], scene["lamp"]
+    assert len(scene.compile().lights) == 0
+    del scene["ball"]
+    assert "ball" not in scene
+
+
+def test_a_copy_changes_on_its_own():
+    scene = load("cornell")
+    copied = scene.copy()
+    copied["teal.reflectance"], copied["film.width"] = 0.5, 7
+    assert copied["left.bsdf.reflectance"] == 0.5
+    assert scene["left.bsdf.reflectance"] == (0.06, 0.3, 0.36)
+    assert scene.compile().hash == compile_scene(load_description("cornell")).hash
+    copied["teal"] = scene["ochre"]
+    copied["teal.reflectance"] = 0.125
+    assert scene["ochre.reflectance"] == (0.66, 0.3, 0.06)
+
+
+def test_params_lists_what_can_be_read():
+    scene = load("cornell")
+    params = scene.params()
+    assert len(params) == len(params.parameters) > 30
+    for parameter in params.parameters:
+        np.testing.assert_equal(scene[parameter.path], parameter.value)
+        if parameter.path != "sensor.film.size":
+            scene[parameter.path] = parameter.value
+    assert scene.compile().hash == load("cornell").compile().hash
+    assert params["lamp.emitter.radiance"] == (21, 18.5, 15.5)
+    shape = {parameter.path: parameter.shape for parameter in params.parameters}
+    assert (shape["sensor.to_world"], shape["plaster.reflectance"], shape["sensor.fov"]) == ((4, 4), (3,), ())
+    line = next(line for line in repr(params).splitlines() if line.startswith("lamp.emitter.radiance"))
+    assert line.split() == ["lamp.emitter.radiance", "colour", "3", "21,", "18.5,", "15.5"]
+    assert set(scene["lamp"].params()) == {path for path in params if path.startswith("lamp.")}
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("film.sise", "the scene has no 'film.sise'; did you mean 'film.size'?"),
+        ("lamp.radance", "shape 'lamp' has no 'radance'; did you mean 'radiance'?"),
+        ("flor", "the scene has no 'flor'; did you mean 'floor'?"),
+        ("floor.bsdf.alpha", "bsdf 'floor.bsdf' has no 'alpha' (it has: reflectance)"),
+        ("reflectance", "'reflectance' is ambiguous: it may be 'plaster.reflectance', 'teal.reflectance'"),
+        ("film.exposure", "'sensor.film.exposure' is not set (its default: by the image's brightness)"),
+        ("floor.type", "shape 'floor' has no 'type'"),
+        ("", "the scene has no ''"),
+        (3, "a path is a text such as 'film.width', got 3"),
+    ],
+)
+def test_errors_of_paths(path, message):
+    scene = load("cornell")
+    assert message in error_of(scene.__getitem__, path)
+    with pytest.raises(KeyError):
+        scene[path]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("film.size", (0, 3), "sensor.film.width: 'width' has to be in [1, 65536], got 0"),
+        ("film.size", "8", "a size is (width, height) in pixels, got '8'"),
+        ("film.width", 2.5, "'width' has to be a whole number, got 2.5"),
+        ("lamp.radiance", -1, "lamp.emitter.radiance: a radiance cannot be negative"),
+        ("plaster.reflectance", (0.5, 0.5, 2), "a reflectance is at most 1"),
+        ("floor.bsdf", {"type": "difuse"}, "floor.bsdf: unknown type 'difuse'; did you mean 'diffuse'?"),
+        ("floor.bsdf", {"type": "sphere"}, "cannot contain a shape"),
+        ("floor.bsdf", {"type": "twosided", "in": {"type": "dielectric"}}, "twosided cannot contain the transmissive"),
+        ("floor.bsdf", 0.5, "'bsdf' is an object: give a dict"),
+        ("plaster", {"type": "sphere"}, "uses it, which cannot contain a 'sphere'"),
+        ("sensor.focal_length", "50mm", "give 'fov' or 'focal_length', not both"),
+        ("more", {"type": "path"}, "a scene can have only one integrator"),
+        ("more", 3, "the scene has no 'more'"),
+        ("more.bsdf", {"type": "diffuse"}, "the scene has no 'more.bsdf'"),
+    ],
+)
+def test_a_refused_change_changes_nothing(path, value, message):
+    scene = load("cornell")
+    before = scene.compile().hash, repr(scene.params())
+    assert message in error_of(scene.__setitem__, path, value)
+    assert (scene.compile().hash, repr(scene.params())) == before
+
+
+def test_objects_cannot_contain_themselves():
+    scene = load("cornell")
+    scene["floor.bsdf"] = {"type": "twosided", "bsdf": {"type": "diffuse"}}
+    assert "refers to itself" in error_of(scene.__setitem__, "floor.bsdf.bsdf", scene["floor.bsdf"])
+    for _ in range(60):
+        scene["floor.bsdf"] = {"type": "twosided", "bsdf": scene["floor.bsdf"]}
+    message = error_of(scene.__setitem__, "floor.bsdf", {"type": "twosided", "bsdf": scene["floor.bsdf"]})
+    assert "nested more than 64 levels deep" in message
+
+
+def test_required_values_cannot_be_removed():
+    scene = load({**lamp_over_floor(), "mesh": {"type": "mesh", "vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}})
+    assert "shape 'mesh' needs a 'faces'" in error_of(scene.__delitem__, "mesh.faces")
+    assert "needs a" in error_of(scene.__delitem__, "sensor") or "no sensor" in error_of(scene.__delitem__, "sensor")
+
+
+def test_defaults_of_mitsuba_have_paths():
+    scene = load({"type": "scene", "camera": {"type": "perspective"}, "light": {"type": "constant"}})
+    assert scene["film.size"] == (768, 576)
+    assert (scene["integrator.max_depth"], scene["sampler.sample_count"]) == (-1, 4)
+    assert scene["sensor"] == scene["camera"]
+    assert scene["light.radiance"] == scene["emitter.radiance"] == 1.0
+
+
+def test_a_renderer_takes_a_scene():
+    scene = load(lamp_over_floor())
+    scene["film.size"] = (8, 6)
+    with isonoise.Renderer(scene, size=(5, 4)) as renderer:
+        assert (renderer.scene.width, renderer.scene.height) == (5, 4)
+        assert renderer.source_name == "a scene in Python"
+    assert "parameters belong to XML files" in error_of(lambda: isonoise.Renderer(scene, parameters={"a": "b"}))
