@@ -19,10 +19,10 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
-def check_keywords(function: Callable[..., object], names: Iterable[str], others: Iterable[str] = ()) -> None:
-    """Raise UserError unless these are keyword arguments of a function or a class, or among `others`."""
-    parameters = inspect.signature(function).parameters.values()
-    known = [*others, *(each.name for each in parameters if each.kind is not each.VAR_KEYWORD)]
+def check_keywords(names: Iterable[str], *functions: Callable[..., object]) -> None:
+    """Raise UserError unless these are keyword arguments of one of the functions or classes."""
+    parameters = [each for function in functions for each in inspect.signature(function).parameters.values()]
+    known = list(dict.fromkeys(each.name for each in parameters if each.kind is not each.VAR_KEYWORD))
     for name in names:
         if name not in known:
             raise UserError(f"there is no argument '{name}'{nearest(name, known)}; known are {', '.join(known)}")

@@ -57,6 +57,10 @@ class ProgressBar:
             bar = f'<progress{share} aria-label="progress" style="width:40%"></progress>'
             self._notebook.show(f"{bar} {html.escape(description)}", description)
 
+    def show_compilation(self, program: str, done: int, total: int) -> None:
+        """Show that a kernel program is compiled, after `done` of `total` others."""
+        self.show(done, total, f"compiling kernels, {done} of {total} done: {program}")
+
 
 def in_notebook() -> bool:
     """Whether the code runs in a kernel of Jupyter, so that what it displays appears in a notebook."""

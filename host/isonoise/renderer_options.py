@@ -47,11 +47,11 @@ class RendererOptions(TypedDict, total=False):
 def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options with numbers of Python's own types. Raises UserError if one has another type or is out of range.
 
-    None stays None, and what is no option is left alone.
+    None stays None where it is accepted, and what is no option is left alone.
     """
     checked = dict(options)
     for name, check in _CHECKS.items():
-        if name in checked and checked[name] is not None:
+        if name in checked and (checked[name] is not None or name in _NEVER_NONE):
             checked[name] = check(name, checked[name])
     return checked
 
@@ -73,6 +73,7 @@ def _check_view(name: str, value: object) -> object:
     return value
 
 
+_NEVER_NONE = ("strategy", "seed", "profile", "allow_outside")
 _CHECKS: dict[str, Callable[[str, object], object]] = {
     "device": _check_device,
     "strategy": _check_strategy,

@@ -227,7 +227,7 @@ class _SetUpDisplay:
             print_settings(self._options, renderer)
             self._bar = ProgressBar("compiling").__enter__()
         if program:
-            self._bar.show(done, total, f"compiling kernels, {done} of {total} done: {program}")
+            self._bar.show_compilation(program, done, total)
 
     def show_workers(self, number: int) -> None:
         """Called by `Cluster` while no worker is ready."""
