@@ -16,6 +16,7 @@ SHARED = {
     f"isonoise.strategies.{name}"
     for name in (
         "base",
+        "lookup",
         "measures",
         "planner",
         "parameters",
@@ -104,7 +105,7 @@ def test_a_uniform_render_imports_nothing_of_other_renders(tmp_path):
 
 def test_an_adaptive_render_imports_only_its_own_strategy(tmp_path):
     modules = render("cornell", "--strategy", "relative-mean", folder=tmp_path)
-    own = {f"isonoise.strategies.{name}" for name in ("adaptive", "allocation", "water_filling")}
+    own = {f"isonoise.strategies.{name}" for name in ("adaptive", "allocation", "pieces", "water_filling")}
     assert strategies(modules) == own
 
 

@@ -14,23 +14,23 @@ from isonoise.renderer import Renderer
 from isonoise.strategies import Strategy, Wave
 from isonoise.strategies.uniform_allocation import uniform_allocation
 
-CHECKOUT = Path(__file__).resolve().parent.parent
+EXAMPLES = Path(__file__).resolve().parent.parent / "host" / "docs" / "examples"
 
 
-def documented_example() -> str:
-    """The strategy that host/docs/extending.md shows."""
-    text = (CHECKOUT / "host" / "docs" / "extending.md").read_text()
-    (block,) = re.findall(r"```python\n(.*?class .*?)```", text, re.DOTALL)
-    return block
+def test_the_examples_are_short_and_those_of_the_page():
+    page = (EXAMPLES.parent / "custom.md").read_text()
+    for example in EXAMPLES.glob("*.py"):
+        text = example.read_text()
+        assert f"`{example.name}`:\n\n```python\n{text}```" in page, example.name
+        code = [line for line in text.splitlines() if line.strip() and not line.startswith(("import", "from"))]
+        assert len(code) <= 10, example.name
 
 
-def test_the_strategy_of_the_readme(tmp_path, monkeypatch):
-    """Ten lines, by name and as an object, and it does what the text says."""
-    text = documented_example()
-    assert len([line for line in text.splitlines() if line.strip() and not line.startswith(("import", "from"))]) <= 10
-    (tmp_path / "proportional.py").write_text(text)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+@pytest.mark.usefixtures("one_lane")
+def test_the_strategy_of_the_examples(monkeypatch):
+    """By name and as an object, and it does what the text says."""
+    monkeypatch.chdir(EXAMPLES)
+    monkeypatch.syspath_prepend(EXAMPLES)
     by_name = render(lamp_over_floor(), spp=24, strategy="proportional:Proportional").statistics
     from proportional import Proportional
 
@@ -41,6 +41,21 @@ def test_the_strategy_of_the_readme(tmp_path, monkeypatch):
         by_name.count[by_name.variance == 0] <= 17
     ).all()  # 16 of the uniform waves, 8 to 16 in all if it did nothing
     assert by_name.count.max() > 32
+
+
+@pytest.mark.usefixtures("one_lane")
+def test_the_measure_and_the_rule_of_the_examples(monkeypatch):
+    """The rule gives half of the adaptive samples to all pixels, and those without noise no more than that."""
+    monkeypatch.chdir(EXAMPLES)
+    spec = "adaptive:measure=displayed:displayed_error,rule=half_uniform:half_uniform,ratio=inf,clip=1"
+    with Renderer(lamp_over_floor(), strategy=spec) as renderer:
+        adaptive = sum(renderer.step().samples for _ in range(6)) - 16 * PIXELS
+        statistics = renderer.statistics()
+    black = statistics.mean == 0
+    assert black.any()
+    np.testing.assert_allclose(statistics.count[black], 16 + adaptive / PIXELS / 2, atol=5)  # rounded in each wave
+    assert statistics.count.min() == statistics.count[black].min()
+    assert statistics.count.max() > 16 + 2 * adaptive / PIXELS
 
 
 class Scripted(Strategy):

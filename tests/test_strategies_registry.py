@@ -14,6 +14,7 @@ from isonoise.strategies import (
     Strategy,
     available_strategies,
     describe,
+    lookup,
     make_strategy,
     registry,
 )
@@ -129,7 +130,8 @@ def test_describe_writes_every_parameter():
 
 @pytest.mark.parametrize("name", registry.BUILT_IN)
 def test_built_in_strategies_describe_themselves_and_document_their_parameters(name):
-    strategy = make_strategy(f"{name}:file=variance.exr" if name == "oracle" else name)
+    required = {"oracle": ":file=variance.exr", "adaptive": ":measure=absolute"}
+    strategy = make_strategy(name + required.get(name, ""))
     assert strategy.name == name
     again = make_strategy(describe(strategy))
     assert type(again) is type(strategy)
@@ -153,11 +155,11 @@ def test_custom_classes():
 @pytest.mark.usefixtures("user_module")
 def test_names_from_entry_points(monkeypatch):
     entries = [
-        EntryPoint("dark", "my_strategies:Dark", registry.ENTRY_POINT_GROUP),
-        EntryPoint("broken", "broken_strategies:X", registry.ENTRY_POINT_GROUP),
-        EntryPoint("uniform", "my_strategies:Dark", registry.ENTRY_POINT_GROUP),  # a built-in name takes precedence
+        EntryPoint("dark", "my_strategies:Dark", "isonoise.strategies"),
+        EntryPoint("broken", "broken_strategies:X", "isonoise.strategies"),
+        EntryPoint("uniform", "my_strategies:Dark", "isonoise.strategies"),  # a built-in name takes precedence
     ]
-    monkeypatch.setattr(registry, "_entry_points", lambda: entries)
+    monkeypatch.setattr(lookup, "entry_points", lambda group: [entry for entry in entries if entry.group == group])
     assert available_strategies()[-3:] == ["luxcore", "broken", "dark"]
     monkeypatch.syspath_prepend(".")
     assert make_strategy("dark:spp=3").spp == 3.0
@@ -183,6 +185,12 @@ def test_names_from_entry_points(monkeypatch):
         ("relative-mean:ratio=nan", "from 0.01"),
         ("relative-mean:growth=inf", "0.01 to 4"),
         ("relative-mean:rule=best", "deficit, sqrt, proportional"),
+        ("relative-mean:rule=defict", "did you mean 'deficit'"),
+        ("adaptive", "needs measure="),
+        ("adaptive:measure=relative_mean", "did you mean 'relative-mean'"),
+        ("adaptive:measure=my_strategies:drak", "measure 'my_strategies:drak': .* has no 'drak'"),
+        ("adaptive:measure=my_strategies:Dark", "is not a function"),
+        ("adaptive:measure=my_strategies:np", "is not a function"),
         ("relative-median:chunk=4", "odd"),
         ("pooled:window=4", "odd"),
         ("tsallis:q=0", "0.1 to 8"),

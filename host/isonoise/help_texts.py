@@ -8,6 +8,7 @@ def render_epilog() -> str:
     """Strategies with their parameters, and the columns of the log."""
     from isonoise.film.log import columns
     from isonoise.strategies import DEFAULT_STRATEGY, available_strategies, describe, make_strategy
+    from isonoise.strategies.lookup import MEASURES, RULES
 
     lines = [f"strategies (default: {DEFAULT_STRATEGY}) with their parameters' defaults:"]
     for name in available_strategies():
@@ -15,7 +16,9 @@ def render_epilog() -> str:
             lines.append(f"  {describe(make_strategy(name))}")
         except UserError as error:  # a parameter is required, or an installed package's strategy fails to load
             lines.append(f"  {name}: {error}")
-    lines += ["  module:Class for your own", ""]
+    lines.append("  module:Class for your own")
+    lines.append("  measures: " + ", ".join([*MEASURES.names(), "module:function for your own"]))
+    lines.append("  rules: " + ", ".join([*RULES.names(), "module:function for your own"]) + "\n")
     lines.append("columns of --log (those with the prefix true_ only with --reference):")
     lines.append(label_lines(columns(true_errors=True).items(), indent="  ", wrap=110))
     lines += [

@@ -6,6 +6,7 @@ from pathlib import Path
 from isonoise.errors import UserError
 from isonoise.samplers import SAMPLERS
 from isonoise.strategies import Strategy, describe, make_strategy
+from isonoise.strategies.registry import split_spec
 
 MITSUBA_SAMPLERS = {"mitsuba-independent": "independent", "mitsuba-multijitter": "multijitter"}
 """Strategies that Mitsuba 3 renders, and its sampler."""
@@ -36,14 +37,15 @@ def split_sampler(spec: str) -> tuple[str, str]:
 
     Raises UserError if there is no such sampler.
     """
-    head, colon, tail = spec.strip().rpartition(":")
-    items = [item.strip() for item in tail.split(",")]
-    if not colon or not any(item.startswith("sampler=") for item in items):
+    if "sampler=" not in spec:
         return spec, SAMPLERS[0]
-    sampler = next(item for item in items if item.startswith("sampler=")).removeprefix("sampler=").strip()
+    head, parameters = split_spec(spec)
+    if "sampler" not in parameters:
+        return spec, SAMPLERS[0]
+    sampler = parameters.pop("sampler")
     if sampler not in SAMPLERS:
         raise UserError(f"strategy '{spec}': there is no sampler '{sampler}'; known are {', '.join(SAMPLERS)}")
-    others = ",".join(item for item in items if not item.startswith("sampler="))
+    others = ",".join(f"{name}={value}" for name, value in parameters.items())
     return (f"{head}:{others}" if others else head), sampler
 
 

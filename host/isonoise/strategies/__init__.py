@@ -1,6 +1,6 @@
 """Strategies decide how the samples are distributed: a schedule of waves and an allocation map for each.
 
-A built-in strategy is one file (or class) and one row of `registry.py`.
+A built-in strategy is one file (or class) and one row of `lookup.py`.
 """
 
 from isonoise.strategies.base import Strategy, Wave

@@ -1,5 +1,7 @@
 """isonoise's own adaptive strategies: a variance estimate, an allocation rule, uniform waves in between.
 
+`Adaptive` takes the measure as a parameter.
+
 A strategy's measure is what its rule acts on: `deficit` makes it equal in all pixels, `sqrt` minimises the mean of its
 square. `deficit` is the default of all but `pooled`.
 """
@@ -10,28 +12,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isonoise.errors import UserError
-from isonoise.statistics import Needs, Statistics
+from isonoise.statistics import BASIC_NEEDS, Needs, Statistics
 from isonoise.strategies import measures
-from isonoise.strategies.allocation import deficit, proportional_to_error
 from isonoise.strategies.base import Strategy, Wave
 from isonoise.strategies.parameters import check_integer, check_odd, ranged
+from isonoise.strategies.pieces import (
+    AllocationRule,
+    Measure,
+    allocate_by_rule,
+    compute_measure,
+    find_measure,
+    find_rule,
+)
 from isonoise.strategies.schedule import alternating_waves
-
-RULES = ("deficit", "sqrt", "proportional")
 
 
 @dataclass(kw_only=True, eq=False)
-class Adaptive(Strategy):
+class AdaptiveBase(Strategy):
     """A uniform warm-up, then adaptive and uniform waves in turn.
 
     A subclass says what V is, the variance of one sample; with n samples so far the squared error is V / n.
 
     Parameters
     ----------
-    rule : str
+    rule : str or callable
         `deficit` fills up to n ~ V: equal errors. `sqrt` fills up to n ~ sqrt(V): least mean squared error.
-        `proportional` gives samples in proportion to (V / n)^exponent.
+        `proportional` gives samples in proportion to (V / n)^exponent. Also `module:function`, an entry point of the
+        group `isonoise.allocation_rules`, or a function: see `pieces.AllocationRule`.
     exponent : float
         Of the rule `proportional`, 0.01 to 16.
     warmup : int
@@ -47,7 +54,7 @@ class Adaptive(Strategy):
         from 2, or inf.
     """
 
-    rule: str = "deficit"
+    rule: AllocationRule | str = "deficit"
     exponent: float = ranged(1.0, 0.01, 16)
     warmup: int = ranged(16, 2, 65536)
     ratio: float = ranged(1.0, 0.01)
@@ -57,8 +64,7 @@ class Adaptive(Strategy):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.rule not in RULES:
-            raise UserError(f"strategy parameter rule = {self.rule!r} is not one of {', '.join(RULES)}")
+        self.rule = find_rule(self.rule)
         check_integer("cap", self.cap)
 
     def waves(self) -> Iterator[Wave]:
@@ -66,26 +72,59 @@ class Adaptive(Strategy):
 
     def allocate(self, statistics: Statistics, budget: int) -> np.ndarray:
         variance = self.variance(statistics, measures.image_floor(statistics.mean))
-        # The sample count serves as wave index: it grows with every wave and needs no state.
-        wave_index = statistics.samples
-        limits = {"clip": self.clip, "cap": self.cap}
-        if self.rule == "proportional":
-            return proportional_to_error(
-                statistics.count, variance, budget, wave_index, exponent=self.exponent, **limits
-            )
-        if self.rule == "sqrt":
-            variance = np.sqrt(variance, out=variance)
-        return deficit(statistics.count, variance, budget, wave_index, **limits)
+        limits = {"clip": self.clip, "cap": self.cap, "exponent": self.exponent}
+        return allocate_by_rule(self.rule, statistics, variance, budget, limits)
 
     @abstractmethod
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
         """V, the variance of one sample: a new (height, width) float64 array; inf where n < 2."""
 
 
-class RelativeMean(Adaptive):
+@dataclass(kw_only=True, eq=False)
+class Adaptive(AdaptiveBase):
+    """Any measure with any allocation rule.
+
+    Parameters
+    ----------
+    measure : str or callable
+        `relative-mean`, `relative-median`, `absolute`, `half-buffer`, an entry point of the group `isonoise.measures`,
+        `module:function`, or a function: the error of every pixel's mean, from `Statistics` and, if the function has
+        such a parameter, the `floor` of relative errors. It returns (height, width) numbers from 0 to inf; inf is
+        unknown. What it needs beyond the basic statistics is in its attribute `needs`, a `Needs`.
+
+    Further parameters: those of `AdaptiveBase`.
+
+    Examples
+    --------
+    The relative error, but at most 1:
+
+    >>> import numpy as np
+    >>> from isonoise.strategies import measures
+    >>> def limited(statistics, floor):
+    ...     return np.minimum(measures.relative_mean(statistics, floor), 1)
+    >>> outcome = isonoise.render("cornell", spp=32, size=(16, 12), strategy=Adaptive(measure=limited, rule="sqrt"))
+    """
+
+    name = "adaptive"
+
+    measure: Measure | str
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.measure = find_measure(self.measure)
+
+    @property
+    def needs(self) -> Needs:
+        return getattr(self.measure, "needs", BASIC_NEEDS)
+
+    def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
+        return measures.variance_per_sample(statistics, compute_measure(self.measure, statistics, floor))
+
+
+class RelativeMean(AdaptiveBase):
     """Measure: se / max(mean, floor), the relative standard error.
 
-    Parameters: those of `Adaptive`.
+    Parameters: those of `AdaptiveBase`.
     """
 
     name = "relative-mean"
@@ -95,7 +134,7 @@ class RelativeMean(Adaptive):
 
 
 @dataclass(kw_only=True, eq=False)
-class RelativeMedian(Adaptive):
+class RelativeMedian(AdaptiveBase):
     """Measure: se / max(M_x, mean / kappa, floor), M_x the mean of the medians of chunks of samples.
 
     The proposal of Pajot, Barthe, Paulin, "Robust adaptive sampling for Monte-Carlo-based rendering", SIGGRAPH Asia
@@ -112,7 +151,7 @@ class RelativeMedian(Adaptive):
     literal : bool
         Take the poster's V as the variance: se^2 / max(M_x, mean / kappa, floor) in place of the squared measure.
 
-    Further parameters: those of `Adaptive`.
+    Further parameters: those of `AdaptiveBase`.
     """
 
     name = "relative-median"
@@ -138,10 +177,10 @@ class RelativeMedian(Adaptive):
         return np.multiply(measure, statistics.count, out=measure, where=np.isfinite(measure))
 
 
-class Absolute(Adaptive):
+class Absolute(AdaptiveBase):
     """Measure: se, the standard error itself: plain variance-driven sampling. Bright pixels get the samples.
 
-    Parameters: those of `Adaptive`.
+    Parameters: those of `AdaptiveBase`.
     """
 
     name = "absolute"
@@ -151,7 +190,7 @@ class Absolute(Adaptive):
 
 
 @dataclass(kw_only=True, eq=False)
-class Tsallis(Adaptive):
+class Tsallis(AdaptiveBase):
     """Measure: sqrt(1 - S_q / S_max), S_q the Tsallis entropy of the samples' shares of their sum.
 
     Xu, Sbert, Xing, Zhan, "Adaptive sampling based on Tsallis entropy", 2007. With q = 2 it is exactly `relative-mean`
@@ -162,7 +201,7 @@ class Tsallis(Adaptive):
     q : float
         The entropic index, 0.1 to 8; 1 is Shannon's entropy.
 
-    Further parameters: those of `Adaptive`.
+    Further parameters: those of `AdaptiveBase`.
     """
 
     name = "tsallis"
@@ -178,7 +217,7 @@ class Tsallis(Adaptive):
 
 
 @dataclass(kw_only=True, eq=False)
-class Pooled(Adaptive):
+class Pooled(AdaptiveBase):
     """Measure: the relative standard error, with variance and mean of the pixel's neighbours.
 
     The default rule, `sqrt`, minimises the mean of the squared measure over the pixels for a given number of samples.
@@ -199,7 +238,7 @@ class Pooled(Adaptive):
         Read only the uniform waves' samples, and no pixel's own variance (outlier_share counts as 0). Then a pixel's
         count does not depend on its own samples, but for its share in sums over the image.
 
-    Further parameters: those of `Adaptive`.
+    Further parameters: those of `AdaptiveBase`.
     """
 
     name = "pooled"
@@ -207,7 +246,7 @@ class Pooled(Adaptive):
     window: int = ranged(5, 3, 31)
     outlier_share: float = ranged(0.012, 0, 1)
     unbiased: bool = False
-    rule: str = "sqrt"
+    rule: AllocationRule | str = "sqrt"
     ratio: float = ranged(0.35, 0.01)
     growth: float = ranged(0.2, 0.01, 4)
     clip: float = ranged(1.0, 0.5, 1)

@@ -96,6 +96,22 @@ def deficit(
     return _allocate_capped(count, slope, count.reshape(-1), budget, wave_index, cap)
 
 
+def deficit_of_sqrt(
+    count: np.ndarray,
+    variance: np.ndarray,
+    budget: int,
+    wave_index: int,
+    *,
+    clip: float = 1.0,
+    cap: float = 4.0,
+) -> np.ndarray:
+    """`deficit` of sqrt(V), which minimises the mean of V_i / n_i. Overwrites `variance`.
+
+    Parameters, result and errors are those of `deficit`.
+    """
+    return deficit(count, np.sqrt(variance, out=variance), budget, wave_index, clip=clip, cap=cap)
+
+
 def proportional_to_error(
     count: np.ndarray,
     variance: np.ndarray,

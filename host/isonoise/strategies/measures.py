@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from isonoise.statistics import Statistics
+from isonoise.statistics import Needs, Statistics
 from isonoise.strips import pixel_strips, row_strips
 from isonoise.student_t import quantile
 
@@ -241,6 +241,11 @@ def half_difference(statistics: Statistics) -> np.ndarray:
 def brightness(statistics: Statistics) -> np.ndarray:
     """max(R + G + B, 0) of the mean."""
     return np.maximum(statistics.rgb.sum(axis=-1, dtype=np.float64), 0)
+
+
+# the statistics that these need as a parameter of the strategy `adaptive`
+relative_median.needs = Needs(median=True, batch=4)  # type: ignore[attr-defined]
+half_buffer.needs = Needs(half=True)  # type: ignore[attr-defined]
 
 
 def variance_per_sample(statistics: Statistics, measure: np.ndarray) -> np.ndarray:

@@ -9,14 +9,14 @@ import numpy as np
 from isonoise.errors import UserError
 from isonoise.input_files import open_regular_file
 from isonoise.statistics import Statistics
-from isonoise.strategies.adaptive import Adaptive
+from isonoise.strategies.adaptive import AdaptiveBase
 from isonoise.strategies.parameters import ranged
 
 LAYER = "variance"
 
 
 @dataclass(kw_only=True, eq=False)
-class Oracle(Adaptive):
+class Oracle(AdaptiveBase):
     """Measure: the relative error, with variances from an independent long run: the bound for unbiased strategies.
 
     Parameters
@@ -25,7 +25,7 @@ class Oracle(Adaptive):
         An .exr file with a float layer `variance`: for every pixel n times the variance of the mean luminance of n
         samples, over max(mean, floor)^2. `isonoise compare` makes one if the strategy is named without a file.
 
-    Further parameters: those of `Adaptive`.
+    Further parameters: those of `AdaptiveBase`.
     """
 
     name = "oracle"

@@ -1,38 +1,20 @@
-"""The table of built-in strategies; makes a strategy from its text form (`NAME:key=value,...`) and back."""
+"""Makes a strategy from its text form (`NAME:key=value,...`) and back. The names are in `lookup`."""
 
-import difflib
-import importlib
 import inspect
-import sys
-from collections.abc import Iterable
 
 from isonoise.errors import UserError
 from isonoise.strategies.base import Strategy
+from isonoise.strategies.lookup import MEASURES, RULES, STRATEGIES, nearest
 
-ENTRY_POINT_GROUP = "isonoise.strategies"
 DEFAULT_STRATEGY = "pooled"
-
-BUILT_IN = {
-    "uniform": "isonoise.strategies.uniform:Uniform",
-    "pooled": "isonoise.strategies.adaptive:Pooled",
-    "relative-median": "isonoise.strategies.adaptive:RelativeMedian",
-    "relative-mean": "isonoise.strategies.adaptive:RelativeMean",
-    "absolute": "isonoise.strategies.adaptive:Absolute",
-    "tsallis": "isonoise.strategies.adaptive:Tsallis",
-    "oracle": "isonoise.strategies.oracle:Oracle",
-    "purgathofer": "isonoise.strategies.purgathofer:Purgathofer",
-    "dammertz": "isonoise.strategies.dammertz:Dammertz",
-    "cycles": "isonoise.strategies.cycles:Cycles",
-    "tungsten": "isonoise.strategies.tungsten:Tungsten",
-    "luxcore": "isonoise.strategies.luxcore:LuxCore",
-}
-"""Name -> module:Class, in the order of listings. A render imports only the strategy that it uses."""
+BUILT_IN = STRATEGIES.built_in
+PIECES = {"measure": MEASURES, "rule": RULES}
+"""Parameters of strategies that are functions, given by name."""
 
 
 def available_strategies() -> list[str]:
     """Names for `make_strategy`: the built-in ones, then the entry points of installed packages, sorted."""
-    installed = {entry.name for entry in _entry_points()}
-    return [*BUILT_IN, *sorted(installed - set(BUILT_IN))]
+    return STRATEGIES.names()
 
 
 def make_strategy(spec: str | Strategy) -> Strategy:
@@ -52,8 +34,8 @@ def make_strategy(spec: str | Strategy) -> Strategy:
     """
     if isinstance(spec, Strategy):
         return spec
-    head, parameters = _split(spec)
-    strategy = _class_of_path(head) if ":" in head else _class_of_name(head)
+    head, parameters = split_spec(spec)
+    strategy = STRATEGIES.find(head)
     if not (inspect.isclass(strategy) and issubclass(strategy, Strategy)):
         raise UserError(f"strategy '{head}' is not a subclass of isonoise.strategies.Strategy")
     return strategy(**_convert(head, strategy, parameters))
@@ -61,7 +43,10 @@ def make_strategy(spec: str | Strategy) -> Strategy:
 
 def is_built_in(spec: str) -> bool:
     """Whether the strategy that `spec` names is a part of isonoise, so that making it imports no other code."""
-    return _split(spec)[0] in BUILT_IN
+    head, parameters = split_spec(spec)
+    pieces = [(STRATEGIES, head)]
+    pieces += [(kind, parameters[key]) for key, kind in PIECES.items() if key in parameters]
+    return all(name in kind.built_in for kind, name in pieces)
 
 
 def describe(strategy: Strategy) -> str:
@@ -70,64 +55,29 @@ def describe(strategy: Strategy) -> str:
     A parameter's value is read from the attribute of the same name; a parameter without one is left out.
     """
     cls = type(strategy)
-    path = f"{cls.__module__}:{cls.__qualname__}"
-    head = cls.name if BUILT_IN.get(getattr(cls, "name", None)) == path else path
     values = {name: getattr(strategy, name) for name in _parameters(cls) if hasattr(strategy, name)}
-    return ":".join([head, ",".join(f"{name}={_text(value)}" for name, value in values.items())]).rstrip(":")
+    texts = [f"{name}={_text(name, value)}" for name, value in values.items()]
+    return ":".join([STRATEGIES.name_of(cls), ",".join(texts)]).rstrip(":")
 
 
-def _entry_points() -> Iterable:
-    from importlib.metadata import entry_points  # slow: as much time as all other modules of the package
+def split_spec(spec: str) -> tuple[str, dict[str, str]]:
+    """The name or `module:Class` of a spec, and the parameters' values as text, which may contain colons.
 
-    return entry_points(group=ENTRY_POINT_GROUP)
-
-
-def _split(spec: str) -> tuple[str, dict[str, str]]:
-    """The name or `module:Class`, and the parameters' values as text."""
-    head, colon, tail = spec.strip().rpartition(":")
-    if not colon:
-        return tail, {}
-    if "=" not in tail and head not in BUILT_IN:  # module:Class without parameters
-        return f"{head}:{tail}", {}
+    Raises UserError if a parameter is not of the form key=value, or given twice.
+    """
+    before, equals, _ = spec.partition("=")
+    head, colon, _ = before.rpartition(":")
+    if not colon or (not equals and head.strip() not in BUILT_IN):  # NAME or module:Class without parameters
+        return spec.strip(), {}
     parameters = {}
-    for item in tail.split(","):
+    for item in spec[len(head) + 1 :].split(","):
         key, equals, value = (part.strip() for part in item.partition("="))
         if not (key and equals and value):
             raise UserError(f"strategy '{spec}': '{item}' is not of the form key=value")
         if key in parameters:
             raise UserError(f"strategy '{spec}': parameter '{key}' is given twice")
         parameters[key] = value
-    return head, parameters
-
-
-def _class_of_name(name: str) -> type:
-    if name in BUILT_IN:
-        module, _, strategy = BUILT_IN[name].partition(":")
-        return getattr(importlib.import_module(module), strategy)
-    for entry in (entry for entry in _entry_points() if entry.name == name):
-        try:
-            return entry.load()
-        except Exception as error:
-            raise UserError(f"strategy '{name}': cannot import '{entry.value}': {error}") from error
-    known = available_strategies()
-    raise UserError(
-        f"there is no strategy '{name}'{_nearest(name, known)}; known are {', '.join(known)}; "
-        "name your own class as module:Class"
-    )
-
-
-def _class_of_path(path: str) -> type:
-    module_name, _, class_name = path.partition(":")
-    if "" not in sys.path:
-        sys.path.append("")  # the current directory, as `python -m` has it
-    try:
-        module = importlib.import_module(module_name)
-    except Exception as error:
-        raise UserError(f"strategy '{path}': cannot import '{module_name}': {error}") from error
-    if not hasattr(module, class_name):
-        names = [name for name, value in vars(module).items() if inspect.isclass(value)]
-        raise UserError(f"strategy '{path}': '{module_name}' has no '{class_name}'{_nearest(class_name, names)}")
-    return getattr(module, class_name)
+    return head.strip(), parameters
 
 
 def _parameters(cls: type) -> dict[str, inspect.Parameter]:
@@ -144,7 +94,7 @@ def _convert(head: str, cls: type, texts: dict[str, str]) -> dict[str, object]:
     for key, text in texts.items():
         if key not in known:
             names = ", ".join(known) or "none"
-            raise UserError(f"strategy '{head}' has no parameter '{key}'{_nearest(key, known)}; known are {names}")
+            raise UserError(f"strategy '{head}' has no parameter '{key}'{nearest(key, known)}; known are {names}")
         annotation, default = known[key].annotation, known[key].default
         target_type = annotation if annotation is not inspect.Parameter.empty else type(default)
         values[key] = _value(head, key, text, target_type)
@@ -164,15 +114,12 @@ def _value(head: str, key: str, text: str, target_type: object) -> object:
         raise UserError(f"strategy '{head}': {key}={text} should be {expected}") from None
 
 
-def _text(value: object) -> str:
+def _text(name: str, value: object) -> str:
+    if callable(value) and name in PIECES:
+        return PIECES[name].name_of(value)
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
         short = f"{value:g}"
         return short if float(short) == value else repr(value)
     return str(value)
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
