@@ -74,6 +74,11 @@ def make_plan(request: Request, stored: Plan | None = None, device: str | None =
     )
 
 
+def scene_name(source: str) -> str:
+    """Name of a scene file or built-in scene, for the names of its variants. Raises SceneError if there is none."""
+    return _scene_names(_source(SceneRequest(source)), None)[0]
+
+
 def scene_objects(request: Request) -> dict[str, object]:
     """The scenes of a request that are objects of a Python program, by `SceneEntry.source`."""
     return {_source(scene): scene.source for scene in request.scenes if is_object(scene.source)}

@@ -60,6 +60,8 @@ class Request:
     reference_time: float | None = None
     preset: str | None = None
     allow_outside: bool = False
+    metrics: Sequence[str] = ()  # of the tables; empty: the default ones
+    keep_images: bool = False  # the image of every run as an EXR file
 
 
 def text_of(value: object) -> str:
