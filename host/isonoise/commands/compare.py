@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING
 from isonoise.command_output import logger, print_json
 from isonoise.commands import EXIT_DONE
 from isonoise.commands.shared_options import cluster_of
+from isonoise.comparison.experiment import Member, make_members
+from isonoise.comparison.experiment_file import DEFAULT_SEEDS, is_experiment, read_experiment
 from isonoise.comparison.folder_lock import FolderLock, lock_folder
+from isonoise.comparison.plan import PLAN_FILE
 from isonoise.comparison.presets import PRESETS, Preset
 from isonoise.comparison.request import Request, SceneRequest, StrategyRequest
 from isonoise.comparison.session import KEPT, has_runs, render_comparison
@@ -23,24 +26,49 @@ if TYPE_CHECKING:
 
 DEFAULT_TIME = 10.0
 """Seconds of a run."""
-DEFAULT_SEEDS = 8
 REPORT_PACKAGES = ("matplotlib", "jinja2")
+EXPERIMENT_OPTIONS = (
+    *("strategies", "preset", "seeds", "seed", "time", "spp", "size", "max_depth", "device", "allow_outside"),
+    *("reference", "reference_time"),
+)
+"""Options for which an experiment's file has keys."""
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    preset = _preset(options)
     directory = Path(options.output)
-    spps = options.spp or ([] if options.time is not None or not preset else list(preset.spp))
-    _check_packages(_request(options, preset, *spps[:1]))
+    members = _members(options)
+    _check_packages(members[0].request)
     with lock_folder(directory) as lock, cluster_of(options) as cluster:
         workers = _workers_of(cluster)
-        if len(spps) < 2:
-            code, summary = _compare(_request(options, preset, *spps), lock, workers, options.rerun_changed)
-            if options.json:
-                print_json(summary)
-            return code
-        return _compare_series(options, preset, spps, directory, workers)
+        if len(members) > 1:
+            return _compare_series(options, members, directory, workers)
+        code, summary = _compare(members[0].request, lock, workers, options.rerun_changed)
+        if options.json:
+            print_json(summary)
+        return code
+
+
+def _members(options: argparse.Namespace) -> list[Member]:
+    """The comparisons that the options or the experiment's file ask for."""
+    if any(is_experiment(name) for name in options.scenes):
+        _check_alone(options)
+        return read_experiment(options.scenes[0])
+    preset = _preset(options)
+    spps = options.spp or ([] if options.time is not None or not preset else list(preset.spp))
+    time = options.time
+    if time is None and not spps:
+        time = preset.time if preset else DEFAULT_TIME
+    return make_members(_request(options, preset), [] if time is None else [time], spps)
+
+
+def _check_alone(options: argparse.Namespace) -> None:
+    """Raises UserError if there are scenes or options beside an experiment's file, which has all of them."""
+    if len(options.scenes) > 1:
+        raise UserError("an experiment's file is given alone: name the scenes in the file")
+    for name in EXPERIMENT_OPTIONS:
+        if getattr(options, name):
+            raise UserError(f"--{name.replace('_', '-')} is a key of an experiment's file: write it there")
 
 
 def _workers_of(cluster: "Cluster | None") -> "ClusterWorkers | None":
@@ -52,27 +80,23 @@ def _workers_of(cluster: "Cluster | None") -> "ClusterWorkers | None":
 
 
 def _compare_series(
-    options: argparse.Namespace,
-    preset: Preset | None,
-    spps: list[float],
-    directory: Path,
-    workers: "ClusterWorkers | None",
+    options: argparse.Namespace, members: list[Member], directory: Path, workers: "ClusterWorkers | None"
 ) -> int:
-    """One comparison for each number of samples per pixel, and tables over all of them."""
-    from isonoise.comparison.spp_series import comparison_folder, write_series
+    """The comparisons of an experiment with several budgets or devices, and tables over all of them."""
+    from isonoise.comparison.series import write_series
 
+    if (directory / PLAN_FILE).exists():
+        raise UserError(f"'{directory}' holds a comparison with one budget and device: choose another folder with -o")
     code, summaries = EXIT_DONE, {}
-    first = comparison_folder(directory, max(spps))
-    for spp in sorted(spps, reverse=True):  # the reference for the most samples serves for all
-        folder = comparison_folder(directory, spp)
-        with lock_folder(folder) as lock:
-            request = _request(options, preset, spp)
-            code, summaries[spp] = _compare(request, lock, workers, options.rerun_changed, first)
+    for member in members:
+        shared = directory / member.shares_with
+        with lock_folder(directory / member.folder) as lock:
+            code, summaries[member] = _compare(member.request, lock, workers, options.rerun_changed, shared)
         if code != EXIT_DONE:
             break
-    write_series(directory, spps, summaries, _print)
+    write_series(directory, members, summaries, _print)
     if options.json:
-        print_json({f"{spp:g}": summary for spp, summary in summaries.items()})
+        print_json({member.folder: summary for member, summary in summaries.items()})
     return code
 
 
@@ -122,16 +146,13 @@ def _preset(options: argparse.Namespace) -> Preset | None:
     return PRESETS[options.preset] if options.preset else None
 
 
-def _request(options: argparse.Namespace, preset: Preset | None, spp: float | None = None) -> Request:
-    """The preset's settings, replaced by the given options, with a budget of `spp` samples per pixel if given."""
+def _request(options: argparse.Namespace, preset: Preset | None) -> Request:
+    """The preset's settings, replaced by the given options; without the budget."""
     strategies = [spec for text in options.strategies for spec in split_specs(text)]
     if not preset and not options.scenes:
         raise UserError("nothing to compare: give a SCENE or a --preset")
     if not preset and not strategies:
         raise UserError("nothing to compare: give --strategies or a --preset")
-    time = options.time
-    if time is None and spp is None:
-        time = preset.time if preset else DEFAULT_TIME
     seeds = options.seeds or (preset.seeds if preset else DEFAULT_SEEDS)
     return Request(
         scenes=[
@@ -140,8 +161,6 @@ def _request(options: argparse.Namespace, preset: Preset | None, spp: float | No
         ],
         strategies=[StrategyRequest(spec) for spec in strategies or preset.strategies],
         seeds=range(options.seed, options.seed + seeds),
-        time=time,
-        spp=spp,
         device=options.device,
         references=options.reference,
         reference_time=options.reference_time,

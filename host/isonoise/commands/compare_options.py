@@ -13,7 +13,12 @@ def add_compare(commands) -> None:
         "strategies and seeds can be added. Ctrl-C drops the current run and reports the finished ones.",
     )
     compare.epilog_name = "compare_epilog"
-    compare.add_argument("scenes", metavar="SCENE", nargs="*", help="a scene file or a built-in scene; one or more")
+    compare.add_argument(
+        "scenes",
+        metavar="SCENE",
+        nargs="*",
+        help="a scene file or a built-in scene; one or more; or an experiment's .toml file",
+    )
     compare.add_argument("-o", "--output", metavar="DIR", required=True, help="output folder; files are listed below")
     subjects = compare.add_argument_group("what to compare")
     subjects.add_argument(

@@ -1,5 +1,6 @@
 """An experiment: a comparison for each of its budgets and devices; made by the command, `experiment_file` and `api`."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -7,7 +8,7 @@ from isonoise.comparison.request import Request
 from isonoise.errors import UserError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Member:
     """A comparison of an experiment.
 
@@ -15,22 +16,29 @@ class Member:
     ----------
     folder : str
         Below the experiment's folder; empty if it is the only one.
-    device, budget : str
-        For tables; empty if all have the same.
+    device : str
+        As for `select_device`; empty: the default.
+    budget : float
+        Of a run.
+    unit : str
+        Of the budget: `spp` or `s`.
     request : Request
         What it is asked to do.
     shares_with : str
-        Folder of the member whose references it uses; itself if it renders them.
+        Folder of the member whose references it uses; its own if it renders them.
     """
 
     folder: str
     device: str
-    budget: str
+    budget: float
+    unit: str
     request: Request
     shares_with: str
 
 
-def members(request: Request, times: Sequence[float], spps: Sequence[float], devices: Sequence[str]) -> list[Member]:
+def make_members(
+    request: Request, times: Sequence[float], spps: Sequence[float], devices: Sequence[str] = ()
+) -> list[Member]:
     """The comparisons of an experiment, in the order in which they are rendered.
 
     Parameters
@@ -51,25 +59,17 @@ def members(request: Request, times: Sequence[float], spps: Sequence[float], dev
         raise UserError("time and spp are both given: a run has one budget")
     if not (times or spps):
         raise UserError("there is no budget: give time, the seconds of a run, or spp, its samples per pixel")
-    # the reference for the largest budget serves for all
-    budgets = [(f"spp-{n:g}", f"{n:g} spp", {"spp": n}) for n in sorted(spps, reverse=True)]
-    budgets += [(f"time-{s:g}", f"{s:g} s", {"time": s}) for s in sorted(times, reverse=True)]
+    key, unit = ("spp", "spp") if spps else ("time", "s")
+    budgets = sorted(spps or times, reverse=True)  # the reference for the largest one serves for all
     found = []
     for device in devices or [request.device]:
         prefix = f"device-{device}" if len(devices) > 1 else ""
-        folders = [_join(prefix, name if len(budgets) > 1 else "") for name, _, _ in budgets]
-        found += [
-            Member(
-                folder,
-                f"device {device}" if prefix else "",
-                label if len(budgets) > 1 else "",
-                replace(request, device=device, **budget),
-                folders[0],
-            )
-            for folder, (_, label, budget) in zip(folders, budgets, strict=True)
-        ]
+        folders = [_join(prefix, f"{key}-{budget:g}" if len(budgets) > 1 else "") for budget in budgets]
+        for folder, budget in zip(folders, budgets, strict=True):
+            member = replace(request, device=device, **{key: budget})
+            found.append(Member(folder, device or "", budget, unit, member, folders[0]))
     return found
 
 
 def _join(*names: str) -> str:
-    return "/".join(name.replace("/", "-").replace(":", "-") for name in names if name)
+    return "/".join(re.sub(r"[^A-Za-z0-9.+-]+", "-", name) for name in names if name)

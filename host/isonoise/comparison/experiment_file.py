@@ -6,18 +6,20 @@ Called by the command and by `api`. `host/docs/experiments.md` documents the key
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from isonoise.comparison.experiment import Member, members
-from isonoise.comparison.experiment_table import ExperimentTable, parse_toml
-from isonoise.comparison.planning import scene_name
+from isonoise.argument_checks import check_choice, check_depth, check_integer, check_number, check_size
+from isonoise.comparison.experiment import Member, make_members
+from isonoise.comparison.experiment_table import Check, ExperimentTable, Value, read_toml
+from isonoise.comparison.plan import FIRST_REFERENCE_SEED
+from isonoise.comparison.planning import MAX_SEEDS, scene_name
 from isonoise.comparison.request import PLACEHOLDER, Request, SceneRequest, StrategyRequest, text_of
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, describe_spec
 from isonoise.comparison.sweep import Variant, variants
 from isonoise.errors import UserError
-from isonoise.limits import MAX_DEPTH, MAX_PIXELS, MAX_STOP, MIN_STOP
+from isonoise.limits import MAX_STOP, MIN_STOP
 from isonoise.samplers import SAMPLERS
 
 EXPERIMENT_SUFFIX = ".toml"
@@ -53,7 +55,8 @@ def read_experiment(path: str | os.PathLike) -> list[Member]:
         If the file cannot be read, or a key is unknown or has a wrong value; the message names file and key.
     """
     path = Path(path)
-    table = ExperimentTable(f"experiment '{path}'", parse_toml(path), _KEYS)
+    text, content = read_toml(path)
+    table = ExperimentTable(f"experiment '{path}'", content, _KEYS)
     folder = path.resolve().parent
     if str(folder) not in sys.path:
         sys.path.append(str(folder))  # as `make_strategy` adds the current folder
@@ -69,20 +72,21 @@ def read_experiment(path: str | os.PathLike) -> list[Member]:
         for number, item in enumerate(table.take("strategies", _items, required=True))
         for request in _strategies(table.child("strategies", number, item, "name", _STRATEGY_KEYS), samplers)
     ]
-    first_seed = table.take("first_seed", _integer(0, 2**63 - 1), default=0)
+    first_seed = table.take("first_seed", _seed, default=0)
     request = Request(
         scenes=_with_unique_names(scenes),
         strategies=strategies,
         seeds=table.take("seeds", _seeds(first_seed), default=range(first_seed, first_seed + DEFAULT_SEEDS)),
         reference_time=table.take("reference_time", _positive),
         allow_outside=table.take("allow_outside", _flag, default=False),
-        metrics=table.take("metrics", _texts, default=()),
+        metrics=table.take("metrics", _one_or_more(_text), default=()),
         keep_images=table.take("keep_images", _flag, default=False),
+        experiment=text,
     )
     budgets = (table.take(name, _one_or_more(_positive), default=()) for name in ("time", "spp"))
     devices = table.take("devices", _one_or_more(_device), default=())
     with table.errors():
-        return members(request, *budgets, devices)
+        return make_members(request, *budgets, devices)
 
 
 def _scenes(
@@ -97,7 +101,7 @@ def _scenes(
     name = table.take("name", _text)
     found = _variants(table)
     if reference is not None and len(found) > 1:
-        raise table.error("reference", "is one image for several scenes: leave it out, or write a scene for each")
+        raise table.error("'reference' is one image for several scenes: leave it out, or write a scene for each")
     with table.errors():
         base = name or scene_name(source)
     requests = []
@@ -112,6 +116,7 @@ def _scenes(
                 max_depth=values.get("max_depth", own_depth),
                 reference=reference and str(folder / reference),
                 name=f"{base} {_label(variant.swept)}" if variant.swept else name,
+                origin=table.where,
             )
         )
     return requests
@@ -126,7 +131,7 @@ def _strategies(table: ExperimentTable, samplers: Sequence[str]) -> list[Strateg
         for key, value in variant.values.items():
             texts[key] = text_of(value)
             if not re.fullmatch(r"[^,\s=]+", key) or "," in texts[key]:
-                raise table.error(key, f"= {value!r} is no parameter of a strategy: it has a comma or a space")
+                raise table.error(f"'{key}' = {value!r} is no parameter of a strategy: it has a comma or a space")
         own = "sampler=" in name or "sampler" in texts or name in MITSUBA_SAMPLERS
         for sampler in [None] if own or not samplers else samplers:
             values = texts if sampler is None else {**texts, "sampler": sampler}
@@ -141,7 +146,7 @@ def _strategies(table: ExperimentTable, samplers: Sequence[str]) -> list[Strateg
 
 
 def _variants(table: ExperimentTable) -> list[Variant]:
-    fixed, grid, lists = (table.take(key, _mapping, default={}) for key in _SWEEP)
+    fixed, grid, lists = (table.take(key, _table, default={}) for key in _SWEEP)
     for key, values in ((key, values) for part in (grid, lists) for key, values in part.items()):
         if not isinstance(values, list):
             raise table.error(key, f"= {values!r} is one value: write it in 'set', or a list of values")
@@ -151,12 +156,10 @@ def _variants(table: ExperimentTable) -> list[Variant]:
 
 def _checked(table: ExperimentTable, key: str, value: object) -> object:
     """The value of a scene's setting; size and depth are checked here, others by the scene."""
-    convert = {"size": _size, "max_depth": _depth}.get(key)
-    if convert is None:
-        if key == PLACEHOLDER:
-            raise table.error(key, f"has no name after '{PLACEHOLDER}'")
-        return value
-    return table.convert(key, value, convert)
+    if key == PLACEHOLDER:
+        raise table.error(f"'{PLACEHOLDER}' is not followed by a name")
+    check = {"size": _size, "max_depth": _depth}.get(key)
+    return value if check is None else table.check(key, value, check)
 
 
 def _with_unique_names(scenes: Sequence[SceneRequest]) -> list[SceneRequest]:
@@ -184,92 +187,74 @@ def _short(value: object) -> str:
     return text_of(value)
 
 
-def _one_or_more(convert: Callable[[object], object]) -> Callable[[object], list]:
-    def convert_all(value: object) -> list:
-        values = [convert(item) for item in (value if isinstance(value, list) else [value])]
+def _one_or_more(check: Check[Value]) -> Check[list[Value]]:
+    def check_all(name: str, value: object) -> list[Value]:
+        values = [check(name, item) for item in (value if isinstance(value, list) else [value])]
         if not values:
-            raise ValueError("is empty")
+            raise UserError(f"{name} = {value!r} is empty")
         if any(values.count(item) > 1 for item in values):
-            raise ValueError("has a value twice")
+            raise UserError(f"{name} = {value!r} has a value twice")
         return values
 
-    return convert_all
+    return check_all
 
 
-def _seeds(first: int) -> Callable[[object], Sequence[int]]:
-    def convert(value: object) -> Sequence[int]:
-        if isinstance(value, list):
-            if first:
-                raise ValueError("lists the seeds: leave out 'first_seed'")
-            return _one_or_more(_integer(0, 2**63 - 1))(value)
-        return range(first, first + _integer(1, 10**6)(value))
+def _seeds(first: int) -> Check[Sequence[int]]:
+    def check(name: str, value: object) -> Sequence[int]:
+        if not isinstance(value, list):
+            return range(first, first + check_integer(name, value, 1, MAX_SEEDS))
+        if first:
+            raise UserError(f"{name} = {value!r} lists the seeds: leave out first_seed")
+        return _one_or_more(_seed)(name, value)
 
-    return convert
+    return check
 
 
-def _items(value: object) -> list:
+def _seed(name: str, value: object) -> int:
+    return check_integer(name, value, 0, FIRST_REFERENCE_SEED - 1)
+
+
+def _items(name: str, value: object) -> list:
     if not isinstance(value, list) or not value or not all(isinstance(item, str | dict) for item in value):
-        raise ValueError("should be a list of names or tables")
+        raise UserError(f"{name} should be a list of names or tables, not {value!r}")
     return value
 
 
-def _mapping(value: object) -> dict:
-    if not isinstance(value, dict):
-        raise ValueError("should be a table of keys and values")
-    return value
-
-
-def _text(value: object) -> str:
+def _text(name: str, value: object) -> str:
     if not isinstance(value, str) or not value.strip():
-        raise ValueError("should be a text")
+        raise UserError(f"{name} = {value!r} is not a text")
     return value
 
 
-def _texts(value: object) -> list[str]:
-    return _one_or_more(_text)(value)
-
-
-def _flag(value: object) -> bool:
+def _flag(name: str, value: object) -> bool:
     if not isinstance(value, bool):
-        raise ValueError("should be true or false")
+        raise UserError(f"{name} = {value!r} is neither true nor false")
     return value
 
 
-def _integer(low: int, high: int) -> Callable[[object], int]:
-    def convert(value: object) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise ValueError(f"should be a whole number from {low} to {high}")
-        return value
-
-    return convert
+def _table(name: str, value: object) -> dict:
+    if not isinstance(value, dict):
+        raise UserError(f"{name} should be a table of keys and values, not {value!r}")
+    return value
 
 
-def _depth(value: object) -> int:
-    return -1 if value == -1 else _integer(1, MAX_DEPTH)(value)
+def _depth(name: str, value: object) -> int:
+    return check_depth(value)
 
 
-def _positive(value: object) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not MIN_STOP <= value <= MAX_STOP:
-        raise ValueError("should be a number above 0")
-    return float(value)
+def _positive(name: str, value: object) -> float:
+    return check_number(name, value, lambda number: MIN_STOP <= number <= MAX_STOP, "a number above 0")
 
 
-def _size(value: object) -> tuple[int, int]:
+def _size(name: str, value: object) -> tuple[int, int]:
     if isinstance(value, str) and (match := re.fullmatch(r"(\d{1,9})x(\d{1,9})", value)):
-        value = [int(match[1]), int(match[2])]
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ValueError('should be [width, height] in pixels, or "WIDTHxHEIGHT"')
-    width, height = (_integer(1, MAX_PIXELS)(side) for side in value)
-    if width * height > MAX_PIXELS:
-        raise ValueError(f"has more than {MAX_PIXELS:,} pixels")
-    return width, height
+        value = int(match[1]), int(match[2])
+    return check_size(value)
 
 
-def _sampler(value: object) -> str:
-    if value not in SAMPLERS:
-        raise ValueError(f"is no sampler; known are {', '.join(SAMPLERS)}")
-    return str(value)
+def _sampler(name: str, value: object) -> str:
+    return check_choice(name, value, SAMPLERS)
 
 
-def _device(value: object) -> str:
-    return str(value) if isinstance(value, int) and not isinstance(value, bool) else _text(value)
+def _device(name: str, value: object) -> str:
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else _text(name, value)

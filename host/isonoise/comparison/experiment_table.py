@@ -1,19 +1,21 @@
 """Tables of an experiment's TOML file, whose errors name file and key; for `experiment_file`."""
 
-import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
 from isonoise.input_files import read_regular_file
 
 Value = TypeVar("Value")
+Check = Callable[[str, object], Value]
+"""Gets the name of a value and the value, and returns it converted; raises UserError if it is wrong."""
 
 
-def parse_toml(path: Path) -> dict:
-    """The content of a TOML file. Raises UserError."""
+def read_toml(path: Path) -> tuple[str, dict]:
+    """Text and content of a TOML file. Raises UserError."""
     try:
         import tomllib
     except ModuleNotFoundError:  # Python 3.10
@@ -22,7 +24,8 @@ def parse_toml(path: Path) -> dict:
         except ModuleNotFoundError as error:
             raise UserError("an experiment's file needs tomli: pip install 'isonoise[compare]'") from error
     try:
-        return tomllib.loads(read_regular_file(path).decode("utf-8"))
+        text = read_regular_file(path).decode("utf-8").replace("\r\n", "\n")
+        return text, tomllib.loads(text)
     except OSError as error:
         raise UserError(f"cannot read the experiment '{path}': {error.strerror or error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -48,39 +51,33 @@ class ExperimentTable:
     """
 
     def __init__(self, where: str, content: Mapping, known: Sequence[str]):
-        self._where, self._content = where, content
+        self.where, self._content = where, content
         for key in content:
             if key not in known:
-                close = difflib.get_close_matches(key, known, n=1)
-                hint = f" (did you mean '{close[0]}'?)" if close else ""
-                raise self.error(key, f"is unknown{hint}; known are {', '.join(known)}")
+                raise self.error(f"there is no key '{key}'{nearest(key, known)}; known are {', '.join(known)}")
 
-    def take(
-        self, key: str, convert: Callable[[object], Value], default: Value | None = None, required: bool = False
-    ) -> Value:
-        """The converted value of a key. `convert` raises ValueError, which becomes a UserError with the key."""
+    def take(self, key: str, check: Check[Value], default: Value | None = None, required: bool = False) -> Value:
+        """The value of a key, checked: `check` gets its name and what the file has. Raises UserError."""
         if key not in self._content:
             if required:
-                raise UserError(f"{self._where}: '{key}' is missing")
+                raise self.error(f"'{key}' is missing")
             return default
-        return self.convert(key, self._content[key], convert)
+        return self.check(key, self._content[key], check)
 
-    def convert(self, key: str, value: object, convert: Callable[[object], Value]) -> Value:
-        """The converted value."""
-        try:
-            return convert(value)
-        except ValueError as error:
-            raise self.error(key, f"= {value!r} {error}") from None
+    def check(self, key: str, value: object, check: Check[Value]) -> Value:
+        """A value, checked."""
+        with self.errors():
+            return check(key, value)
 
     def child(self, key: str, number: int, item: str | Mapping, name: str, known: Sequence[str]) -> "ExperimentTable":
         """A table of a list of tables; a text stands for a table that has only the key `name`."""
         content = {name: item} if isinstance(item, str) else item
         label = content.get(name)
-        return ExperimentTable(f"{self._where}: {key}[{number}]{f' ({label})' if label else ''}", content, known)
+        return ExperimentTable(f"{self.where}: {key}[{number}]{f' ({label})' if label else ''}", content, known)
 
-    def error(self, key: str, problem: str) -> UserError:
-        """An error about a key."""
-        return UserError(f"{self._where}: '{key}' {problem}")
+    def error(self, problem: str) -> UserError:
+        """An error about this table."""
+        return UserError(f"{self.where}: {problem}")
 
     @contextmanager
     def errors(self) -> Iterator[None]:
@@ -88,4 +85,4 @@ class ExperimentTable:
         try:
             yield
         except UserError as error:
-            raise UserError(f"{self._where}: {error}") from error
+            raise self.error(str(error)) from error

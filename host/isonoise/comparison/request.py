@@ -28,6 +28,8 @@ class SceneRequest:
         File of its reference. None: it is rendered.
     name : str or None
         Its name in tables and files. None: made from the source.
+    origin : str
+        Where it is asked for, for messages.
     """
 
     source: object
@@ -36,6 +38,7 @@ class SceneRequest:
     max_depth: int | None = None
     reference: str | None = None
     name: str | None = None
+    origin: str = ""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Request:
     allow_outside: bool = False
     metrics: Sequence[str] = ()  # of the tables; empty: the default ones
     keep_images: bool = False  # the image of every run as an EXR file
+    experiment: str | None = None  # text of the file that asks for it
 
 
 def text_of(value: object) -> str:

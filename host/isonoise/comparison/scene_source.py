@@ -18,7 +18,14 @@ def is_object(source: object) -> bool:
 
 
 def compile_request(scene: SceneRequest, allow_outside: bool) -> CompiledScene:
-    """The scene with its settings. Raises SceneError."""
+    """The scene with its settings. Raises SceneError, which says where the scene is asked for."""
+    try:
+        return _compile(scene, allow_outside)
+    except SceneError as error:
+        raise SceneError(f"{scene.origin}: {error}" if scene.origin else str(error)) from error
+
+
+def _compile(scene: SceneRequest, allow_outside: bool) -> CompiledScene:
     if isinstance(scene.source, CompiledScene):
         if scene.settings or scene.size or scene.max_depth is not None:
             raise SceneError("a compiled scene has its size, depth and parameters already: give none")

@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING
 from isonoise.comparison.checked_files import make_folder
 from isonoise.comparison.environment import record_environment
 from isonoise.comparison.folder_lock import FolderLock
-from isonoise.comparison.plan import Plan, read_plan, write_plan
+from isonoise.comparison.plan import PLAN_FILE, Plan, read_plan, write_plan
 from isonoise.comparison.plan_changes import additions, differences
 from isonoise.comparison.planning import make_plan, scene_objects
 from isonoise.comparison.request import Request
 from isonoise.comparison.strategy_specs import needs_variance, with_variance
 from isonoise.errors import UserError
-from isonoise.film.files import remove_temporary_files
+from isonoise.film.files import remove_temporary_files, write_atomically
 from isonoise.signals import exit_code
 
 if TYPE_CHECKING:
     from isonoise.comparison.cluster.workers import ClusterWorkers
 
+EXPERIMENT_FILE = "experiment.toml"
+"""The copy in the folder of a comparison."""
 RERUN_CHANGED = "--rerun-changed"
 KEPT = "finished runs are kept: rerun the same command to resume"
 
@@ -62,7 +64,7 @@ def render_comparison(
     from isonoise.comparison.runner import run_plan
 
     if shared is not None and shared != directory:
-        from isonoise.comparison.spp_series import share_references
+        from isonoise.comparison.series import share_references
 
         share_references(shared, directory, plan)
     objects: Mapping[str, object] = scene_objects(request)
@@ -89,6 +91,10 @@ def _begin(
     rerun_changed: bool,
 ) -> None:
     """Write the plan, unless the folder holds another comparison."""
+    if stored is None and any(directory.glob(f"*/{PLAN_FILE}")):
+        raise UserError(
+            f"'{directory}' holds comparisons with several budgets or devices: choose another folder with -o"
+        )
     if stored is not None:
         found = differences(stored, plan)
         if found.settings:
@@ -111,6 +117,9 @@ def _begin(
 
 
 def _record(directory: Path, request: Request, has_workers: bool) -> None:
+    """Write what renders the comparison, and the experiment's file that it is a part of."""
     from isonoise.device.selection import select_device
 
     record_environment(directory, None if has_workers else select_device(request.device))
+    if text := request.experiment:
+        write_atomically(directory / EXPERIMENT_FILE, lambda file: file.write_text(text, encoding="utf-8"))

@@ -18,9 +18,7 @@ class Variant:
     swept: Mapping[str, object]
 
 
-def variants(
-    fixed: Mapping[str, object], grid: Mapping[str, Sequence], lists: Mapping[str, Sequence]
-) -> list[Variant]:
+def variants(fixed: Mapping[str, object], grid: Mapping[str, Sequence], lists: Mapping[str, Sequence]) -> list[Variant]:
     """All variants, the last key of the grid changes fastest.
 
     Parameters

@@ -1,6 +1,6 @@
-"""A series of comparisons at equal samples per pixel, in one folder: shared references and tables over all of them.
+"""The comparisons of an experiment with several budgets or devices: shared references, and tables over all of them.
 
-Called by `isonoise compare` if --spp has several numbers.
+Called by `isonoise compare` and `session`.
 """
 
 import shutil
@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from isonoise.comparison.checked_files import is_valid_image
+from isonoise.comparison.experiment import Member
 from isonoise.comparison.identity import reference_identity
 from isonoise.comparison.metric_columns import EMPTY, ratio_cell
 from isonoise.comparison.plan import PLAN_FILE, Plan, variance_path
@@ -26,11 +27,6 @@ FIGURES = {
 """Title of a table -> keys of its intervals in a row of summary.json."""
 
 
-def comparison_folder(directory: Path, spp: float) -> Path:
-    """Folder of the comparison with this number of samples per pixel."""
-    return directory / f"spp-{spp:g}"
-
-
 def share_references(source: Path, target: Path, plan: Plan) -> None:
     """Copy the references and variances that `target` lacks from another comparison of the same scenes."""
     for scene in plan.scenes:
@@ -43,16 +39,16 @@ def share_references(source: Path, target: Path, plan: Plan) -> None:
                 _copy(source / name, target / name)
 
 
-def series_tables(summaries: Mapping[float, Mapping]) -> list[Table]:
-    """A table per figure: a row per scene and number of samples, a column per strategy.
+def series_tables(summaries: Mapping[Member, Mapping]) -> list[Table]:
+    """A table per figure: a row per scene, device and budget, a column per strategy.
 
-    `summaries` are those of the comparisons (`summary.summarise`) by samples per pixel.
+    `summaries` are those of the comparisons (`summary.summarise`).
     """
     return [table for figure in FIGURES.items() if (table := _table(*figure, summaries)).rows]
 
 
 def write_series(
-    directory: Path, spps: Sequence[float], reported: Mapping[float, Mapping | None], log: Callable[[str], None]
+    directory: Path, members: Sequence[Member], reported: Mapping[Member, Mapping | None], log: Callable[[str], None]
 ) -> None:
     """Write tables.md to `directory` and print the tables. Raises UserError if the file cannot be written.
 
@@ -60,13 +56,13 @@ def write_series(
     computed from their runs.
     """
     summaries = {}
-    for spp in sorted(spps):
-        folder = comparison_folder(directory, spp)
-        summary = reported.get(spp)
+    for member in sorted(members, key=lambda member: (member.device, member.budget)):
+        folder = directory / member.folder
+        summary = reported.get(member)
         if summary is None and (folder / PLAN_FILE).is_file():
             summary = summarise(folder)
         if summary is not None:
-            summaries[spp] = summary
+            summaries[member] = summary
     tables = series_tables(summaries)
     text = "\n\n".join(f"### {table.title}\n\n{markdown_table(table)}" for table in tables) + "\n"
     write_atomically(directory / "tables.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
@@ -74,23 +70,35 @@ def write_series(
         log(f"{table.title}\n{text_table(table)}\n")
 
 
-def _table(title: str, keys: Sequence[str], summaries: Mapping[float, Mapping]) -> Table:
+def _table(title: str, keys: Sequence[str], summaries: Mapping[Member, Mapping]) -> Table:
     titles = {slug: name for summary in summaries.values() for slug, name in strategy_titles(summary).items()}
     cells = {
-        (scene["name"], spp): {row["strategy"]: ratio_cell(row, *keys) for row in scene["rows"]}
-        for spp, summary in summaries.items()
+        (scene["name"], member): {row["strategy"]: ratio_cell(row, *keys) for row in scene["rows"]}
+        for member, summary in summaries.items()
         for scene in summary["scenes"]
     }
     shown = [slug for slug in titles if any(row.get(slug, EMPTY) != EMPTY for row in cells.values())]
     names = list(dict.fromkeys(name for name, _ in cells))
+    has_devices = len({member.device for member in summaries}) > 1
+    unit = next((member.unit for member in summaries), "spp")
     rows = [
-        [Cell(name), Cell(f"{spp:g}"), *(cells[name, spp].get(slug, EMPTY) for slug in shown)]
+        [
+            Cell(name),
+            *([Cell(str(member.device))] if has_devices else []),
+            Cell(f"{member.budget:g}"),
+            *(cells[name, member].get(slug, EMPTY) for slug in shown),
+        ]
         for name in names
-        for spp in summaries
-        if shown and (name, spp) in cells
+        for member in summaries
+        if shown and (name, member) in cells
     ]
     baseline = next((titles[summary["baseline"]] for summary in summaries.values()), "")
-    columns = [Column("scene", LEFT), Column("spp"), *(Column(titles[slug]) for slug in shown)]
+    columns = [
+        Column("scene", LEFT),
+        *([Column("device", LEFT)] if has_devices else []),
+        Column(unit),
+        *(Column(titles[slug]) for slug in shown),
+    ]
     return Table(columns, rows, title.format(baseline=baseline))
 
 
