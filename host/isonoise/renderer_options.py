@@ -14,6 +14,7 @@ from isonoise.argument_checks import (
     check_size,
 )
 from isonoise.device.pool_size import MAX_POOL_SIZE
+from isonoise.device.selection import SelectedDevice
 from isonoise.errors import UserError
 from isonoise.samplers import SAMPLERS
 from isonoise.scene.view import View
@@ -56,8 +57,8 @@ def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
     return checked
 
 
-def _check_device(name: str, value: object) -> str | int:
-    return value if isinstance(value, str) else check_integer(name, value, 0, 2**31 - 1)
+def _check_device(name: str, value: object) -> str | int | SelectedDevice:
+    return value if isinstance(value, (str, SelectedDevice)) else check_integer(name, value, 0, 2**31 - 1)
 
 
 def _check_strategy(name: str, value: object) -> object:
