@@ -40,7 +40,7 @@ def make(directory, **more):
 def no_plots_of_scenes():
     """Reports have the poster's figures only; test_compare_report.py tests the others, which take most of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isonoise.comparison.report.plots.METRICS", ())
+        patch.setattr("isonoise.comparison.report.page.figures", lambda summary, scene, series: [])
         patch.setattr("isonoise.comparison.report.page._map_grids", lambda results, summary, scene: {})
         yield
 

@@ -25,11 +25,24 @@ STRATEGIES = {"uniform": np.ones_like, "relative-median": lambda v: v, "oracle:r
 FILES = ("waves.csv", "runs.csv", "summary.json", "tables.md")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def one_plot_per_scene():
+    """Reports have one plot of each scene; test_report_plots.py tests all."""
+    pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
+    pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
+    from isonoise.comparison.report import page
+
+    def first(summary, scene, series, figures=page.figures):
+        return itertools.islice(figures(summary, scene, series), 1)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "figures", first)
+        yield
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Folder of a finished comparison with its report."""
-    pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
-    pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
     from isonoise.comparison.report import write_report
 
     directory = make_comparison(
@@ -322,12 +335,14 @@ def test_names_are_escaped(tmp_path):
 def test_plots_are_written(folder):
     from PIL import Image
 
-    kinds = ("reference", "rms-p99", "rel-mse", "samples", "errors")
-    expected = sorted(f"{scene}-{kind}.png" for scene in SCENES for kind in kinds)
-    assert sorted(path.name for path in (folder / "plots").iterdir()) == expected
-    for name in expected:
+    pictures = [f"{scene}-{kind}.png" for scene in SCENES for kind in ("reference", "samples", "errors", "rms-p99")]
+    vectors = [f"{scene}-rms-p99.{ending}" for scene in SCENES for ending in ("pdf", "svg")]
+    assert sorted(path.name for path in (folder / "plots").iterdir()) == sorted(pictures + vectors)
+    for name in pictures:
         with Image.open(folder / "plots" / name) as picture:
             picture.verify()
+    for name in vectors:
+        assert (folder / "plots" / name).read_bytes().startswith(b"%PDF" if name.endswith("pdf") else b"<?xml")
 
 
 def test_maps_share_a_scale_and_shrink_by_whole_blocks():
@@ -344,19 +359,6 @@ def test_maps_share_a_scale_and_shrink_by_whole_blocks():
     assert [int(shade[0, 0]) for shade in shades] == [0, 32, 63]
     constant = sample_maps({"uniform": np.full((4, 4), 7)})
     assert constant.low < 7 < constant.high
-
-
-def test_overlapping_labels_are_moved_apart():
-    from isonoise.comparison.report.plots import spread_apart
-
-    assert spread_apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
-    assert spread_apart([0.5, 0.5], 0.1) == pytest.approx([0.45, 0.55])
-    assert spread_apart([0.0, 0.0, 0.0], 0.1) == pytest.approx([0.0, 0.1, 0.2])
-    heights = np.sort(np.random.default_rng(1).beta(1, 8, 20))
-    moved = np.array(spread_apart(heights, 0.04))
-    assert (np.diff(moved) >= 0.04 - 1e-9).all()
-    assert moved[0] >= 0
-    assert moved[-1] <= 1
 
 
 @pytest.mark.parametrize(

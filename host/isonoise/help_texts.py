@@ -56,7 +56,7 @@ files in DIR:
   tables.md                the tables as Markdown
   runs.csv, runs.parquet   one row per run; Parquet with the extra `tables`. Columns: host/docs/experiments.md
   waves.csv, waves.parquet one row per wave of every run
-  plots/                   the plots as files
+  plots/                   the plots as PNG, SVG and PDF files, the maps as PNG files
   references/SCENE.exr     rendered references: R, G, B and standard errors stderr.R, .G, .B
   runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again
   plan.json                the comparison's settings

@@ -2,9 +2,10 @@
 
 import base64
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from isonoise.comparison import metrics
 from isonoise.comparison.metric_columns import SCENE_COLUMNS, SINGLE_IMAGE_COLUMNS, format_number, format_percent
 from isonoise.comparison.presets import POSTER
 from isonoise.comparison.report import figure_files, map_grids, plots, poster
+from isonoise.comparison.report.calibration import calibration_plot
+from isonoise.comparison.report.wave_series import WaveSeries, read_wave_series
 from isonoise.comparison.report_tables import (
     NOISY_REFERENCE,
     scene_table,
@@ -25,12 +28,15 @@ from isonoise.comparison.timing import worker_table
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 MAP_SIDE = 256
 """Maximum side of a map in the page, in pixels."""
 
 
 def write_report(directory: Path) -> dict:
-    """Write the tidy tables, summary.json, tables.md, plots/*.png and report.html to `directory`, each file atomically.
+    """Write the tidy tables, summary.json, tables.md, plots/* and report.html to `directory`, each file atomically.
 
     Returns the summary. Raises UserError if there is nothing to report or a file cannot be read or written.
     """
@@ -48,12 +54,18 @@ def write_report(directory: Path) -> dict:
     from markupsafe import Markup
 
     titles = strategy_titles(summary)
+    with figure_files.figure_settings():
+        scene_sections, poster_figures = (
+            [_scene(results, summary, scene) for scene in scenes],
+            _poster(results, summary),
+        )
     page = _template().render(
         style=Markup(_asset("page.css")),
         script=Markup(_asset("tables.js")),
         summary=summary,
-        scenes=[_scene(results, summary, scene) for scene in scenes],
-        poster=_poster(results, summary),
+        scenes=scene_sections,
+        poster=poster_figures,
+        max_bands=plots.MAX_BANDS,
         across=tables_across_scenes(summary),
         workers=worker_table(summary),
         columns=[*SCENE_COLUMNS, *SINGLE_IMAGE_COLUMNS],
@@ -87,7 +99,7 @@ def _poster(results: Results, summary: Mapping) -> list[dict]:
     for figure in poster.poster_figures(results, summary) if results.plan.preset == POSTER else ():
         path = results.directory / "plots" / f"{figure.name}.png"
         if figure.rows:
-            figure_files.write_figure(path, poster.draw(figure))
+            figure_files.write_png(path, poster.draw(figure))
         else:
             path.unlink(missing_ok=True)  # a figure of earlier runs
         figures.append(
@@ -112,15 +124,17 @@ def _scene(results: Results, summary: Mapping, scene: Mapping) -> dict:
     folder = results.directory / "plots"
     picture = Image.fromarray(tone_map(results.reference(results.plan.scene(slug)).rgb))
     write_atomically(folder / f"{slug}-reference.png", lambda temporary: picture.save(temporary, format="PNG"))
+    series = {
+        strategy: read_wave_series([runs[seed] for seed in scene["seeds"]])
+        for strategy, runs in results.runs(results.plan.scene(slug)).items()
+    }
     curves = []
-    for metric in plots.METRICS:
-        name = f"{slug}-{metric.replace('_', '-')}"
-        figure = plots.error_plot(summary, scene, metric)
-        figure_files.write_figure(folder / f"{name}.png", figure)
-        curves.append(Markup(figure_files.inline_svg(figure, name)))
+    for name, figure in figures(summary, scene, series):
+        svg = figure_files.write_figure(folder / name, figure)
+        curves.append(Markup(figure_files.page_svg(svg, name)))
     grids = []
     for name, (grid, title, form) in _map_grids(results, summary, scene).items():
-        figure_files.write_figure(folder / f"{slug}-{name}.png", map_grids.grid_figure(grid, title, form))
+        figure_files.write_png(folder / f"{slug}-{name}.png", map_grids.grid_figure(grid, title, form))
         grids.append(_grid(grid, title, form))
     picture.thumbnail((2 * MAP_SIDE, 2 * MAP_SIDE))
     return {
@@ -131,6 +145,16 @@ def _scene(results: Results, summary: Mapping, scene: Mapping) -> dict:
         "curves": curves,
         "grids": grids,
     }
+
+
+def figures(summary: Mapping, scene: Mapping, series: Mapping[str, WaveSeries]) -> "Iterator[tuple[str, Figure]]":
+    """The plots of a scene, each with the name of its files."""
+    slug = scene["slug"]
+    for quantity in plots.QUANTITIES:
+        for abscissa in plots.ABSCISSAE:
+            name = f"{slug}-{quantity.name}" + ("" if abscissa == "time" else f"-{abscissa}")
+            yield name, plots.curve_plot(summary, scene, series, quantity, abscissa)
+    yield f"{slug}-calibration", calibration_plot(summary, scene, series)
 
 
 def _map_grids(results: Results, summary: Mapping, scene: Mapping) -> dict[str, tuple]:
