@@ -18,6 +18,7 @@ from isonoise.outcome import Outcome
 from isonoise.progress import format_percent
 from isonoise.statistics import Statistics
 from isonoise.stops import Stops
+from isonoise.wave import WaveRecord
 
 RNG = np.random.default_rng(19)
 
@@ -142,3 +143,17 @@ def test_an_outcome_shows_image_maps_and_curve():
 def test_an_outcome_without_limits_shows_itself():
     """That of a merged render, for example."""
     assert "ended by" not in outcome(stops=None)._repr_html_()
+
+
+def test_a_wave_shows_image_and_maps():
+    shown = WaveRecord("adaptive", 1234, 1234, 0.5, number=3, _read=statistics)
+    html = shown._repr_html_()
+    assert "wave 3, adaptive: 1.23 k samples in 0.50 s; " in html
+    assert html.count("data:image/png") == 3
+    assert "data:image/svg" not in html
+
+
+def test_a_wave_without_statistics_says_so():
+    html = WaveRecord("uniform", 54, 54, 0.5)._repr_html_()
+    assert "were not read" in html
+    assert "<img" not in html

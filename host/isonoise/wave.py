@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isonoise.errors import UserError
+from isonoise.progress import format_count, format_duration, format_number
 from isonoise.statistics import Statistics
 
 
@@ -28,6 +29,8 @@ class WaveRecord:
         Devices, or processes of a cluster, that traced samples of it.
     number : int
         Of the wave in its render, from 1.
+
+    Notebooks show image, error map and sample map.
 
     Examples
     --------
@@ -56,6 +59,19 @@ class WaveRecord:
         if self._read is None:
             raise UserError("this record of a wave has no statistics: it was not made by a Renderer")
         return self._read()
+
+    def _repr_html_(self) -> str:
+        from isonoise.notebook.render_html import page, render_html  # only notebooks call this
+        from isonoise.strategies.measures import image_floor
+
+        facts = f"wave {self.number}, {self.kind}: {format_count(self.samples)} samples"
+        facts += f" in {format_duration(self.seconds)}"
+        try:
+            statistics = self.statistics
+        except UserError:
+            return page(f"{facts}; its statistics were not read before the renderer went on", [])
+        spp = format_number(statistics.samples / statistics.count.size, 4)
+        return render_html(f"{facts}; {spp} samples per pixel so far", statistics, image_floor(statistics.mean))
 
 
 @dataclass
