@@ -89,7 +89,7 @@ def test_cameras_are_chosen_by_their_names_in_the_file(tmp_path):
     path = file.write(tmp_path)
     for name, z in (("kamera ü", 1), ("camera_1", 2), ("Top", 3), ("1", 2)):
         scene = isonoise.load(path, view=isonoise.View(camera=name))
-        (sensor,) = (one for one in scene.values() if isinstance(one, dict) and one["type"] == "perspective")
+        (sensor,) = (one for name, one in scene.items() if name != "type" and one["type"] == "perspective")
         assert sensor["to_world"][2, 3] == z
 
 

@@ -327,8 +327,8 @@ def test_everything_together(tmp_path):
         assert all(np.isfinite(mesh.get("attributes", {}).get(name, 0)).all() for mesh in shapes_of(scene))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        description = isonoise.load(tmp_path / "a.glb")
-    assert isonoise.scene.compile_scene(description).faces.shape[1] == 3
+        scene = isonoise.load(tmp_path / "a.glb")
+    assert scene.compile().faces.shape[1] == 3
 
 
 def test_public_files(public_scenes):

@@ -183,5 +183,5 @@ def test_the_scene_loads_through_the_public_interface(tmp_path):
     path = tmp_path / "scene.pbrt"
     path.write_text('Film "rgb" "integer xresolution" 8 "integer yresolution" 8\nWorldBegin\nShape "sphere"\n')
     scene = isonoise.load(path)
-    assert only(scene, "sphere")["bsdf"]["type"] == "twosided"
+    assert only(scene.description, "sphere")["bsdf"]["type"] == "twosided"
     assert scene["integrator"]["max_depth"] == 6  # pbrt's default is five bounces

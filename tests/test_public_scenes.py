@@ -12,7 +12,6 @@ import references
 
 import isonoise
 from isonoise.film.exr import read_exr
-from isonoise.scene.compile import compile_scene
 
 BATCHES = 16
 """As in test_against_mitsuba.py."""
@@ -97,7 +96,7 @@ def test_published_staircase_equals_the_upgraded_file(public_scenes):
     assert old["integrator"]["max_depth"] == 65
     assert old["sensor"]["film"]["width"] == 1280
     old["integrator"], old["sensor"]["film"] = new["integrator"], new["sensor"]["film"]
-    assert compile_scene(old).hash == compile_scene(new).hash
+    assert old.compile().hash == new.compile().hash
 
 
 @pytest.mark.long

@@ -26,7 +26,7 @@ def test_values_by_path():
     assert "film.width" in scene
     assert "film.exposure" not in scene
     assert scene.get("film.exposure", 1.0) == 1.0
-    assert (scene["tall"].kind, scene["tall"].type) == ("shape", "cube")
+    assert (scene["tall"].kind, scene["tall"].type) == (scene["tall"].kind, scene["tall.type"]) == ("shape", "cube")
     assert list(scene) == list(load_description("cornell"))
     with pytest.raises(ValueError, match="read-only"):
         scene["sensor.to_world"][0, 0] = 2
@@ -122,7 +122,6 @@ def test_params_lists_what_can_be_read():
         ("floor.bsdf.alpha", "bsdf 'floor.bsdf' has no 'alpha' (it has: reflectance)"),
         ("reflectance", "'reflectance' is ambiguous: it may be 'plaster.reflectance', 'teal.reflectance'"),
         ("film.exposure", "'sensor.film.exposure' is not set (its default: by the image's brightness)"),
-        ("floor.type", "shape 'floor' has no 'type'"),
         ("", "the scene has no ''"),
         (3, "a path is a text such as 'film.width', got 3"),
     ],
@@ -148,6 +147,7 @@ def test_errors_of_paths(path, message):
         ("floor.bsdf", 0.5, "'bsdf' is an object: give a dict"),
         ("plaster", {"type": "sphere"}, "uses it, which cannot contain a 'sphere'"),
         ("sensor.focal_length", "50mm", "give 'fov' or 'focal_length', not both"),
+        ("floor.type", "cube", "floor.type: a type cannot be changed; assign a new object"),
         ("more", {"type": "path"}, "a scene can have only one integrator"),
         ("more", 3, "the scene has no 'more'"),
         ("more.bsdf", {"type": "diffuse"}, "the scene has no 'more.bsdf'"),
@@ -182,6 +182,8 @@ def test_defaults_of_mitsuba_have_paths():
     assert (scene["integrator.max_depth"], scene["sampler.sample_count"]) == (-1, 4)
     assert scene["sensor"] == scene["camera"]
     assert scene["light.radiance"] == scene["emitter.radiance"] == 1.0
+    description = load_description({"type": "scene", "camera": {"type": "perspective"}, "light": {"type": "constant"}})
+    assert scene.compile().hash == compile_scene(description).hash
 
 
 def test_a_renderer_takes_a_scene():

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.request import PLACEHOLDER, SceneRequest
 from isonoise.errors import SceneError, UserError
-from isonoise.scene import CompiledScene, compile_scene, load_description
+from isonoise.scene import CompiledScene
+from isonoise.scene.scene import load
 
 OBJECT = "python:"
 """`SceneEntry.source` of a scene object begins with this; the object's name follows."""
@@ -31,13 +32,11 @@ def _compile(scene: SceneRequest, allow_outside: bool) -> CompiledScene:
             raise SceneError("a compiled scene has its size, depth and parameters already: give none")
         return scene.source
     values = {name[1:]: value for name, value in scene.settings.items() if name.startswith(PLACEHOLDER)}
-    loaded = load_description(scene.source, values or None, allow_outside=allow_outside, size=scene.size)
+    loaded = load(scene.source, values or None, allow_outside=allow_outside, size=scene.size)  # copies a Scene
     paths = {path: value for path, value in scene.settings.items() if not path.startswith(PLACEHOLDER)}
-    if paths:
-        loaded = loaded.copy()  # the caller's object stays as it is
-        for path, value in paths.items():
-            loaded[path] = value
-    return compile_scene(loaded, size=scene.size, max_depth=scene.max_depth)
+    for path, value in paths.items():
+        loaded[path] = value
+    return loaded.compile(scene.size, scene.max_depth)
 
 
 def compile_entry(entry: SceneEntry, objects: Mapping[str, object], allow_outside: bool) -> CompiledScene:

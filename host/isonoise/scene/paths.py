@@ -100,7 +100,7 @@ def _walk(start: Place, rest: Sequence[str]) -> tuple[Place, Sequence[str]]:
     """Follow the names from `start.chain[-1]` on, as far as they are given in full. Names may contain dots."""
     while rest:
         owner, whole = start.chain[-1], ".".join(rest)
-        if (whole in owner and whole != "type") or _accepts(owner, whole):
+        if whole in owner or _accepts(owner, whole):
             return Place(start.chain, (*start.names, whole)), ()
         keys = (".".join(rest[:count]) for count in range(len(rest) - 1, 0, -1))
         key = next((key for key in keys if is_object(owner.get(key))), None)

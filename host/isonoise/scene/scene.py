@@ -277,6 +277,7 @@ class Scene(SceneObject):
     __hash__ = object.__hash__
 
     def _assign(self, place: Place, value) -> None:
+        _check_not_type(place)
         if is_film_size(place.owner, place.key):
             self._resize(place, value)
         else:
@@ -299,7 +300,13 @@ class Scene(SceneObject):
         self._editor.assign(list(outside), place.names[-2], film, ".".join(place.names[:-1]))
 
     def _remove(self, place: Place) -> None:
+        _check_not_type(place)
         self._editor.remove(list(place.chain), place.key, place.path)
+
+
+def _check_not_type(place: Place) -> None:
+    if place.key == "type":
+        raise SceneError(f"{place.path}: a type cannot be changed; assign a new object, a dict with its 'type'")
 
 
 def _not_set(place: Place) -> str:
