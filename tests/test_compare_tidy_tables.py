@@ -4,14 +4,17 @@ import csv
 import io
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from simulated_comparison import SNAPSHOTS, make_comparison
 
+from isonoise.comparison.plan import read_plan, write_plan
 from isonoise.comparison.results import Results
-from isonoise.comparison.table_columns import SCHEMA
+from isonoise.comparison.table_columns import DEFAULT_METRICS, METRICS, SCHEMA, checked_metrics
 from isonoise.comparison.tidy_tables import arrow_table, csv_text, runs_table, waves_table, write_tables
+from isonoise.errors import UserError
 
 SCENES = ("bright", "dim")
 STRATEGIES = {"uniform": np.ones_like, "relative-median": lambda v: v}
@@ -19,9 +22,15 @@ SEEDS = (1, 2, 3)
 TABLES = {"runs": runs_table, "waves": waves_table}
 
 
+def set_metrics(directory, names):
+    write_plan(directory, replace(read_plan(directory), metrics=checked_metrics(names)))
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    """Folder of a comparison with the columns of all metrics."""
     directory = make_comparison(tmp_path_factory.mktemp("tidy") / "out", SCENES, STRATEGIES, seeds=SEEDS)
+    set_metrics(directory, METRICS)
     write_tables(Results(directory))
     return directory
 
@@ -39,6 +48,30 @@ def test_columns_have_the_documented_names_and_types(tables, name):
         assert table[column.name].dtype.kind == {"string": "U", "int64": "i", "float64": "f"}[column.dtype]
         assert column.meaning
         assert bool(column.unit) == (column.dtype != "string")
+
+
+def test_the_metrics_of_the_plan_choose_the_columns(tmp_path):
+    directory = make_comparison(tmp_path / "out", ["a"], {"uniform": np.ones_like}, seeds=[1])
+    every = {column.name for column in SCHEMA["waves"] if column.metric in ("", *DEFAULT_METRICS)}
+    assert set(waves_table(directory)) == every
+    set_metrics(directory, ["coverage", "mse"])
+    for name, read in TABLES.items():
+        common = [column.name for column in SCHEMA[name] if not column.metric]
+        assert sorted(read(directory)) == sorted([*common, "true_mse", "true_coverage"])
+
+
+def test_every_metric_has_columns():
+    assert {column.metric for column in SCHEMA["runs"]} == {"", *METRICS}
+    assert {column.metric for column in SCHEMA["waves"]} == {"", *DEFAULT_METRICS}
+
+
+@pytest.mark.parametrize(
+    ("names", "message"), [(["rel-mes"], "did you mean 'rel-mse'"), (["xyz"], "known are rel-mse"), ([], "no metric")]
+)
+def test_unknown_metrics_are_messages(names, message):
+    with pytest.raises(UserError, match=message):
+        checked_metrics(names)
+    assert checked_metrics(["all"]) == tuple(METRICS)
 
 
 def test_rows_are_the_runs_and_their_waves_in_the_order_of_the_plan(tables):

@@ -30,9 +30,11 @@ def render_epilog() -> str:
 
 
 def compare_epilog() -> str:
-    """Additional strategies, presets, and the files that a comparison writes."""
+    """Additional strategies, presets, metrics, and the files that a comparison writes."""
     from isonoise.comparison.presets import PRESETS
+    from isonoise.comparison.table_columns import METRICS
 
+    metrics = [f"  {name:<24} {meaning}" for name, meaning in METRICS.items()]
     presets = []
     for name, preset in PRESETS.items():
         presets.append(f"  {name}: {preset.description}")
@@ -50,12 +52,17 @@ strategies in addition to those of `isonoise render`:
 presets:
 {chr(10).join(presets)}
 
+metrics:
+{chr(10).join(metrics)}
+
 files in DIR:
   report.html              tables and plots in one file
   summary.json             the tables' numbers
   tables.md                the tables as Markdown
   runs.csv, runs.parquet   one row per run; Parquet with the extra `tables`. Columns: host/docs/experiments.md
   waves.csv, waves.parquet one row per wave of every run
+  images/SCENE/STRATEGY/SEED.exr   with --keep-images the final image of a run: R, G, B as 16-bit floats
+  flip.json                with the metric flip its values, so that they are computed once
   plots/                   the plots as PNG, SVG and PDF files, the maps as PNG files
   references/SCENE.exr     rendered references: R, G, B and standard errors stderr.R, .G, .B
   runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again

@@ -29,7 +29,7 @@ DEFAULT_TIME = 10.0
 REPORT_PACKAGES = ("matplotlib", "jinja2")
 EXPERIMENT_OPTIONS = (
     *("strategies", "preset", "seeds", "seed", "time", "spp", "size", "max_depth", "device", "allow_outside"),
-    *("reference", "reference_time"),
+    *("reference", "reference_time", "metrics", "keep_images"),
 )
 """Options for which an experiment's file has keys."""
 
@@ -166,6 +166,8 @@ def _request(options: argparse.Namespace, preset: Preset | None) -> Request:
         reference_time=options.reference_time,
         preset=options.preset,
         allow_outside=options.allow_outside,
+        metrics=[name.strip() for name in options.metrics.split(",")] if options.metrics else (),
+        keep_images=options.keep_images,
     )
 
 

@@ -56,6 +56,12 @@ def add_compare(commands) -> None:
         help="when a comparison is resumed with another version, driver or device, or an edited strategy or scene: "
         "render again what depends on it (default: refuse)",
     )
+    _add_references(compare)
+    _add_results(compare)
+    shared_options.add_output(compare, "print the numbers of the tables, as in summary.json")
+
+
+def _add_references(compare) -> None:
     references = compare.add_argument_group("references")
     references.add_argument(
         "--reference",
@@ -72,4 +78,17 @@ def add_compare(commands) -> None:
         help="seconds to render a reference, and as many for the variances of an oracle (default: 20 times --time; "
         "with --spp 20 times its samples)",
     )
-    shared_options.add_output(compare, "print the numbers of the tables, as in summary.json")
+
+
+def _add_results(compare) -> None:
+    results = compare.add_argument_group("results")
+    results.add_argument(
+        "--metrics",
+        metavar="A,B,..",
+        help="columns of runs.csv and waves.csv, listed below; `all` for all of them (default: all but flip)",
+    )
+    results.add_argument(
+        "--keep-images",
+        action="store_true",
+        help="write the final image of every run to DIR/images, EXR with 16-bit floats; also of runs that are finished",
+    )

@@ -7,6 +7,7 @@
 import hashlib
 import io
 import json
+import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,7 +18,7 @@ from isonoise.comparison.identity import find_mismatch
 from isonoise.errors import UserError
 from isonoise.film.exr import image_channels, read_exr, write_exr
 from isonoise.film.files import write_atomically
-from isonoise.input_files import read_regular_file
+from isonoise.input_files import open_regular_file, read_regular_file
 
 _DIGEST_LENGTH = 64
 _NO_DIGEST = "it is damaged, or an earlier version wrote it"
@@ -50,6 +51,18 @@ def write_packed(path: Path, content: bytes) -> None:
     """Write what `pack_npz` has returned atomically. Raises UserError if that fails."""
     _remove_link(path)
     write_atomically(path, lambda temporary: _write_bytes(temporary, content))
+
+
+def packed_digest(content: bytes) -> str:
+    """SHA-256 of what `pack_npz` has returned, as its end says."""
+    return content[-_DIGEST_LENGTH:].decode("ascii", "replace")
+
+
+def file_digest(path: Path) -> str:
+    """`packed_digest` of a file. Raises OSError if it cannot be read."""
+    with open_regular_file(path) as file:
+        file.seek(-_DIGEST_LENGTH, os.SEEK_END)
+        return packed_digest(file.read(_DIGEST_LENGTH))
 
 
 def read_npz(path: Path, identity: Mapping) -> Mapping[str, np.ndarray]:

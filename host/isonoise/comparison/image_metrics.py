@@ -6,6 +6,7 @@ that `isonoise compare --keep-images` writes.
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
@@ -104,12 +105,18 @@ def flip(image: np.ndarray, reference: np.ndarray) -> float:
     UserError
         If the package flip-evaluator is not installed.
     """
-    try:
-        import flip_evaluator
-    except ImportError as error:
-        raise UserError("the metric 'flip' needs flip-evaluator: pip install 'isonoise[flip]'") from error
+    flip_evaluator = import_flip()
     from isonoise.film.png import automatic_exposure, tone_map
 
     exposure = automatic_exposure(np.maximum(reference, 0))
     ldr = [tone_map(pixels, exposure).astype(np.float32) / 255 for pixels in (reference, image)]
     return float(flip_evaluator.evaluate(*ldr, "LDR", applyMagma=False)[1])
+
+
+def import_flip() -> ModuleType:
+    """The package flip_evaluator. Raises UserError if it is not installed."""
+    try:
+        import flip_evaluator
+    except ImportError as error:
+        raise UserError("the metric 'flip' needs flip-evaluator: pip install 'isonoise[flip]'") from error
+    return flip_evaluator

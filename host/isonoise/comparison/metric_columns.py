@@ -1,6 +1,6 @@
 """Columns of a comparison's tables: the figure of summary.json, its format and its meaning."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from isonoise.tables import Cell, Column
@@ -14,10 +14,20 @@ MakeCell = Callable[[Mapping, Mapping], Cell]
 
 @dataclass(frozen=True)
 class MetricColumn(Column):
-    """A column whose cells are made from the rows of summary.json; `in_terminal`: the terminal shows it, too."""
+    """A column whose cells are made from the rows of summary.json.
+
+    `in_terminal`: the terminal shows it, too. `is_optional`: it is left out if all its cells are empty.
+    """
 
     cell: MakeCell = lambda row, scene: EMPTY
     in_terminal: bool = False
+    is_optional: bool = False
+
+
+def shown_columns(columns: Iterable[MetricColumn], scenes: Iterable[Mapping]) -> list[MetricColumn]:
+    """The columns without optional ones that are empty in all these scenes of summary.json."""
+    rows = [(row, scene) for scene in scenes for row in scene["rows"]]
+    return [column for column in columns if not column.is_optional or any(column.cell(*row) != EMPTY for row in rows)]
 
 
 def format_number(value: float | None, digits: int = 3) -> str:
@@ -59,6 +69,8 @@ def _interval(*keys: str, form: Callable[[float | None], str] = format_number) -
 
     def cell(row: Mapping, scene: Mapping) -> Cell:
         interval = _lookup(row, *keys)
+        if interval is None:
+            return EMPTY
         return Cell(form(interval["value"]), _format_interval(interval, form), interval["value"])
 
     return cell
@@ -123,6 +135,15 @@ def _bias(row: Mapping, scene: Mapping) -> Cell:
 def _metric(head: str, meaning: str, cell: MakeCell, in_terminal: bool = False) -> MetricColumn:
     return MetricColumn(head, meaning=meaning, cell=cell, in_terminal=in_terminal)
 
+
+_FLIP = MetricColumn(
+    "FLIP",
+    meaning="mean LDR-FLIP of single images, tone-mapped like PNG outputs with the reference's exposure; mean over the "
+    "seeds with its 95 % interval. The reference's error is included",
+    cell=_interval("flip"),
+    in_terminal=True,
+    is_optional=True,
+)
 
 SCENE_COLUMNS = (
     _metric("spp", "samples per pixel, mean over the image and the seeds", _value("spp"), True),
@@ -201,6 +222,7 @@ SCENE_COLUMNS = (
         _value("stated_over_true", "p99", "value", form=format_ratio),
         True,
     ),
+    _FLIP,
 )
 """Figures of a strategy on a scene at the end of its budget."""
 
@@ -258,6 +280,11 @@ SINGLE_IMAGE_COLUMNS = (
         "trimmed, floor²",
         "the same without the worst 0.1 % of each image's pixels",
         _value("rel_mse_floor_trimmed"),
+    ),
+    _metric(
+        "MSE",
+        "mean of (x - r)² over pixels and RGB, in squared units of the scene; the reference's error is included",
+        _value("mse"),
     ),
     _metric("set-up s", "seconds before the first sample: load, build, compile", _value("setup_s")),
 )

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from isonoise.comparison.table_columns import DEFAULT_METRICS
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 from isonoise.input_files import read_json, read_regular_file
@@ -66,6 +67,8 @@ class Plan:
     reference_time: float | None  # seconds; None: REFERENCE_BUDGET_FACTOR times spp
     preset: str | None = None  # the report has its figures
     allow_outside: bool = False  # as for `isonoise.load`
+    metrics: tuple[str, ...] = DEFAULT_METRICS  # of the tidy tables
+    keep_images: bool = False  # as EXR files
 
     def scene(self, slug: str) -> SceneEntry:
         return next(scene for scene in self.scenes if scene.slug == slug)
@@ -83,6 +86,7 @@ def read_plan(directory: Path) -> Plan | None:
         content["scenes"] = tuple(_scene_entry(entry) for entry in content["scenes"])
         content["strategies"] = tuple(StrategyEntry(**entry) for entry in content["strategies"])
         content["seeds"] = tuple(content["seeds"])
+        content["metrics"] = tuple(content["metrics"])
         return Plan(**content)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(

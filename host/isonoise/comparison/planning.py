@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from isonoise.comparison.environment import device_identity, program_version
+from isonoise.comparison.image_metrics import import_flip
 from isonoise.comparison.plan import (
     FIRST_REFERENCE_SEED,
     REFERENCE_BUDGET_FACTOR,
@@ -25,6 +26,7 @@ from isonoise.comparison.request import Request, SceneRequest
 from isonoise.comparison.scene_source import OBJECT, compile_request, is_object
 from isonoise.comparison.strategy_code import code_of
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, describe_spec, strategy_title
+from isonoise.comparison.table_columns import DEFAULT_METRICS, checked_metrics
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.scene.builtin import find_scene
@@ -71,12 +73,24 @@ def make_plan(request: Request, stored: Plan | None = None, device: str | None =
         reference_time=reference_time,
         preset=request.preset or (stored.preset if stored else None),
         allow_outside=request.allow_outside,
+        metrics=_metrics(request, stored),
+        keep_images=request.keep_images or (stored is not None and stored.keep_images),
     )
 
 
 def scene_name(source: str) -> str:
     """Name of a scene file or built-in scene, for the names of its variants. Raises SceneError if there is none."""
     return _scene_names(_source(SceneRequest(source)), None)[0]
+
+
+def _metrics(request: Request, stored: Plan | None) -> tuple[str, ...]:
+    if request.metrics:
+        metrics = checked_metrics(request.metrics)
+    else:
+        metrics = DEFAULT_METRICS if stored is None else stored.metrics
+    if "flip" in metrics:
+        import_flip()  # before runs are rendered, not after them
+    return metrics
 
 
 def scene_objects(request: Request) -> dict[str, object]:

@@ -10,6 +10,7 @@ from isonoise.comparison.metric_columns import (
     format_percent,
     format_ratio,
     sampler_cell,
+    shown_columns,
     summary_cell,
     time_cell,
 )
@@ -80,6 +81,7 @@ def _table_of_scene(
     summary: Mapping, scene: Mapping, columns: Sequence[MetricColumn], title: str, notes: Sequence[str]
 ) -> Table:
     titles = strategy_titles(summary)
+    columns = shown_columns(columns, [scene])
     rows = [
         [
             Cell(titles[row["strategy"]], MARK if row["reference_too_noisy"] else ""),
@@ -157,7 +159,8 @@ def markdown_tables(summary: Mapping) -> str:
         if table.rows:
             rows = [[replace(first, text=f"`{first.text}`"), *cells] for first, *cells in table.rows]
             parts.append(markdown_table(replace(table, rows=rows)))
-    meanings = [f"- {column.head}: {column.meaning}." for column in (*SCENE_COLUMNS, *SINGLE_IMAGE_COLUMNS)]
+    columns = shown_columns((*SCENE_COLUMNS, *SINGLE_IMAGE_COLUMNS), summary["scenes"])
+    meanings = [f"- {column.head}: {column.meaning}." for column in columns]
     return "\n\n".join([*parts, "### Columns", "\n".join(meanings)]) + "\n"
 
 

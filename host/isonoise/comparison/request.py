@@ -63,7 +63,7 @@ class Request:
     reference_time: float | None = None
     preset: str | None = None
     allow_outside: bool = False
-    metrics: Sequence[str] = ()  # of the tables; empty: the default ones
+    metrics: Sequence[str] = ()  # of the tidy tables; empty: those of the folder, or the default ones
     keep_images: bool = False  # the image of every run as an EXR file
     experiment: str | None = None  # text of the file that asks for it
 

@@ -114,6 +114,10 @@ class Results:
             self._runs[scene.slug] = self._find_runs(scene)
         return self._runs[scene.slug]
 
+    def all_runs(self, scene: SceneEntry) -> list[Run]:
+        """Finished runs of a scene, by strategy and seed in the order of the plan."""
+        return [run for runs in self.runs(scene).values() for run in runs.values()]
+
     def _find_runs(self, scene: SceneEntry) -> dict[str, dict[int, Run]]:
         try:
             digests = read_digests(self.directory, self.plan, scene)

@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from isonoise.comparison.checked_files import make_folder, unpack_npz, write_packed
+from isonoise.comparison.checked_files import make_folder, packed_digest, unpack_npz, write_packed
 from isonoise.comparison.folder_lock import FolderLock
 from isonoise.comparison.local_batches import LocalBatches
 from isonoise.comparison.local_runs import LocalRuns
 from isonoise.comparison.plan import Plan, SceneEntry, run_path
 from isonoise.comparison.reference_files import read_digests
 from isonoise.comparison.references import ReferenceRenderer
+from isonoise.comparison.run_images import ensure_image, image_path
 from isonoise.comparison.run_inputs import RunInputs
 from isonoise.comparison.run_order import (
     PlannedRun,
@@ -87,6 +88,10 @@ class _Runner:
         invalid = find_invalid(existing, self.directory, self.inputs.identity)
         for message in invalid_run_messages(invalid):
             self.warn(message)
+        if self.plan.keep_images:
+            for run in existing:
+                if run not in invalid:
+                    self._keep_image(run, run_path(self.directory, *run).read_bytes())
         self.progress.total = len(invalid) + len(missing)
         for runs in (list(invalid), missing):
             self._render(runs)
@@ -120,6 +125,8 @@ class _Runner:
         self.lock.check()
         make_folder(path.parent)
         write_packed(path, content)
+        if self.plan.keep_images:
+            self._keep_image(run, content)
         self.progress.finished += 1
         self.log(
             f"{run.scene.name}  {run.strategy.title}  seed {run.seed}  {format_duration(last['elapsed_s'])}  "
@@ -129,3 +136,8 @@ class _Runner:
             f"[{self.progress.finished} of {self.progress.total}{self.progress.remaining()}]"
             + (f"  {facts['worker']}" if facts.get("worker") else "")
         )
+
+    def _keep_image(self, run: PlannedRun, content: bytes) -> None:
+        """Write the image of a run, whose file has this content, unless it is there."""
+        file = unpack_npz(content, run_path(self.directory, *run), self.inputs.identity(run))
+        ensure_image(image_path(self.directory, *run), file, packed_digest(content))

@@ -10,6 +10,7 @@ import numpy as np
 
 from isonoise import __version__
 from isonoise.comparison import metrics, reference_error
+from isonoise.comparison.flip_values import FlipValues
 from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.report_tables import markdown_tables, text_tables
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
@@ -56,6 +57,7 @@ def summarise(directory: Path) -> dict:
     | `reference_too_noisy` | the reference's p99 is over a quarter of the row's (of `rms` or `true`, the smaller) |
     | `rel_mse` * | interval by the jackknife of the logarithm |
     | `rel_mse_trimmed`, `_floor`, `_floor_trimmed` | means, as in the log |
+    | `mse`, `flip` | mean square error, means; FLIP: interval over the seeds, if it is a metric of the comparison |
     | `rel_mse_ratio` *, `true_p99_ratio` * | paired over the seeds: exp of the mean log ratio |
     | `stated`, `true` * | p50, p95, p99 (`true`: also max, as in the log) of single images, means |
     | `stated_over_true` * | p50, p95, p99: geometric mean over the seeds, interval; `lowest`, `highest` of all waves |
@@ -72,6 +74,8 @@ def summarise(directory: Path) -> dict:
     """
     results = Results(directory)
     plan = results.plan
+    if "flip" in plan.metrics:
+        FlipValues(directory).update(results)
     slugs = {strategy.spec: strategy.slug for strategy in plan.strategies}
     return _to_json(
         {
@@ -140,6 +144,7 @@ def _scene(results: Results, scene: SceneEntry, runs: dict[str, dict[int, Run]])
             {"strategy": slug, "seeds": len(runs[slug])}
             | measurement.row(baseline, reference_quantiles["p99"])
             | _sampler_ratio(results, slug, measured)
+            | _flip(results, [runs[slug][seed] for seed in seeds])
             for slug, measurement in measured.items()
         ],
     }
@@ -156,6 +161,14 @@ def _sampler_ratio(results: Results, slug: str, measured: "dict[str, _Measuremen
     return {
         "sampler_ratio": {"rms_p99": measurement.rms_ratio(other)["p99"], "rel_mse": measurement.rel_mse_ratio(other)}
     }
+
+
+def _flip(results: Results, runs: list[Run]) -> dict:
+    """The field `flip` of a row; empty unless it is a metric of the comparison."""
+    if "flip" not in results.plan.metrics:
+        return {}
+    values = FlipValues(results.directory)
+    return {"flip": asdict(metrics.mean_over_seeds([_to_float(values.get(run)) for run in runs]).interval())}
 
 
 class _Measurement:
@@ -209,6 +222,7 @@ class _Measurement:
             "stated": {q: self._mean(f"stated_{q}") for q in QUANTILES},
             "true": true,
             "stated_over_true": {q: self._stated_over_true(q) for q in QUANTILES},
+            "mse": self._mean("true_mse"),
             "coverage": self._mean("true_coverage"),
             **_range("coverage_", self._over_waves(lambda row: _to_float(row.get("true_coverage"))).mean(axis=0)),
             "rel_mse": asdict(_interval_of_log(rel_mse.mean(), metrics.leave_one_out_means(rel_mse))),

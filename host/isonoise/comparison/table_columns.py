@@ -1,8 +1,26 @@
 """The columns of a comparison's tidy tables `runs` and `waves`: type, unit, meaning. For `tidy_tables`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from isonoise.argument_checks import nearest
+from isonoise.errors import UserError
 from isonoise.film.log import columns
+
+METRICS = {
+    "rel-mse": "relMSE, with and without the worst 0.1 % of the pixels",
+    "mse": "mean square error",
+    "quantiles": "relative error of the pixels: p50, p95, p99, max",
+    "uniformity": "p99 / p50 of that error",
+    "bias": "image mean over the reference's; mean relative error with its standard error and z",
+    "coverage": "share of the pixels whose stated 95 % interval has the reference",
+    "stated": "stated error, and stated over true error",
+    "flip": "FLIP of the run's final image; needs the extra `flip` and some seconds per million pixels",
+}
+"""Name -> what its columns have."""
+ALL = "all"
+"""Names all metrics."""
+DEFAULT_METRICS = tuple(name for name in METRICS if name != "flip")
 
 _LOG = columns(true_errors=True)
 """Name -> meaning of the columns of a render's log."""
@@ -34,6 +52,17 @@ class TableColumn:
     unit: str
     meaning: str
     metric: str = ""
+
+
+def checked_metrics(names: Sequence[str]) -> tuple[str, ...]:
+    """The names in the order of `METRICS`; `all` names all. Raises UserError if one is unknown, or there is none."""
+    known = [*METRICS, ALL]
+    for name in names:
+        if name not in known:
+            raise UserError(f"there is no metric '{name}'{nearest(name, known)}; known are {', '.join(known)}")
+    if not names:
+        raise UserError(f"no metric is named; known are {', '.join(known)}")
+    return tuple(name for name in METRICS if name in names or ALL in names)
 
 
 def _text(name: str, meaning: str) -> TableColumn:
@@ -120,8 +149,9 @@ SCHEMA: dict[str, tuple[TableColumn, ...]] = {
         *_PROGRESS,
         *_METRICS,
         _number("true_floor", _RADIANCE),
+        _number("flip", "1", "mean LDR-FLIP of the final image, see `image_metrics.flip`", "flip"),
         *_FILES,
     ),
     "waves": (*_KEYS, _integer("wave"), _text("kind", _LOG["kind"]), *_PROGRESS, *_METRICS),
 }
-"""The columns of each table, in their order. Those of `runs` have the values after the run's last wave."""
+"""The columns of each table with all metrics, in their order. Those of `runs` have the values after the last wave."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isonoise.comparison.checked_files import read_npz
+from isonoise.comparison.flip_values import FlipValues
 from isonoise.comparison.plan import SceneEntry, StrategyEntry
 from isonoise.comparison.results import Results, Run
 from isonoise.comparison.table_columns import SCHEMA, TableColumn
@@ -39,7 +40,8 @@ def runs_table(directory: Path | str) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of str to 1-D array
-        The columns `SCHEMA["runs"]` by name. Missing numbers are nan, missing texts empty.
+        Those of the columns `SCHEMA["runs"]` that the metrics of the plan choose, by name. Missing numbers are nan,
+        missing texts empty.
 
     Raises
     ------
@@ -102,7 +104,8 @@ def columns_of(name: str, table: Mapping[str, np.ndarray]) -> list[TableColumn]:
 
 def _table(name: str, results: Results) -> dict[str, np.ndarray]:
     rows = [row for run in _runs(results) for row in (run if name == "waves" else [run[-1]])]
-    return {column.name: _array(column, rows) for column in SCHEMA[name]}
+    chosen = ("", *results.plan.metrics)
+    return {column.name: _array(column, rows) for column in SCHEMA[name] if column.metric in chosen}
 
 
 def _array(column: TableColumn, rows: Sequence[Mapping]) -> np.ndarray:
@@ -117,13 +120,16 @@ def _array(column: TableColumn, rows: Sequence[Mapping]) -> np.ndarray:
 def _runs(results: Results) -> Iterator[list[dict]]:
     """For every finished run the rows of its waves, each with all columns of both tables."""
     strategies = {strategy.slug: strategy for strategy in results.plan.strategies}
+    flip_values = FlipValues(results.directory)
     for scene in results.plan.scenes:
         for slug, runs in results.runs(scene).items():
             for run in runs.values():
-                yield _rows(results, scene, strategies[slug], run)
+                yield _rows(results, scene, strategies[slug], run, flip_values)
 
 
-def _rows(results: Results, scene: SceneEntry, strategy: StrategyEntry, run: Run) -> list[dict]:
+def _rows(
+    results: Results, scene: SceneEntry, strategy: StrategyEntry, run: Run, flip_values: FlipValues
+) -> list[dict]:
     file = read_npz(run.path, run.identity)
     waves, facts = json.loads(str(file["rows"])), json.loads(str(file["facts"]))
     common = {
@@ -135,6 +141,7 @@ def _rows(results: Results, scene: SceneEntry, strategy: StrategyEntry, run: Run
         "width": scene.width,
         "height": scene.height,
         "waves": len(waves),
+        "flip": flip_values.get(run),
         "run_file": run.path.relative_to(results.directory).as_posix(),
     }
     for name in ("device", "worker", "stopped_by", "setup_s", "warm_up_spp"):

@@ -26,7 +26,7 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
     layers : mapping of str to array
         Arrays of one size. The name "" with shape (height, width, 3) gives the channels R, G, B; another name `a` gives
         a.R, a.G, a.B, or with shape (height, width) the channel `a`. Unsigned integers are stored as UINT (exact;
-        OpenEXR readers convert to float on request), all others as 32-bit FLOAT.
+        OpenEXR readers convert to float on request), float16 as HALF, all others as 32-bit FLOAT.
     header : mapping
         Render settings. Values are stored as strings, numbers in full precision, because OpenEXR's own int and float
         attributes have 32 bits: a sample count does not fit.
@@ -56,10 +56,15 @@ def image_channels(layers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The channels of the layers by name, each (height, width) as `write_exr` stores it. Channels are layers, too."""
     channels = {}
     for name, pixels in layers.items():
-        dtype = np.uint32 if np.issubdtype(pixels.dtype, np.unsignedinteger) else np.float32
         planes = {name: pixels} if pixels.ndim == 2 else _rgb_planes(name, pixels)
-        channels |= {key: np.ascontiguousarray(plane, dtype) for key, plane in planes.items()}
+        channels |= {key: np.ascontiguousarray(plane, _stored_type(pixels.dtype)) for key, plane in planes.items()}
     return channels
+
+
+def _stored_type(dtype: np.dtype) -> type:
+    if np.issubdtype(dtype, np.unsignedinteger):
+        return np.uint32
+    return np.float16 if dtype == np.float16 else np.float32
 
 
 def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, object]]:

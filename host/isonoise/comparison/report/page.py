@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isonoise.comparison import metrics
-from isonoise.comparison.metric_columns import SCENE_COLUMNS, SINGLE_IMAGE_COLUMNS, format_number, format_percent
+from isonoise.comparison.metric_columns import (
+    SCENE_COLUMNS,
+    SINGLE_IMAGE_COLUMNS,
+    format_number,
+    format_percent,
+    shown_columns,
+)
 from isonoise.comparison.presets import POSTER
 from isonoise.comparison.report import figure_files, map_grids, plots, poster
 from isonoise.comparison.report.calibration import calibration_plot
@@ -68,7 +74,7 @@ def write_report(directory: Path) -> dict:
         max_bands=plots.MAX_BANDS,
         across=tables_across_scenes(summary),
         workers=worker_table(summary),
-        columns=[*SCENE_COLUMNS, *SINGLE_IMAGE_COLUMNS],
+        columns=shown_columns([*SCENE_COLUMNS, *SINGLE_IMAGE_COLUMNS], scenes),
         noisy_reference=NOISY_REFERENCE,
         dates=_dates(results),
         devices=sorted({device for scene in scenes for device in scene["devices"]}),
