@@ -84,6 +84,30 @@ def mitsuba():
 
 
 @pytest.fixture
+def notebook_outputs(monkeypatch) -> list[list[dict[str, str]]]:
+    """Outputs of a notebook's cell in the order in which they appear, each with its contents so far; no IPython."""
+    import sys
+    from types import SimpleNamespace
+
+    outputs = []
+
+    class DisplayHandle:
+        def display(self, content, raw):
+            assert raw
+            self.contents = [content]
+            outputs.append(self.contents)
+
+        def update(self, content, raw):
+            assert raw
+            self.contents.append(content)
+
+    shell = SimpleNamespace(kernel=object())
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(DisplayHandle=DisplayHandle))
+    return outputs
+
+
+@pytest.fixture
 def write_file(tmp_path):
     """Writes a file of this name and content to `tmp_path`; returns its path."""
 

@@ -9,6 +9,9 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from PIL import Image
+from small_scene import HEIGHT as SCENE_HEIGHT
+from small_scene import WIDTH as SCENE_WIDTH
+from small_scene import lamp_over_floor
 
 from isonoise.film.log import LogRow
 from isonoise.film.png import tone_map
@@ -16,6 +19,8 @@ from isonoise.notebook.error_curve import HEIGHT, LABEL_DISTANCE, error_curve
 from isonoise.notebook.pictures import INFERNO, MAX_SIDE, VIRIDIS, image_picture, map_picture, reduce_plane
 from isonoise.outcome import Outcome
 from isonoise.progress import format_percent
+from isonoise.scene.parameter_list import count_objects
+from isonoise.scene.scene import load
 from isonoise.statistics import Statistics
 from isonoise.stops import Stops
 from isonoise.wave import WaveRecord
@@ -157,3 +162,25 @@ def test_a_wave_without_statistics_says_so():
     html = WaveRecord("uniform", 54, 54, 0.5)._repr_html_()
     assert "were not read" in html
     assert "<img" not in html
+
+
+def test_a_scene_shows_its_objects_and_parameters():
+    """Also one that several shapes share, and text that is no HTML."""
+    scene = load(lamp_over_floor() | {"<b>": {"type": "sphere", "bsdf": {"type": "conductor"}}})
+    html = scene._repr_html_()
+    assert f"{SCENE_WIDTH}x{SCENE_HEIGHT} pixels" in html
+    for kind, plugin, number in (("shape", "rectangle", 2), ("shape", "sphere", 1), ("emitter", "area", 1)):
+        assert f'{kind}</td><td style="text-align:left">{plugin}</td><td style="text-align:right">{number}<' in html
+    for path, value in (("floor.bsdf.reflectance", "0.6"), ("sensor.fov", "50"), ("lamp.emitter.radiance", "5, 4, 3")):
+        assert re.search(f"{path}</td>.*?>{value}</td>", html)
+    assert "&lt;b&gt;.bsdf" in html
+    assert "<b>." not in html
+    assert f"{len(scene.params())} parameters" in html
+    assert "lamp.emitter.radiance" in scene["lamp"]._repr_html_()
+    assert "floor" not in scene["lamp"]._repr_html_()
+
+
+def test_an_object_with_several_users_counts_once():
+    floor = {"type": "rectangle", "bsdf": {"type": "ref", "id": "paint"}}
+    scene = load(lamp_over_floor() | {"paint": {"type": "dielectric"}, "a": floor, "b": floor})
+    assert ("bsdf", "dielectric", "1") in count_objects(scene.description).rows

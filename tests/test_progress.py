@@ -104,49 +104,29 @@ def test_set_up_prints_the_settings_before_kernels_are_compiled(monkeypatch, cap
     assert "1 of 3 done: shade" in terminal.getvalue()
 
 
-@pytest.fixture
-def shown_in_notebook(monkeypatch) -> list[dict[str, str]]:
-    """What stands in the output of a cell, as it changes; with a stand-in for IPython."""
-    contents = []
-
-    class DisplayHandle:
-        def display(self, content, raw):
-            assert raw
-            assert not contents
-            contents.append(content)
-
-        def update(self, content, raw):
-            assert raw
-            contents.append(content)
-
-    shell = SimpleNamespace(kernel=object())
-    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
-    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(DisplayHandle=DisplayHandle))
-    return contents
-
-
-def test_a_notebook_shows_the_bar_until_its_end(shown_in_notebook):
+def test_a_notebook_shows_the_bar_until_its_end(notebook_outputs):
+    shown = notebook_outputs
     with RenderProgressBar() as bar:
         bar.update(1.0, 2000, 0.05, 3.0)
         bar.update(2.0, 4000, 0.03, None)
-    texts = [content["text/plain"] for content in shown_in_notebook]
+    texts = [content["text/plain"] for content in shown[0]]
     assert texts == [
         "first samples",
         "1.00 s, 2 k samples, error 5 %, 3.00 s left",
         "2.00 s, 4 k samples, error 3 %",
         "",
     ]
-    assert '<progress value="0.2500"' in shown_in_notebook[1]["text/html"]
-    assert "<progress aria-label" in shown_in_notebook[2]["text/html"]  # the end is unknown
+    assert '<progress value="0.2500"' in shown[0][1]["text/html"]
+    assert "<progress aria-label" in shown[0][2]["text/html"]  # the end is unknown
 
 
-def test_descriptions_are_no_html(shown_in_notebook):
+def test_descriptions_are_no_html(notebook_outputs):
     with RenderProgressBar("loading <b>.xml"):
-        assert "loading &lt;b&gt;.xml" in shown_in_notebook[0]["text/html"]
+        assert "loading &lt;b&gt;.xml" in notebook_outputs[0][0]["text/html"]
 
 
-def test_nothing_is_shown_in_a_shell_of_ipython(shown_in_notebook, monkeypatch):
+def test_nothing_is_shown_in_a_shell_of_ipython(notebook_outputs, monkeypatch):
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: SimpleNamespace()))
     with RenderProgressBar() as bar:
         bar.update(1.0, 2000, 0.05, 3.0)
-    assert shown_in_notebook == []
+    assert notebook_outputs == []

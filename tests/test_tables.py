@@ -1,6 +1,6 @@
 """The table renderer: alignment, wrapping, Markdown."""
 
-from isonoise.tables import LEFT, Cell, Column, Table, columns, label_lines, markdown_table, text_table
+from isonoise.tables import LEFT, Cell, Column, Table, columns, html_table, label_lines, markdown_table, text_table
 
 TABLE = Table(columns("name", "count", "note", left=(0, 2)), [("a", Cell("1", "(0\u20132)"), "one"), ("bc", "30", "")])
 
@@ -40,3 +40,9 @@ def test_markdown():
         "| a | 1 (0\u20132) | one |",
         "| bc | 30 |  |",
     ]
+
+
+def test_html_tables_escape_their_cells():
+    html = html_table(Table(columns("name", "a < b"), [("x & y", Cell("1", "[0, 2]"))]))
+    assert '<th style="text-align:right">a &lt; b</th>' in html
+    assert '<td style="text-align:left">x &amp; y</td><td style="text-align:right">1 [0, 2]</td>' in html

@@ -25,6 +25,7 @@ _PUBLIC_NAMES = {
     "View": "isonoise.scene.view",
     "Wave": "isonoise.strategies",
     "load": "isonoise.scene.scene",
+    "watch": "isonoise.watch_waves",
     "read_checkpoint": "isonoise.state.checkpoint",
     "render": "isonoise.render_scene",
     "render_loop": "isonoise.loop",

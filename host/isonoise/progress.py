@@ -48,6 +48,11 @@ class ProgressBar:
         if self._notebook:
             self._notebook.clear()
 
+    @property
+    def is_visible(self) -> bool:
+        """Whether anything is shown."""
+        return self._progress is not None or self._notebook is not None
+
     def show(self, completed: float, total: float | None, description: str) -> None:
         """Show that `completed` of `total` (None: unknown) is done, with `description` beside the bar."""
         if self._progress:

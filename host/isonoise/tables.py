@@ -1,8 +1,9 @@
-"""Tables of text cells, for the terminal and for Markdown; called by the commands that print tables.
+"""Tables of text cells, for the terminal, Markdown and notebooks; called by the commands that print tables.
 
 `comparison/report/page.html.j2` renders the same `Table` as HTML.
 """
 
+import html
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -99,3 +100,16 @@ def markdown_table(table: Table) -> str:
     """The rows as a Markdown table, without title and notes."""
     heads = [[column.head for column in table.columns], ["---"] * len(table.columns)]
     return "\n".join(f"| {' | '.join(map(str, row))} |" for row in [*heads, *table.rows])
+
+
+def html_table(table: Table) -> str:
+    """The rows as an HTML table with styles of its own, without title and notes."""
+    sides = ["left" if column.align == LEFT else "right" for column in table.columns]
+    heads = zip([html.escape(column.head) for column in table.columns], sides, strict=True)
+    head = "".join(f'<th style="text-align:{side}">{text}</th>' for text, side in heads)
+    rows = []
+    for row in table.rows:
+        cells = zip([html.escape(str(cell)) for cell in row], sides, strict=True)
+        rows.append("".join(f'<td style="text-align:{side}">{text}</td>' for text, side in cells))
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

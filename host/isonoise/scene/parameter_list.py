@@ -1,15 +1,17 @@
 """ParameterList: what `Scene.params()` returns; a mapping that prints as a table."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
+from isonoise.scene.parse.elements import is_object
 from isonoise.scene.parse.plugin_tables import parameter_info
 from isonoise.scene.paths import Place, is_film_size
 from isonoise.scene.vocabulary import find_plugin
-from isonoise.tables import LEFT, Column, Table, text_table
+from isonoise.tables import LEFT, Column, Table, columns, html_table, text_table
 
 _MAX_SHOWN_NUMBERS = 4
 _MAX_SHOWN_CHARS = 48
@@ -59,6 +61,9 @@ class ParameterList(Mapping[str, object]):
     def __repr__(self) -> str:
         return text_table(self.table(), indent="")
 
+    def _repr_html_(self) -> str:
+        return html_table(self.table())
+
 
 def plain_value(value: object) -> object:
     """A value of the description as users see it: a colour as three numbers, an array read-only."""
@@ -71,6 +76,19 @@ def plain_value(value: object) -> object:
             return tuple(value["value"])
         return MappingProxyType({name: plain_value(part) for name, part in value.items()})
     return value
+
+
+def count_objects(description: dict) -> Table:
+    """How many objects of each kind and type a scene has; one with several users counts once."""
+    found, waiting = {}, [description]
+    while waiting:
+        part = waiting.pop()
+        if id(part) not in found:
+            found[id(part)] = part
+            waiting += reversed([value for value in part.values() if is_object(value)])
+    types = Counter(part["type"] for part in found.values() if part is not description)
+    rows = [(find_plugin(name).kind, name, str(number)) for name, number in types.items()]
+    return Table(columns("kind", "type", "number", left=(0, 1)), rows)
 
 
 def _describe(place: Place) -> SceneParameter:

@@ -1,5 +1,6 @@
 """Scene: a scene whose parameters can be read and set by path. `isonoise.load` makes it, `Renderer` compiles it."""
 
+import html
 import os
 from collections.abc import Iterator, Mapping, MutableMapping
 from pathlib import Path
@@ -11,13 +12,14 @@ from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import note_files, record_files
 from isonoise.scene.load import LoadedScene, load_scene
-from isonoise.scene.parameter_list import ParameterList, plain_value
+from isonoise.scene.parameter_list import ParameterList, count_objects, plain_value
 from isonoise.scene.parse.edit import SceneEditor
 from isonoise.scene.parse.elements import Element, copy_objects, is_object
 from isonoise.scene.paths import Place, ScenePathError, find_place, is_film_size, parameter_places
 from isonoise.scene.view import NO_VIEW, View, apply_view, resized
 from isonoise.scene.vocabulary import find_plugin
 from isonoise.scene.vocabulary.plugin import COLOURS
+from isonoise.tables import html_table
 
 _DEFAULTS = {"film": {"type": "hdrfilm"}, "sampler": {"type": "multijitter"}}
 """What a sensor has if the file gives none, by kind."""
@@ -165,6 +167,9 @@ class SceneObject(MutableMapping):
         names = ", ".join(name for name in self.normalised if name != "type")
         return f"<{self.kind} '{self.path}' of type {self.type}: {names}>"
 
+    def _repr_html_(self) -> str:
+        return f"<div>{html.escape(repr(self))}</div>{self.params()._repr_html_()}"
+
     def params(self) -> ParameterList:
         """All parameters that have values, by path, with their types, shapes and meanings; prints as a table."""
         places = parameter_places(self._scene.description)
@@ -272,6 +277,14 @@ class Scene(SceneObject):
         kinds = [find_plugin(part["type"]).kind for part in self.description.values() if is_object(part)]
         width, height = self["film.size"]
         return f"<isonoise.Scene {self.name}: {width}x{height} pixels, {kinds.count('shape')} shapes>"
+
+    def _repr_html_(self) -> str:
+        width, height = self["film.size"]
+        counts, parameters = html_table(count_objects(self.description)), self.params()
+        return (
+            f"<div><b>{html.escape(self.name)}</b>, {width}x{height} pixels</div>{counts}"
+            f"<details><summary>{len(parameters)} parameters</summary>{parameters._repr_html_()}</details>"
+        )
 
     __eq__ = object.__eq__
     __hash__ = object.__hash__

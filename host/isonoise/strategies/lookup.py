@@ -4,12 +4,12 @@ A name is built-in, or an entry point of an installed package, or `module:name` 
 directory.
 """
 
-import difflib
 import importlib
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
 
 
@@ -120,9 +120,3 @@ def entry_points(group: str) -> Iterable:
     from importlib.metadata import entry_points
 
     return entry_points(group=group)
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """' (did you mean ...?)' with the known name that is most like `name`; '' if none is."""
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""

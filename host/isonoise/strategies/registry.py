@@ -2,9 +2,10 @@
 
 import inspect
 
+from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
 from isonoise.strategies.base import Strategy
-from isonoise.strategies.lookup import MEASURES, RULES, STRATEGIES, nearest
+from isonoise.strategies.lookup import MEASURES, RULES, STRATEGIES
 
 DEFAULT_STRATEGY = "pooled"
 BUILT_IN = STRATEGIES.built_in
