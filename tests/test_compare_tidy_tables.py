@@ -11,7 +11,6 @@ import pytest
 from simulated_comparison import SNAPSHOTS, make_comparison
 
 from isonoise.comparison.plan import read_plan, write_plan
-from isonoise.comparison.results import Results
 from isonoise.comparison.table_columns import DEFAULT_METRICS, METRICS, SCHEMA, checked_metrics
 from isonoise.comparison.tidy_tables import arrow_table, csv_text, runs_table, waves_table, write_tables
 from isonoise.errors import UserError
@@ -31,7 +30,7 @@ def folder(tmp_path_factory):
     """Folder of a comparison with the columns of all metrics."""
     directory = make_comparison(tmp_path_factory.mktemp("tidy") / "out", SCENES, STRATEGIES, seeds=SEEDS)
     set_metrics(directory, METRICS)
-    write_tables(Results(directory))
+    write_tables(directory)
     return directory
 
 
@@ -176,6 +175,45 @@ def test_parquet_fields_say_their_unit_and_meaning(folder):
     assert schema.metadata[b"isonoise.table"] == b"waves"
 
 
+def test_settings_of_an_experiment_have_columns(tmp_path):
+    """A number that only one strategy has, and a parameter of the scenes with values of several types."""
+    directory = make_comparison(tmp_path / "out", SCENES, STRATEGIES, seeds=[1])
+    plan = read_plan(directory)
+    values = {"bright": [0.5, 1], "dim": "white"}
+    scenes = tuple(replace(scene, settings={"box.bsdf": values[scene.slug]}) for scene in plan.scenes)
+    uniform, median = plan.strategies
+    write_plan(directory, replace(plan, scenes=scenes, strategies=(uniform, replace(median, settings={"warmup": 8}))))
+    table = runs_table(directory)
+    assert list(table)[-2:] == ["scene.box.bsdf", "strategy.warmup"]
+    assert table["scene.box.bsdf"].tolist() == ["0.5,1", "0.5,1", "white", "white"]
+    np.testing.assert_array_equal(table["strategy.warmup"], [np.nan, 8, np.nan, 8])
+    waves = waves_table(directory)
+    assert waves["strategy.warmup"].size == 4 * SNAPSHOTS
+    if "pyarrow" in sys.modules:
+        schema = arrow_table("runs", table).schema
+        assert [str(schema.field(name).type) for name in list(table)[-2:]] == ["string", "double"]
+        assert schema.field("strategy.warmup").metadata[b"meaning"].startswith(b"the strategy's warmup")
+
+
+def test_an_experiment_with_several_budgets_has_one_table(tmp_path):
+    for seconds in (4, 16):
+        folder = make_comparison(tmp_path / f"time-{seconds}", ["a"], STRATEGIES, seeds=[1, 2], seconds=seconds)
+    table = runs_table(tmp_path)
+    assert table["budget_s"].tolist() == [4] * 4 + [16] * 4
+    assert np.isnan(table["budget_spp"]).all()
+    last = runs_table(folder)
+    for name in set(table) - {"run_file"}:
+        np.testing.assert_array_equal(table[name][4:], last[name])
+    assert all((tmp_path / name).is_file() for name in table["run_file"])
+    write_tables(tmp_path)
+    assert (tmp_path / "waves.csv").read_text() == csv_text(waves_table(tmp_path))
+
+
+def test_a_folder_without_comparison_is_a_message(tmp_path):
+    with pytest.raises(UserError, match="not the folder of a comparison"):
+        runs_table(tmp_path)
+
+
 def test_a_table_without_rows_keeps_its_types(tmp_path):
     folder = make_comparison(tmp_path / "out", ["a"], {"uniform": np.ones_like}, wanted=())
     for name, read in TABLES.items():
@@ -192,6 +230,6 @@ def test_parquet_files_of_earlier_runs_are_removed_without_pyarrow(tmp_path, mon
     stale = folder / "runs.parquet"
     stale.touch()
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    write_tables(Results(folder))
+    write_tables(folder)
     assert not stale.exists()
     assert (folder / "runs.csv").exists()

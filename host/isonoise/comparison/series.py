@@ -14,6 +14,7 @@ from isonoise.comparison.metric_columns import EMPTY, ratio_cell
 from isonoise.comparison.plan import PLAN_FILE, Plan, variance_path
 from isonoise.comparison.report_tables import strategy_titles
 from isonoise.comparison.summary import summarise
+from isonoise.comparison.tidy_tables import write_tables
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 from isonoise.tables import LEFT, Cell, Column, Table, markdown_table, text_table
@@ -50,7 +51,7 @@ def series_tables(summaries: Mapping[Member, Mapping]) -> list[Table]:
 def write_series(
     directory: Path, members: Sequence[Member], reported: Mapping[Member, Mapping | None], log: Callable[[str], None]
 ) -> None:
-    """Write tables.md to `directory` and print the tables. Raises UserError if the file cannot be written.
+    """Write tables.md and the tidy tables to `directory`, and print the former. Raises UserError if that fails.
 
     `reported` are the summaries that this call has written. Those of the other comparisons, after an interrupt, are
     computed from their runs.
@@ -66,6 +67,8 @@ def write_series(
     tables = series_tables(summaries)
     text = "\n\n".join(f"### {table.title}\n\n{markdown_table(table)}" for table in tables) + "\n"
     write_atomically(directory / "tables.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    if summaries:
+        write_tables(directory)
     for table in tables:
         log(f"{table.title}\n{text_table(table)}\n")
 

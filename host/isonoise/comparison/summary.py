@@ -95,7 +95,7 @@ def summarise(directory: Path) -> dict:
 def write_summary(directory: Path, summary: dict) -> None:
     """Write summary.json, tables.md and the tidy tables (`tidy_tables`) to `directory`, each file atomically."""
     directory = Path(directory)
-    write_tables(Results(directory))
+    write_tables(directory)
     _write_text(directory / "summary.json", json.dumps(summary, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     _write_text(directory / "tables.md", markdown_tables(summary))
 

@@ -81,13 +81,16 @@ _KEYS = (
     _text("scene", "the scene's name in the folder"),
     _text("strategy", "the strategy's name in the folder"),
     _integer("seed", "of the run"),
+    _number("budget_s", "s", "of a run; missing if it is samples per pixel"),
+    _number("budget_spp", "samples/pixel", "of a run; missing if it is a time"),
+    _text("device", "device and driver"),
 )
 _ABOUT_RUNS = (
     _text("spec", "the strategy as it was given"),
     _text("description", "the strategy with all its parameters"),
     _integer("width", "pixels of the image's rows"),
     _integer("height", "rows of the image"),
-    _text("device", "device and driver"),
+    _number("max_depth", "1", "path segments at most, as the comparison sets them; missing if the scene says it"),
     _text("worker", "address of the worker of a cluster; empty without one"),
     _text("stopped_by", "what ended the run: time or spp"),
     _number("setup_s", "s", "before the first sample: load, build, compile"),
@@ -142,6 +145,9 @@ _METRICS = (
 )
 _FILES = (_text("run_file", "path of the run's file in the folder"),)
 
+SCENE_SETTING, STRATEGY_SETTING = "scene.", "strategy."
+"""Beginnings of the names of columns with the settings of an experiment; the parameter's name follows."""
+
 SCHEMA: dict[str, tuple[TableColumn, ...]] = {
     "runs": (
         *_KEYS,
@@ -154,4 +160,17 @@ SCHEMA: dict[str, tuple[TableColumn, ...]] = {
     ),
     "waves": (*_KEYS, _integer("wave"), _text("kind", _LOG["kind"]), *_PROGRESS, *_METRICS),
 }
-"""The columns of each table with all metrics, in their order. Those of `runs` have the values after the last wave."""
+"""The columns of each table with all metrics, in their order. Those of `runs` have the values after the last wave.
+
+Those of an experiment's settings follow: `setting_column`.
+"""
+
+
+def setting_column(name: str, is_number: bool) -> TableColumn:
+    """The column of a parameter that an experiment sets: `scene.PATH` or `strategy.PARAMETER`.
+
+    Its values are numbers if all values of the parameter are, else texts.
+    """
+    subject, _, parameter = name.partition(".")
+    meaning = f"the {subject}'s {parameter}, as the experiment sets it"
+    return TableColumn(name, "float64", "1", meaning) if is_number else TableColumn(name, "string", "", meaning)

@@ -1,7 +1,7 @@
 """The tidy tables of a comparison, one row per run (`runs`) or per run and wave (`waves`), as CSV and Parquet files.
 
-`summary` writes them to the comparison's folder; `runs_table` and `waves_table` read them from its finished runs.
-`table_columns` documents every column.
+`summary` writes them to the folder of a comparison, `series` to that of an experiment with several; `runs_table` and
+`waves_table` read them from the finished runs. `table_columns` documents every column.
 """
 
 import csv
@@ -16,9 +16,16 @@ import numpy as np
 
 from isonoise.comparison.checked_files import read_npz
 from isonoise.comparison.flip_values import FlipValues
-from isonoise.comparison.plan import SceneEntry, StrategyEntry
+from isonoise.comparison.plan import PLAN_FILE, SceneEntry, StrategyEntry
+from isonoise.comparison.request import text_of
 from isonoise.comparison.results import Results, Run
-from isonoise.comparison.table_columns import SCHEMA, TableColumn
+from isonoise.comparison.table_columns import (
+    SCENE_SETTING,
+    SCHEMA,
+    STRATEGY_SETTING,
+    TableColumn,
+    setting_column,
+)
 from isonoise.film.files import write_atomically
 
 if TYPE_CHECKING:
@@ -35,39 +42,39 @@ def runs_table(directory: Path | str) -> dict[str, np.ndarray]:
     Parameters
     ----------
     directory : path
-        The comparison's folder.
+        Folder of a comparison, or of an experiment that has several.
 
     Returns
     -------
     dict of str to 1-D array
-        Those of the columns `SCHEMA["runs"]` that the metrics of the plan choose, by name. Missing numbers are nan,
-        missing texts empty.
+        By name those of the columns `SCHEMA["runs"]` that the metrics of the plan choose, then a column for every
+        parameter that the experiment sets: `setting_column`. Missing numbers are nan, missing texts empty.
 
     Raises
     ------
     UserError
         If the folder has no readable plan, or a reference cannot be read.
     """
-    return _table("runs", Results(Path(directory)))
+    return _table("runs", Path(directory))
 
 
 def waves_table(directory: Path | str) -> dict[str, np.ndarray]:
     """A row per wave of every finished run: the columns `SCHEMA["waves"]`, as `runs_table`."""
-    return _table("waves", Results(Path(directory)))
+    return _table("waves", Path(directory))
 
 
-def write_tables(results: Results) -> None:
-    """Write waves.csv and runs.csv to the comparison's folder, and waves.parquet and runs.parquet if pyarrow is there.
+def write_tables(directory: Path) -> None:
+    """Write waves.csv and runs.csv to the folder, and waves.parquet and runs.parquet if pyarrow is installed.
 
     Without pyarrow, Parquet files of earlier runs are removed: they would not agree with the CSV files. Raises
     UserError if a file cannot be written.
     """
     for name in SCHEMA:
-        table = _table(name, results)
+        table = _table(name, directory)
         text = csv_text(table)
-        path = results.directory / f"{name}.csv"
+        path = directory / f"{name}.csv"
         write_atomically(path, lambda file, text=text: file.write_text(text, encoding="utf-8", newline="\n"))
-        _write_parquet(results.directory / f"{name}.parquet", name, table)
+        _write_parquet(directory / f"{name}.parquet", name, table)
 
 
 def csv_text(table: Mapping[str, np.ndarray]) -> str:
@@ -97,56 +104,96 @@ def arrow_table(name: str, table: Mapping[str, np.ndarray]) -> "pyarrow.Table":
 
 
 def columns_of(name: str, table: Mapping[str, np.ndarray]) -> list[TableColumn]:
-    """The documented columns of the table `name` that `table` has, in its order."""
+    """The description of each column of the table `name`, in its order."""
     known = {column.name: column for column in SCHEMA[name]}
-    return [known[column] for column in table]
+    return [known.get(key) or setting_column(key, values.dtype.kind == "f") for key, values in table.items()]
 
 
-def _table(name: str, results: Results) -> dict[str, np.ndarray]:
-    rows = [row for run in _runs(results) for row in (run if name == "waves" else [run[-1]])]
-    chosen = ("", *results.plan.metrics)
-    return {column.name: _array(column, rows) for column in SCHEMA[name] if column.metric in chosen}
+def _table(name: str, directory: Path) -> dict[str, np.ndarray]:
+    comparisons = _comparisons(directory)
+    runs = [run for results in comparisons for run in _runs(results, directory)]
+    rows = [row for run in runs for row in (run if name == "waves" else [run[-1]])]
+    chosen = {"", *(metric for results in comparisons for metric in results.plan.metrics)}
+    columns = [column for column in SCHEMA[name] if column.metric in chosen] + _setting_columns(comparisons)
+    return {column.name: _array(column, rows) for column in columns}
+
+
+def _comparisons(directory: Path) -> list[Results]:
+    """The comparison in the folder, or those of an experiment below it, by folder and budget."""
+    if (directory / PLAN_FILE).is_file():
+        return [Results(directory)]
+    found = [Results(path.parent) for pattern in ("*", "*/*") for path in directory.glob(f"{pattern}/{PLAN_FILE}")]
+    if not found:
+        return [Results(directory)]  # raises the error
+    return sorted(found, key=lambda each: (each.directory.parent, each.plan.time or 0, each.plan.spp or 0))
+
+
+def _setting_columns(comparisons: Sequence[Results]) -> list[TableColumn]:
+    values: dict[str, list] = {}
+    for results in comparisons:
+        for entry in (*results.plan.scenes, *results.plan.strategies):
+            for key, value in _settings(entry).items():
+                values.setdefault(key, []).append(value)
+    return [setting_column(key, all(map(_is_number, found))) for key, found in values.items()]
+
+
+def _settings(entry: SceneEntry | StrategyEntry) -> dict[str, object]:
+    """The values of an experiment's settings by column."""
+    prefix = SCENE_SETTING if isinstance(entry, SceneEntry) else STRATEGY_SETTING
+    return {f"{prefix}{key}": value for key, value in entry.settings.items()}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _array(column: TableColumn, rows: Sequence[Mapping]) -> np.ndarray:
     values = [row.get(column.name) for row in rows]
     if column.dtype == "string":
-        return np.array(["" if value is None else str(value) for value in values], np.str_)
+        return np.array(["" if value is None else text_of(value) for value in values], np.str_)
     if column.dtype == "float64":
         return np.array([math.nan if value is None else float(value) for value in values], np.float64)
     return np.array(values, column.dtype)
 
 
-def _runs(results: Results) -> Iterator[list[dict]]:
+def _runs(results: Results, directory: Path) -> Iterator[list[dict]]:
     """For every finished run the rows of its waves, each with all columns of both tables."""
     strategies = {strategy.slug: strategy for strategy in results.plan.strategies}
     flip_values = FlipValues(results.directory)
     for scene in results.plan.scenes:
         for slug, runs in results.runs(scene).items():
             for run in runs.values():
-                yield _rows(results, scene, strategies[slug], run, flip_values)
+                strategy = strategies[slug]
+                common = _about_plan(results, scene, strategy) | {
+                    "seed": run.seed,
+                    "flip": flip_values.get(run),
+                    "run_file": run.path.relative_to(directory).as_posix(),
+                }
+                yield _rows(run, common)
 
 
-def _rows(
-    results: Results, scene: SceneEntry, strategy: StrategyEntry, run: Run, flip_values: FlipValues
-) -> list[dict]:
-    file = read_npz(run.path, run.identity)
-    waves, facts = json.loads(str(file["rows"])), json.loads(str(file["facts"]))
-    common = {
+def _about_plan(results: Results, scene: SceneEntry, strategy: StrategyEntry) -> dict:
+    """Columns that the plan has the values of."""
+    settings = _settings(scene) | _settings(strategy)
+    return settings | {
         "scene": scene.slug,
         "strategy": strategy.slug,
-        "seed": run.seed,
+        "budget_s": results.plan.time,
+        "budget_spp": results.plan.spp,
         "spec": strategy.spec,
-        "description": facts.get("strategy"),
         "width": scene.width,
         "height": scene.height,
-        "waves": len(waves),
-        "flip": flip_values.get(run),
-        "run_file": run.path.relative_to(results.directory).as_posix(),
+        "max_depth": scene.max_depth,
     }
+
+
+def _rows(run: Run, common: Mapping) -> list[dict]:
+    file = read_npz(run.path, run.identity)
+    waves, facts = json.loads(str(file["rows"])), json.loads(str(file["facts"]))
+    of_run = {"description": facts.get("strategy"), "waves": len(waves)}
     for name in ("device", "worker", "stopped_by", "setup_s", "warm_up_spp"):
-        common[name] = facts.get(name)
-    return [common | wave | _derived(wave) for wave in waves]
+        of_run[name] = facts.get(name)
+    return [common | of_run | wave | _derived(wave) for wave in waves]
 
 
 def _derived(wave: Mapping) -> dict:
