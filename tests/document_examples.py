@@ -8,8 +8,10 @@ before it names a file, as in "Save it as `name.py`:", is saved under this name.
 import os
 import re
 import shlex
+import socket
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -24,7 +26,7 @@ PAGES = [
 """Pages with examples. Those of host/README.md need clusters: test_cluster_examples.py. tests/README.md has tests."""
 _INSTALLATION = "python3 -m venv"
 """Beginning of the blocks that .ci/run and test_package.py run."""
-STAND_INS = ("pip", "apt", "tev")
+STAND_INS = ("pip", "apt")
 """Programs that do nothing here."""
 TIMEOUT_S = 600
 
@@ -51,7 +53,7 @@ def blocks(page: Path) -> list[Block]:
     for match in re.finditer(r"^```(\w*)\n(.*?)^```", text, re.M | re.S):
         before = text[: match.start()].rstrip().rpartition("\n\n")[2]
         not_run = re.search(r"<!-- not run: (.+?) -->", before, re.S)
-        named = re.search(r"[Ss]ave [^`\n]*`([\w./-]+\.\w+)`|[Ii]n `([\w./-]+\.\w+)`:?$", before)
+        named = re.search(r"[Ss]ave[^`]*`([\w./-]+\.\w+)`|[Ii]n\s+`([\w./-]+\.\w+)`:?$", before)
         found.append(
             Block(
                 page=str(page.relative_to(CHECKOUT)),
@@ -69,7 +71,13 @@ def isonoise_commands(script: str) -> list[list[str]]:
     """The arguments of every `isonoise` in a shell script."""
     lines = script.replace("\\\n", " ").splitlines()
     words = [shlex.split(line.rstrip(" &"), comments=True) for line in lines]
-    return [line[line.index("isonoise") + 1 :] for line in words if "isonoise" in line]
+    return [_first_command(line[line.index("isonoise") + 1 :]) for line in words if "isonoise" in line]
+
+
+def _first_command(words: list[str]) -> list[str]:
+    """The words up to a redirection, a pipe or the next command."""
+    ends = [index for index, word in enumerate(words) if word in (">", "|", "&&", ";")]
+    return words[: min(ends, default=len(words))]
 
 
 _LARGEST = {"--spp": "1", "--time": "0.3", "--reference-time": "1", "--seeds": "2", "--repeat": "1"}
@@ -80,6 +88,8 @@ def with_small_budget(arguments: list[str]) -> list[str]:
     """The arguments of `isonoise` with less to do."""
     result, command = list(arguments), arguments[0] if arguments else ""
     for index, word in enumerate(result[:-1]):
+        if (word, result[index + 1]) == ("--device", "0,1"):
+            result[index + 1] = "0/2"  # there may be only one
         if word in _LARGEST and "," not in result[index + 1]:
             result[index + 1] = _LARGEST[word]
         elif word == "--size":
@@ -106,6 +116,7 @@ def make_folder(folder: Path) -> dict[str, str]:
     for name in STAND_INS:
         _write_program(programs / name, "#!/bin/sh\nexit 0\n")
     _write_program(programs / "isonoise", f"#!{sys.executable}\n{_RUN_COMMAND}")
+    _write_program(programs / "tev", f"#!{sys.executable}\n{_TEV}")
     _write_program(programs / "python", f'#!/bin/sh\nexec {shlex.quote(sys.executable)} "$@"\n')
     return os.environ | {
         "HOME": str(folder),
@@ -116,9 +127,21 @@ def make_folder(folder: Path) -> dict[str, str]:
 
 _RUN_COMMAND = """
 import sys
-from document_examples import with_small_budget
+from document_examples import wait_for_tev, with_small_budget
 from isonoise.cli import main
-sys.exit(max(main(with_small_budget(sys.argv[1:])) - 1, 0))  # 1: the error was not reached, with so few samples
+if __name__ == "__main__":
+    if "--preview" in sys.argv:
+        wait_for_tev()
+    code = main(with_small_budget(sys.argv[1:]))
+    sys.exit(0 if code == 1 else code)  # 1: the error was not reached, with so few samples
+"""
+_TEV = """
+import socket
+with socket.create_server(("127.0.0.1", 14158)) as server:
+    while True:
+        connection, _ = server.accept()
+        while connection.recv(1 << 20):
+            pass
 """
 SMALL_STOPS = """
 import isonoise.stops as _stops
@@ -130,6 +153,15 @@ def _small(self):
 _stops.Stops.__post_init__ = _small
 """
 """Python code before the Python blocks of a page."""
+
+
+def wait_for_tev() -> None:
+    """Wait until the stand-in of tev, which a script has just started, listens."""
+    for _ in range(100):
+        with socket.socket() as connection:
+            if connection.connect_ex(("127.0.0.1", 14158)) == 0:
+                return
+        time.sleep(0.1)
 
 
 def _write_program(path: Path, text: str) -> None:

@@ -23,6 +23,7 @@ def test_blocks_name_their_language():
     """Otherwise nobody runs them. Diagrams have none, and no commands."""
     assert {block.language for block in BLOCKS} <= {"", "bibtex", "json", "python", "sh", "toml", "xml"}
     assert [block for block in BLOCKS if not block.language and "isonoise " in block.body] == []
+    assert sum(bool(block.not_run) for block in BLOCKS) <= 5
     assert len(PAGES_WITH_EXAMPLES) > 5
 
 

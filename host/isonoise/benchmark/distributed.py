@@ -173,7 +173,7 @@ class _OneWorker:
             for event in self._pool.wait(1.0):
                 if isinstance(event, Lost):
                     raise RuntimeError(event.reason)
-                self._submitted.remove(event.result.number)
+                self._submitted.discard(event.result.number)  # a late result of the render has another number
                 result = event.result if event.result.number == number else result
         return result
 
