@@ -141,6 +141,13 @@ def direction(text: str) -> tuple[float, ...]:
     return value
 
 
+def port(text: str) -> int:
+    number = int(text) if re.fullmatch("[0-9]{1,5}", text) else -1
+    if not 1 <= number <= 65535:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a port: write a number from 1 to 65535")
+    return number
+
+
 def memory_size(text: str) -> int:
     match = re.fullmatch(r"([0-9]{1,12}(?:\.[0-9]{1,12})?)([KMGT]?)(?:i?B)?", text, re.IGNORECASE)
     size = int(float(match[1]) * 2 ** (10 * " KMGT".index(match[2].upper() or " "))) if match else 0

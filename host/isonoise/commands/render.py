@@ -99,7 +99,7 @@ class _Render:
 
     def _periodic(self) -> list[Periodic]:
         images = [Periodic(self._options.save_every, self._save)] if self._options.save_every else []
-        return [*self._checkpoints.periodic(), *images, *self._viewers.periodic()]
+        return [*self._checkpoints.periodic(), *images, *self._viewers.periodic(self._save)]
 
     def _keep_after_failure(self, loop: RenderLoop) -> None:
         """Write a checkpoint, or say that the last one stays."""
@@ -108,14 +108,15 @@ class _Render:
         except Exception as error:
             logger.error(f"no new checkpoint is written, an earlier one stays: {error}")
 
-    def _save(self, loop: RenderLoop) -> None:
-        """Write the images in the middle of the render."""
+    def _save(self, loop: RenderLoop) -> list[str]:
+        """Write the images in the middle of the render; return the paths that were written."""
         outcome = loop.outcome_so_far("unfinished")
-        if outcome.statistics.samples:
-            for path, image in zip(self._options.output, self._write_images(outcome, has_ended=False), strict=True):
-                if image.failure and path not in self._warned:
-                    self._warned.add(path)
-                    logger.warning(f"{image.failure}; the render goes on")
+        images = self._write_images(outcome, has_ended=False) if outcome.statistics.samples else []
+        for path, image in zip(self._options.output, images, strict=False):
+            if image.failure and path not in self._warned:
+                self._warned.add(path)
+                logger.warning(f"{image.failure}; the render goes on")
+        return [image.path for image in images if image.path]
 
     def _write_images(self, outcome: Outcome, has_ended: bool) -> list[WrittenFile]:
         header = image_header(result_fields(self._options, self._renderer, self._stops, outcome))
@@ -137,7 +138,7 @@ class _Render:
         log = self._log.end(outcome.rows)
         self._viewers.show(outcome)
         result = result_fields(options, self._renderer, self._stops, outcome)
-        result |= {"output": [image.path for image in images if image.path]}
+        result |= {"output": [image.path for image in images if image.path], "live_page": self._viewers.url}
         if options.json:
             print_json(result)
         else:

@@ -86,6 +86,15 @@ def _add_viewers(parser) -> None:
         help="show image, samples and error in the viewer tev, which has to run "
         f"(without an address: {':'.join(map(str, DEFAULT_TEV_ADDRESS))})",
     )
+    viewers.add_argument(
+        "--serve",
+        metavar="PORT",
+        type=argument_types.port,
+        nargs="?",
+        const=0,
+        help="show the render on a web page of this machine, which can pause and end it; its address is printed "
+        "(without PORT: a free one)",
+    )
 
 
 def _add_checkpoints(parser) -> None:
