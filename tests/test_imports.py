@@ -11,7 +11,9 @@ import small_files
 
 import isonoise
 
-HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex", "dask", "distributed"}
+HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex", "dask", "distributed"} | {
+    "aiohttp"
+}
 SHARED = {
     f"isonoise.strategies.{name}"
     for name in (

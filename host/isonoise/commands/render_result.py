@@ -98,7 +98,7 @@ def print_result(result: Mapping[str, object]) -> None:
     if result["workers"]:
         _print_workers(result["workers"], result["client_share"])
     reasons = {
-        "interrupted": "by a signal",
+        "interrupted": "by a signal or on the live page" if result["live_page"] else "by a signal",
         "full": "because a pixel's sample count is full",
         "failed": "by an error of the program, the device or a file",
     }

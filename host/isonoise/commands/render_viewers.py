@@ -35,9 +35,9 @@ class Viewers:
 
             self._add(TevViewer(f"isonoise {options.scene}", options.preview))
         if options.serve is not None:
-            from isonoise.live import live_page
+            from isonoise.live import serve
 
-            self._page = self._add(live_page.LivePage(options.scene, options.serve))
+            self._page = self._add(serve(options.scene, options.serve))
             print(f"isonoise: watch the render at {self._page.url}", file=sys.stderr, flush=True)
 
     @property

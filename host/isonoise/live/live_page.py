@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from isonoise.live.budget import Budget
-from isonoise.live.layers import Picture, encode_image, encode_map
+from isonoise.live.layers import LAYERS, Picture, encode_image, encode_map
 from isonoise.live.page_state import PageState, View
 from isonoise.live.server import LiveServer
 from isonoise.loop import Periodic, RenderLoop
@@ -18,24 +18,19 @@ PAUSE_POLL_S = 0.05
 
 
 class LivePage:
-    """A page on loopback that shows a render while it runs, and can pause and end it.
+    """A page on loopback that shows a render while it runs, and can pause and end it. Made by `isonoise.live.serve`.
 
     Pictures are made only while somebody looks, and take about 1 % of the time at most (`budget`).
 
     Parameters
     ----------
-    title : str
-        What the page calls the render.
-    port : int
-        Where it listens; 0: a free port.
-    save : callable or None
-        Called with the `RenderLoop` when the user asks to save; returns the paths that were written. None: the page has
-        no button for it.
+    title, port, save
+        As for `serve`.
 
     Attributes
     ----------
     save : callable or None
-        May be set until the render begins.
+        As the parameter. May be set until the render begins.
     url : str
         Address of the page. Who knows it can see and end the render.
 
@@ -43,14 +38,6 @@ class LivePage:
     ------
     UserError
         If the port cannot be used.
-
-    Examples
-    --------
-    >>> with LivePage("cornell") as page, isonoise.Renderer("cornell", size=(64, 48)) as renderer:
-    ...     page.url[:17]
-    ...     outcome = isonoise.render_loop(renderer, isonoise.Stops(spp=4), periodic=[page.periodic()])
-    ...     page.show(outcome)
-    'http://127.0.0.1:'
     """
 
     def __init__(
@@ -78,8 +65,8 @@ class LivePage:
 
     def show(self, outcome: Outcome) -> None:
         """Show the finished render. Pages keep it when the server has ended."""
-        views = self._state.views()
-        if outcome.statistics.samples:
+        if outcome.statistics.samples and self._state.has_pictures:
+            views = [View(layer, 1) for layer in LAYERS]
             self._state.publish({view: _picture_of_outcome(outcome, view, self._exposure) for view in views})
         self._state.end(outcome)
         self._loop = None

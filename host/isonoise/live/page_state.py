@@ -135,10 +135,10 @@ class PageState:
             self._looks = {view: look for view, look in self._looks.items() if look[0] > now}
             return {view: after < 0 for view, (_, after) in self._looks.items() if after < samples}
 
-    def views(self) -> set[View]:
-        """The views that somebody has looked at lately."""
-        with self._lock:
-            return {*self._looks, *self._pictures}
+    @property
+    def has_pictures(self) -> bool:
+        """Whether somebody has looked at a picture."""
+        return bool(self._pictures)
 
     def publish(self, pictures: dict[View, Picture]) -> None:
         """These pictures take the place of all others."""

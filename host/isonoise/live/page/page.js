@@ -12,7 +12,7 @@ const REASONS = { error: "the target error is reached", spp: "all samples are ta
 
 const byId = (id) => document.getElementById(id);
 const pictures = {}; // the last picture of every layer
-let settings = null, status = { state: "connecting" }, rows = [], layer = "image", request = null, hovered = null;
+let settings = null, status = { state: "connecting" }, rows = [], layer = "image", request = null, hovered = null, isOver = false;
 
 const viewer = new Viewer(byId("picture"), viewChanged, (pixel) => { hovered = pixel; showPixel(); });
 
@@ -35,12 +35,27 @@ async function follow() {
         show();
         continue;
       }
-      if (status.state === "ended") return close();
+      if (status.state === "ended") return;
       if (response.status === 204) continue;
     } catch {
       if (own.signal.aborted || status.state === "ended") return;
     }
     await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
+  }
+}
+
+// Take all layers of the finished render with all pixels: the server ends soon.
+async function takeAll() {
+  isOver = true;
+  try {
+    for (const name of [layer, "image", "error", "samples"]) {
+      const response = await fetch(`layers/${name}`);
+      if (response.status !== 200) continue;
+      pictures[name] = { ...decode(await response.arrayBuffer()), asked: 1 };
+      if (name === layer) show();
+    }
+  } finally {
+    events.close(); // the server waits for it
   }
 }
 
@@ -58,6 +73,7 @@ function show() {
   byId("exposure-row").hidden = !isImage;
   byId("legend").hidden = isImage || !picture;
   byId("empty").hidden = Boolean(picture);
+  byId("empty").textContent = isOver ? "No picture" : "The picture comes soon";
   viewer.hasPicture = Boolean(picture);
   if (!picture) return viewer.draw();
   const rgba = isImage ? toneMap(picture, Number(byId("exposure").value)) : colourMap(picture);
@@ -164,18 +180,16 @@ events.addEventListener("message", (event) => showMessage(JSON.parse(event.data)
 events.addEventListener("status", (event) => {
   status = JSON.parse(event.data);
   showStatus();
-  if (status.state === "ended" && document.hidden) close();
+  if (status.state === "ended" && !isOver) {
+    request?.abort();
+    takeAll();
+  }
 });
 events.addEventListener("error", () => {
   if (status.state === "ended") return;
   status = { ...status, state: "connection lost" };
   showStatus();
 });
-
-// The page has all it needs; the server waits for that.
-function close() {
-  events.close();
-}
 
 async function command(name) {
   try {
