@@ -17,6 +17,8 @@ LOG_SCALE_RATIO = 10
 """A map's colours are on a logarithmic scale if it ends at more than this many times the value where it begins."""
 SCALE_QUANTILES = (0.002, 0.998)
 """Quantiles of the positive values at which the scale of a map begins and ends, so that no few pixels decide it."""
+MAX_SCALE_RATIO = 1000
+"""A scale ends at most at so many times the value where it begins: some errors are mere rounding."""
 VIRIDIS = "440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"
 INFERNO = "000004 210c4a 57106e 8a226a bc3754 e45a31 f98e09 f9cb35 fcffa4"
 """Nine colours, evenly spaced, of matplotlib's colour maps: both are uniform to the eye, also for colour-blind ones."""
@@ -88,6 +90,7 @@ def _colour_scale(plane: np.ndarray) -> ColourScale:
     if not positive.size:
         return ColourScale(0.0, 0.0, False, False, bool((plane > 0).any()))
     low, high = (float(end) for end in np.quantile(positive, SCALE_QUANTILES, method="nearest"))
+    low = max(low, high / MAX_SCALE_RATIO)
     return ColourScale(low, high, high > LOG_SCALE_RATIO * low, bool((plane < low).any()), bool((plane > high).any()))
 
 

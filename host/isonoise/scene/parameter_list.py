@@ -79,7 +79,7 @@ def plain_value(value: object) -> object:
 
 
 def count_objects(description: dict) -> Table:
-    """How many objects of each kind and type a scene has; one with several users counts once."""
+    """How many objects of each type a scene has, grouped by kind; one with several users counts once."""
     found, waiting = {}, [description]
     while waiting:
         part = waiting.pop()
@@ -87,7 +87,9 @@ def count_objects(description: dict) -> Table:
             found[id(part)] = part
             waiting += reversed([value for value in part.values() if is_object(value)])
     types = Counter(part["type"] for part in found.values() if part is not description)
-    rows = [(find_plugin(name).kind, name, str(number)) for name, number in types.items()]
+    kinds = [find_plugin(name).kind for name in types]
+    rows = [(kind, name, str(number)) for kind, (name, number) in zip(kinds, types.items(), strict=True)]
+    rows.sort(key=lambda row: kinds.index(row[0]))
     return Table(columns("kind", "type", "number", left=(0, 1)), rows)
 
 
