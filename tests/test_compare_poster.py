@@ -18,6 +18,8 @@ from isonoise.strategies.registry import DEFAULT_STRATEGY
 pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
 pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
 
+from matplotlib.figure import Figure
+
 from isonoise.comparison.report import write_report
 from isonoise.comparison.report.poster import DESIGNS, draw, poster_figures
 from isonoise.comparison.results import Results
@@ -40,8 +42,8 @@ def make(directory, **more):
 def no_plots_of_scenes():
     """Reports have the poster's figures only; test_compare_report.py tests the others, which take most of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isonoise.comparison.report.page.figures", lambda summary, scene, series: [])
-        patch.setattr("isonoise.comparison.report.page._map_grids", lambda results, summary, scene: {})
+        patch.setattr("isonoise.comparison.report.scene_section.figures", lambda summary, scene, series: [])
+        patch.setattr("isonoise.comparison.report.map_grids.grid_figure", lambda grid, caption, form: Figure())
         yield
 
 

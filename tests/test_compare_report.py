@@ -30,13 +30,13 @@ def one_plot_per_scene():
     """Reports have one plot of each scene; test_report_plots.py tests all."""
     pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
     pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
-    from isonoise.comparison.report import page
+    from isonoise.comparison.report import scene_section
 
-    def first(summary, scene, series, figures=page.figures):
+    def first(summary, scene, series, figures=scene_section.figures):
         return itertools.islice(figures(summary, scene, series), 1)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "figures", first)
+        patch.setattr(scene_section, "figures", first)
         yield
 
 
@@ -240,7 +240,7 @@ def test_the_tables_of_the_terminal_are_aligned(folder):
 class Page(HTMLParser):
     """Collects the URLs that a browser would load; checks that elements are closed in order."""
 
-    VOID = ("meta", "link", "img", "br", "line", "use", "path")
+    VOID = ("meta", "link", "img", "br", "line", "use", "path", "input", "image", "rect")
 
     def __init__(self):
         super().__init__()
@@ -294,14 +294,15 @@ def test_the_page_is_self_contained(folder, page):
 def test_the_page_has_every_picture(page):
     from PIL import Image
 
-    maps = len(SCENES) * (1 + 2 * len(STRATEGIES))
-    assert len(page.images) == maps
+    maps, crops = 1 + 3 * len(STRATEGIES), 3 * (1 + 2 * len(STRATEGIES))
+    assert len(page.images) == len(SCENES) * (maps + crops)
     for image in page.images:
         assert image["alt"]
         head, data = image["src"].split(",", 1)
         assert head == "data:image/png;base64"
-        assert Image.open(io.BytesIO(base64.b64decode(data))).size == (80, 60)
-    assert page.tags.count("table") == 3 + 2 * len(SCENES)
+        size = (16, 16) if "region" in image["alt"] or image["alt"] == "its error" else (80, 60)
+        assert Image.open(io.BytesIO(base64.b64decode(data))).size == size
+    assert page.tags.count("table") == 3 + 3 * len(SCENES)
 
 
 def test_ids_are_unique_and_links_have_targets(page):

@@ -9,9 +9,10 @@ from simulated_comparison import SNAPSHOTS, make_comparison
 pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'compare'")
 pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
 
-from isonoise.comparison.report import figure_files, page
+from isonoise.comparison.report import figure_files
 from isonoise.comparison.report.axes import set_log_scale, tick_number, tick_percent
 from isonoise.comparison.report.plots import ABSCISSAE, QUANTITIES, break_name, curve_lines, spread_apart
+from isonoise.comparison.report.scene_section import figures as figures_of
 from isonoise.comparison.report.wave_series import QUANTILES, read_wave_series
 from isonoise.comparison.results import Results
 from isonoise.comparison.summary import summarise
@@ -40,7 +41,7 @@ def summary(folder):
 @pytest.fixture(scope="module")
 def figures(summary, series):
     with figure_files.figure_settings():
-        drawn = dict(page.figures(summary, summary["scenes"][0], series))
+        drawn = dict(figures_of(summary, summary["scenes"][0], series))
         for figure in drawn.values():
             figure.draw_without_rendering()
         yield drawn

@@ -1,7 +1,8 @@
 """Maps of sample counts and errors with a common colour scale: for the page, plots/ and the poster's figures."""
 
+import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -109,7 +110,11 @@ def map_png(map_: Map, grid: MapGrid, max_side: int = 256) -> bytes:
 
 def shrink(values: np.ndarray, max_side: int) -> np.ndarray:
     """Means of k by k blocks, with the least k that makes both sides at most `max_side`; incomplete blocks are cut."""
-    k = -(-max(values.shape[:2]) // max_side)
+    return block_means(values, -(-max(values.shape[:2]) // max_side))
+
+
+def block_means(values: np.ndarray, k: int) -> np.ndarray:
+    """Means of k by k blocks of the first two axes; incomplete blocks are cut."""
     height, width = (side // k * k for side in values.shape[:2])
     blocks = values[:height, :width].reshape(height // k, k, width // k, k, *values.shape[2:])
     return blocks.mean(axis=(1, 3))
@@ -120,6 +125,22 @@ def png_bytes(picture) -> bytes:
     stream = io.BytesIO()
     picture.save(stream, format="PNG", optimize=True)
     return stream.getvalue()
+
+
+def data_uri(png: bytes) -> str:
+    """A PNG as the address of an image in the page."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+
+
+def grid_values(grid: MapGrid, title: str, form: Callable[..., str], max_side: int) -> dict:
+    """A grid of maps for the template; `form` formats the numbers of its scale."""
+    span = np.log(grid.high / grid.low)
+    return {
+        "title": title,
+        "maps": [(m.title, data_uri(map_png(m, grid, max_side))) for m in grid.maps],
+        "colours": colour_stops(grid),
+        "ticks": [(form(t, 1), 100 * float(np.log(t / grid.low) / span)) for t in nice_ticks(grid.low, grid.high)],
+    }
 
 
 def nice_ticks(low: float, high: float) -> list[float]:

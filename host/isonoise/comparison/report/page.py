@@ -1,15 +1,10 @@
 """Writes the results of a comparison from its finished runs: tables, plots and a self-contained report.html."""
 
-import base64
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from isonoise.comparison import metrics
 from isonoise.comparison.metric_columns import (
     SCENE_COLUMNS,
     SINGLE_IMAGE_COLUMNS,
@@ -19,12 +14,10 @@ from isonoise.comparison.metric_columns import (
 )
 from isonoise.comparison.presets import POSTER
 from isonoise.comparison.report import figure_files, map_grids, plots, poster
-from isonoise.comparison.report.calibration import calibration_plot
-from isonoise.comparison.report.wave_series import WaveSeries, read_wave_series
+from isonoise.comparison.report.scene_section import MAP_SIDE, scene_section
+from isonoise.comparison.report.viewer_data import viewer_factor
 from isonoise.comparison.report_tables import (
     NOISY_REFERENCE,
-    scene_table,
-    single_image_table,
     strategy_titles,
     tables_across_scenes,
 )
@@ -33,12 +26,6 @@ from isonoise.comparison.summary import summarise, write_summary
 from isonoise.comparison.timing import worker_table
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-MAP_SIDE = 256
-"""Maximum side of a map in the page, in pixels."""
 
 
 def write_report(directory: Path) -> dict:
@@ -60,16 +47,15 @@ def write_report(directory: Path) -> dict:
     from markupsafe import Markup
 
     titles = strategy_titles(summary)
+    factor = viewer_factor([(scene["width"], scene["height"], 1 + len(scene["rows"])) for scene in scenes])
     with figure_files.figure_settings():
-        scene_sections, poster_figures = (
-            [_scene(results, summary, scene) for scene in scenes],
-            _poster(results, summary),
-        )
+        sections = [scene_section(results, summary, scene, factor) for scene in scenes]
+        poster_figures = _poster(results, summary)
     page = _template().render(
         style=Markup(_asset("page.css")),
-        script=Markup(_asset("tables.js")),
+        script=Markup(_asset("tables.js") + _asset("viewer.js")),
         summary=summary,
-        scenes=scene_sections,
+        scenes=sections,
         poster=poster_figures,
         max_bands=plots.MAX_BANDS,
         across=tables_across_scenes(summary),
@@ -90,7 +76,7 @@ def _template():
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"percent": format_percent}
+    environment.filters |= {"percent": format_percent, "number": format_number}
     return environment.from_string(_asset("page.html.j2"))
 
 
@@ -113,82 +99,13 @@ def _poster(results: Results, summary: Mapping) -> list[dict]:
                 "name": figure.name,
                 "design": figure.design,
                 "missing": figure.missing,
-                "rows": [_grid(row.grid, row.title, row.form) | {"captions": row.captions} for row in figure.rows],
+                "rows": [
+                    map_grids.grid_values(row.grid, row.title, row.form, MAP_SIDE) | {"captions": row.captions}
+                    for row in figure.rows
+                ],
             }
         )
     return figures
-
-
-def _scene(results: Results, summary: Mapping, scene: Mapping) -> dict:
-    """A scene for the template; also writes its pictures to plots/."""
-    from markupsafe import Markup
-    from PIL import Image
-
-    from isonoise.film.png import tone_map
-
-    slug = scene["slug"]
-    folder = results.directory / "plots"
-    picture = Image.fromarray(tone_map(results.reference(results.plan.scene(slug)).rgb))
-    write_atomically(folder / f"{slug}-reference.png", lambda temporary: picture.save(temporary, format="PNG"))
-    series = {
-        strategy: read_wave_series([runs[seed] for seed in scene["seeds"]])
-        for strategy, runs in results.runs(results.plan.scene(slug)).items()
-    }
-    curves = []
-    for name, figure in figures(summary, scene, series):
-        svg = figure_files.write_figure(folder / name, figure)
-        curves.append(Markup(figure_files.page_svg(svg, name)))
-    grids = []
-    for name, (grid, title, form) in _map_grids(results, summary, scene).items():
-        figure_files.write_png(folder / f"{slug}-{name}.png", map_grids.grid_figure(grid, title, form))
-        grids.append(_grid(grid, title, form))
-    picture.thumbnail((2 * MAP_SIDE, 2 * MAP_SIDE))
-    return {
-        "slug": slug,
-        "table": scene_table(summary, scene),
-        "single_images": single_image_table(summary, scene),
-        "reference": _data_uri(map_grids.png_bytes(picture)),
-        "curves": curves,
-        "grids": grids,
-    }
-
-
-def figures(summary: Mapping, scene: Mapping, series: Mapping[str, WaveSeries]) -> "Iterator[tuple[str, Figure]]":
-    """The plots of a scene, each with the name of its files."""
-    slug = scene["slug"]
-    for quantity in plots.QUANTITIES:
-        for abscissa in plots.ABSCISSAE:
-            name = f"{slug}-{quantity.name}" + ("" if abscissa == "time" else f"-{abscissa}")
-            yield name, plots.curve_plot(summary, scene, series, quantity, abscissa)
-    yield f"{slug}-calibration", calibration_plot(summary, scene, series)
-
-
-def _map_grids(results: Results, summary: Mapping, scene: Mapping) -> dict[str, tuple]:
-    """Grids of maps by the name of their file, each with its title and the format of its scale."""
-    titles = strategy_titles(summary)
-    counts, errors = {}, {}
-    for strategy, runs in results.runs(results.plan.scene(scene["slug"])).items():
-        used = [runs[seed] for seed in scene["seeds"]]
-        counts[titles[strategy]] = used[0].count
-        errors[titles[strategy]] = metrics.rms_over_seeds(np.stack([run.errors[-1] for run in used]))
-    samples = f"samples per pixel, seed {scene['seeds'][0]}"
-    return {
-        "samples": (map_grids.sample_maps(counts), samples, format_number),
-        "errors": (map_grids.error_maps(errors), "RMS relative error over the seeds", format_percent),
-    }
-
-
-def _grid(grid: map_grids.MapGrid, title: str, form) -> dict:
-    """A grid of maps for the template."""
-    span = np.log(grid.high / grid.low)
-    return {
-        "title": title,
-        "maps": [(m.title, _data_uri(map_grids.map_png(m, grid, MAP_SIDE))) for m in grid.maps],
-        "colours": map_grids.colour_stops(grid),
-        "ticks": [
-            (form(t, 1), 100 * float(np.log(t / grid.low) / span)) for t in map_grids.nice_ticks(grid.low, grid.high)
-        ],
-    }
 
 
 def _swatch(style: Mapping) -> dict[str, str]:
@@ -210,7 +127,3 @@ def _dates(results: Results) -> str:
     ]
     first, last = (time.strftime("%Y-%m-%d", time.gmtime(moment)) for moment in (min(finished), max(finished)))
     return first if first == last else f"{first} to {last}"
-
-
-def _data_uri(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
