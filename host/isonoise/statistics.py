@@ -36,6 +36,8 @@ class Needs:
     uniform : bool
         Keep count, mean and variance of the samples of uniform waves. Not on the device but on the host, which reads
         the statistics before and after every uniform wave.
+    layers : tuple of str
+        Layers that the device makes (`isonoise.layers.device_layers`). Set by the renderer.
 
     Raises
     ------
@@ -51,8 +53,10 @@ class Needs:
     neighbours: int | None = None
     nets: bool = False
     uniform: bool = False
+    layers: tuple[str, ...] = ()
 
     def __post_init__(self):
+        object.__setattr__(self, "layers", tuple(self.layers))  # JSON has lists only
         if self.chunk not in range(1, 32, 2):
             raise UserError(f"Needs: chunk = {self.chunk} must be an odd number from 1 to 31, so that it has a median")
         if self.batch not in range(1, 65537):
