@@ -50,7 +50,9 @@ GUIDES = ("albedo", "normal")
 
 def check_layers(names: Iterable[str]) -> tuple[str, ...]:
     """The names in the order of `LAYERS`, each once. Raises UserError for an unknown one."""
-    names = (names,) if isinstance(names, str) else tuple(names)
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise UserError(f"layers = {names!r} must be a list of names, such as ['albedo', 'depth']")
+    names = tuple(names)
     for name in names:
         if name not in LAYERS:
             close = difflib.get_close_matches(str(name), LAYERS, 1)

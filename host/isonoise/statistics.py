@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from isonoise.errors import UserError
+from isonoise.layers import device_layers
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,10 @@ class Needs:
     def with_sampler(self, sampler: str) -> "Needs":
         """These statistics, and those that the error of samples from this sampler needs."""
         return replace(self, nets=sampler == "sobol")
+
+    def with_layers(self, names: tuple[str, ...]) -> "Needs":
+        """These statistics, and the layers that the device makes for those of these names."""
+        return replace(self, layers=device_layers(names))
 
 
 BASIC_NEEDS = Needs()
