@@ -1,5 +1,7 @@
 """Denoises an image with Intel Open Image Denoise, from the extra `denoise`; imported only for the layer `denoised`."""
 
+from importlib.metadata import version
+
 import numpy as np
 
 from isonoise.errors import UserError
@@ -17,9 +19,7 @@ def check_denoiser() -> None:
 
 def denoiser_name() -> str:
     """Name and version of the denoiser, for the header of an image."""
-    from pyoidn.version import __version__
-
-    return f"Open Image Denoise {'.'.join(__version__.split('.')[:3])}"
+    return f"Open Image Denoise {'.'.join(version('pyoidn').split('.')[:3])}"
 
 
 def denoise(rgb: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
