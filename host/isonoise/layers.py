@@ -4,10 +4,10 @@
 the host the others (`isonoise.film.layers`).
 """
 
-import difflib
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
 
 ALL_SAMPLES, HITS, FIRST_SAMPLE, HOST = range(4)
@@ -55,9 +55,7 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
     names = tuple(names)
     for name in names:
         if name not in LAYERS:
-            close = difflib.get_close_matches(str(name), LAYERS, 1)
-            hint = f"did you mean '{close[0]}'? " if close else ""
-            raise UserError(f"there is no layer '{name}'; {hint}The layers are {', '.join(LAYERS)}")
+            raise UserError(f"there is no layer '{name}'{nearest(str(name), LAYERS)}; known are {', '.join(LAYERS)}")
     return tuple(name for name in LAYERS if name in names)
 
 
