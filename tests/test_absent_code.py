@@ -129,8 +129,8 @@ MARKERS = {  # names that belong to one feature
     },
     "stages/accumulate_layers.cl": {
         "ALBEDO_LAYER": "albedo_of",
-        "ANALYTICS": "ANALYTIC_BIT",
-        "UVS": "LAYER_UV",
+        "ANALYTICS": "analytic_surface",
+        "UVS": "triangle_uv",
         "INSTANCES": "instanced_surface_of_hit",
     },
     "stages/summarise.cl": {"CHUNK_MEDIANS": "medians", "POWER_MEAN": "powers", "HALF_BUFFER": "halves"},

@@ -152,7 +152,8 @@ class Renderer(RenderDevices):
             check_host_layers(self.layer_names, self.strategy)
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
-            self.scene = load_compiled(scene, parameters, allow_outside, view, size, max_depth, sampler)
+            keep_uvs = "uv" in self.layer_names
+            self.scene = load_compiled(scene, parameters, allow_outside, view, size, max_depth, sampler, keep_uvs)
         self.files: tuple[Path, ...] = tuple(files)
         self.needs = needs = self.strategy.needs.with_sampler(self.scene.sampler).with_layers(self.layer_names)
         settings = (self.scene, needs, seed, pool_size, memory, self.strategy.is_adaptive)

@@ -6,6 +6,7 @@
 #include "path/path_vertex.h"
 #include "util/statistics.h"
 
+#if FEATURE_LAYERS
 // LAYER_<NAME> is the number of the layer's first channel among the sums, or among the indices; -1 without the layer.
 
 #if FEATURE_ALBEDO_LAYER
@@ -118,3 +119,4 @@ __kernel void accumulate_layers(
     }
     for (uint c = 0u; c < LAYER_SUMS; ++c) store_sum(sums[c], layer_sums + pixel + 2u * c * total_pixels, total_pixels);
 }
+#endif

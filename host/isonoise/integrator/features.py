@@ -136,7 +136,7 @@ FEATURES = {
     ),
     "UVS": Feature(
         "texture coordinates",
-        lambda use: reads_uvs(use.scene.bsdfs) or use.has_textured_lights,
+        lambda use: reads_uvs(use.scene.bsdfs) or use.has_textured_lights or "uv" in use.needs.layers,
         {"uvs": "8 bytes a vertex", "faces": "12 bytes a triangle"},
     ),
     "TEXTURES": Feature(

@@ -39,7 +39,7 @@ def layer_images(state: Mapping[str, np.ndarray], names: tuple[str, ...]) -> dic
         if layer.made == FIRST_SAMPLE:
             index = state["layer_indices"][first]
             is_hit = (index != structs.NONE) & (samples > 0)
-            images[name] = np.where(is_hit, index, NO_HIT_INDEX).astype(np.float32)
+            images[name] = np.where(is_hit, index.astype(np.float32), np.float32(NO_HIT_INDEX))
             continue
         weight = np.rint(samples * mean(firsts["coverage"], samples)) if layer.made == HITS else samples
         planes = [mean(first + k, weight) for k in range(len(layer.channels))]
