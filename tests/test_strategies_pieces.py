@@ -8,6 +8,7 @@ import pytest
 from small_scene import PIXELS, lamp_over_floor
 from synthetic_statistics import make_statistics
 
+from isonoise.cli import main
 from isonoise.errors import UserError
 from isonoise.renderer import Renderer
 from isonoise.statistics import Needs
@@ -36,6 +37,9 @@ def darkest(count, variance, budget):
     allocation = np.zeros(count.shape, np.uint32)
     allocation[np.unravel_index(variance.argmin(), count.shape)] = budget
     return allocation
+
+def unknown(statistics):
+    return np.full(statistics.shape, np.nan)
 
 class Pieces:
     @staticmethod
@@ -216,3 +220,16 @@ def test_a_render_with_a_rule_of_the_user():
     assert [record.kind for record in records] == ["uniform", "adaptive"] * 2 + ["uniform"]
     assert (count[:-2] == uniform).all()
     assert count.sum() == sum(record.samples for record in records)
+
+
+@pytest.mark.usefixtures("user_module", "one_lane")
+def test_a_wrong_measure_ends_the_command_with_a_message(tmp_path, capfd):
+    """Without a traceback, and the image so far is written."""
+    strategy = "adaptive:measure=my_pieces:unknown"
+    image = tmp_path / "image.exr"
+    code = main(["render", "cornell", "--size", "8x6", "--spp", "32", "--strategy", strategy, "-o", str(image)])
+    message = capfd.readouterr().err
+    assert code == 2
+    assert "measure 'my_pieces:unknown' returned nan in 48 pixels, first at x = 0, y = 0" in message
+    assert "Traceback" not in message
+    assert image.exists()
