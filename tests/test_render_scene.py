@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from small_scene import HEIGHT, PIXELS, WIDTH, assert_same_bits, lamp_over_floor
 
+import isonoise
 from isonoise.error.true_error import true_error
 from isonoise.errors import UserError
 from isonoise.film.exr import write_exr
 from isonoise.render_scene import render
-from isonoise.scene import compile_scene, load
 
 STRATEGY = "relative-median:warmup=4"
 
@@ -100,7 +100,7 @@ def test_progress_on_a_terminal(progress, is_shown, monkeypatch):
 
 
 def test_the_sample_count_of_the_scene_is_the_limit_without_another():
-    scene = compile_scene(load(lamp_over_floor()))
+    scene = isonoise.load(lamp_over_floor()).compile()
     assert render(scene, strategy="uniform").statistics.samples == scene.sample_count * PIXELS
 
 

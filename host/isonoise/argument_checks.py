@@ -6,6 +6,7 @@ import inspect
 import math
 import operator
 from collections.abc import Callable, Iterable, Mapping
+from typing import SupportsFloat, SupportsIndex, cast
 
 from isonoise.errors import UserError
 from isonoise.limits import MAX_DEPTH, MAX_PIXELS
@@ -31,7 +32,7 @@ def check_keywords(names: Iterable[str], *functions: Callable[..., object]) -> N
 def check_integer(name: str, value: object, low: int, high: int, high_text: str | None = None) -> int:
     """The value as an int. Raises UserError unless it is a whole number from `low` to `high`; True is none."""
     try:
-        number = None if isinstance(value, bool) else operator.index(value)  # also of numpy
+        number = None if isinstance(value, bool) else operator.index(cast(SupportsIndex, value))  # also of numpy
     except TypeError:
         number = None
     if number is None:
@@ -46,7 +47,7 @@ def check_number(name: str, value: object, is_valid: Callable[[float], bool], ac
     number = None
     if not isinstance(value, (bool, str, bytes)):
         try:
-            number = float(value)
+            number = float(cast(SupportsFloat, value))
         except (TypeError, ValueError, OverflowError):
             number = None
     if number is None or math.isnan(number) or not is_valid(number):
@@ -77,10 +78,10 @@ def check_seed(seed: object) -> int:
 
 def check_size(size: object) -> tuple[int, int]:
     """An image size (width, height). Raises UserError unless these are two whole numbers from 1, not too large."""
-    sides = None
+    sides: tuple[object, ...] | None = None
     if not isinstance(size, (str, Mapping)):
         with contextlib.suppress(TypeError):
-            sides = tuple(size)
+            sides = tuple(cast(Iterable[object], size))
     if sides is None or len(sides) != 2:
         raise UserError(f"size = {size!r} is not (width, height) in pixels, such as (640, 360)")
     names = "width", "height"
@@ -104,7 +105,7 @@ def check_depth(max_depth: object) -> int:
     return check_integer("max_depth", max_depth, -1, MAX_DEPTH)
 
 
-def check_mapping(name: str, value: object) -> Mapping:
+def check_mapping(name: str, value: object) -> Mapping[str, object]:
     """The value. Raises UserError unless it is a dict."""
     if not isinstance(value, Mapping):
         raise UserError(f"{name} = {value!r} is not a dict")

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,8 @@ MIN_WAVE_SHARE = 1 / 16
 """The stated error cuts no wave below this share of the samples so far."""
 
 
-def render_loop(renderer: Renderer, stops: Stops, **options) -> Outcome:
-    """Run waves until a limit is reached: `RenderLoop(renderer, stops, **options).run()`."""
+def render_loop(renderer: Renderer, stops: Stops, **options: Any) -> Outcome:
+    """Run waves until a limit is reached: `RenderLoop(renderer, stops, **options).run()`, with its parameters."""
     return RenderLoop(renderer, stops, **options).run()
 
 
@@ -112,8 +112,8 @@ class RenderLoop:
         renderer: Renderer,
         stops: Stops,
         *,
-        on_wave: Callable[[LogRow, Statistics], None] | None = None,
-        on_progress: Callable[[float, int, float | None, float | None], None] | None = None,
+        on_wave: Callable[[LogRow, Statistics], object] | None = None,
+        on_progress: Callable[[float, int, float | None, float | None], object] | None = None,
         reference: tuple[np.ndarray, np.ndarray | None] | None = None,
         should_stop: Callable[[], bool] | None = None,
         periodic: Sequence[Periodic] = (),
@@ -167,20 +167,20 @@ class RenderLoop:
         failed, the statistics are those after the last wave.
         """
         try:
-            statistics, layers = self.renderer.statistics(), self.renderer.layers()
+            statistics = self.renderer.statistics()
             _ = statistics.rgb  # which may be the first use of it
         except UserError:
             if self.statistics is None:
                 raise
-            statistics, layers = self.statistics, {}
+            statistics = self.statistics
         bound = None if self._error_stop is None else self._error_stop.bound
         error = math.inf if self._error is None else self._error
         elapsed, share = self._elapsed(), self._client_share()
         floor = self._floor(statistics)
-        return Outcome(reason, self.rows, elapsed, statistics, floor, error, bound, share, self.stops, layers)
+        return Outcome(reason, self.rows, elapsed, statistics, floor, error, bound, share, self.stops)
 
     def state(self, reuse: State | None = None) -> State:
-        """Return all that the render is, to continue it later. Waits for the device. As `Renderer.state`."""
+        """Return all that the render is, to continue it later. Waits for the device. `reuse`: as for `Renderer`."""
         state = self.renderer.state(reuse)
         values = {
             "rows": [row_values(row) for row in self.rows],

@@ -1,7 +1,6 @@
 """A finished render: image, statistics and log."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,8 +36,6 @@ class Outcome:
         statistics and errors, or exchanged tasks. None on one device.
     stops : Stops or None
         The limits of the render.
-    layers : mapping of str to array
-        The layers that were asked for, by name: (height, width) float32, or (height, width, channels).
 
     Notebooks show image, error map, sample map and error curve.
     """
@@ -52,7 +49,6 @@ class Outcome:
     error_bound: float | None = None
     client_share: float | None = None
     stops: Stops | None = None
-    layers: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def rgb(self) -> np.ndarray:

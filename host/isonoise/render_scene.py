@@ -1,8 +1,7 @@
 """`isonoise.render`: a scene in, an image with its statistics out."""
 
 import contextlib
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -14,15 +13,13 @@ from isonoise.progress import RenderProgressBar
 from isonoise.reference_image import Reference, check_reference_size, reference_image
 from isonoise.renderer import Renderer
 from isonoise.renderer_options import RendererOptions
-from isonoise.scene.compiled_scene import CompiledScene
+from isonoise.scene.load_compiled import SceneSource
 from isonoise.statistics import Statistics
 from isonoise.stops import Stops
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-SceneSource: TypeAlias = str | os.PathLike[str] | Mapping[str, object] | CompiledScene
-"""What a scene is read from."""
 OnProgress: TypeAlias = Callable[[float, int, float | None, float | None], object]
 """Called with elapsed seconds, samples, the last stated error and the estimated seconds left."""
 
@@ -103,9 +100,10 @@ def _show_progress(
     """What shows the progress of the loop; a bar, which also shows that of the set-up, is closed with the stack."""
     if progress is False:
         return None
-    if progress is not None and progress is not True:
-        return check_callable("progress", progress)
-    bar = stack.enter_context(RenderProgressBar("loading"))
+    if progress is not None and not isinstance(progress, bool):
+        check_callable("progress", progress)
+        return progress
+    bar: RenderProgressBar = stack.enter_context(RenderProgressBar("loading"))
 
     def show_compilation(renderer: Renderer, program: str, done: int, total: int) -> None:
         if program:

@@ -3,10 +3,10 @@
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from isonoise.error.stated_error import error_distribution
 from isonoise.errors import UserError
 from isonoise.render_devices import RenderDevices
 from isonoise.renderer_options import check_options
-from isonoise.renderer_set_up import set_up_device, set_up_workers
+from isonoise.renderer_set_up import Hooks, set_up_device, set_up_workers
 from isonoise.scene.files import record_files
-from isonoise.scene.load_compiled import load_compiled, source_name
+from isonoise.scene.load_compiled import SceneSource, load_compiled, source_name
 from isonoise.scene.view import NO_VIEW, View
 from isonoise.signals import raise_if_received
 from isonoise.state.settings import check_settings, render_settings
@@ -33,6 +33,8 @@ from isonoise.wave_tracer import WaveTracer
 
 if TYPE_CHECKING:
     from isonoise.distributed.cluster import Cluster
+    from isonoise.distributed.distributed_wavefront import DistributedWavefront
+    from isonoise.integrator.wavefront import Wavefront
 
 MIN_REMAINING_PIXEL_SAMPLES = 2**20
 """A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
@@ -43,9 +45,9 @@ class Renderer(RenderDevices):
 
     Parameters
     ----------
-    scene : str, path, dict or CompiledScene
-        A scene or mesh file, the name of a built-in scene, a dict in Mitsuba 3's vocabulary (`isonoise.load`), or what
-        `isonoise.scene.compile_scene` returns.
+    scene : str, path, dict, Scene or CompiledScene
+        A scene or mesh file, the name of a built-in scene, a dict in Mitsuba 3's vocabulary, or what `isonoise.load`,
+        `Scene.compile` or `compile_scene` returns.
     device : str, int or None
         Number or part of the name of an OpenCL device. None: the first of `isonoise devices`. `all`, `0,1` and `0/2`
         are several devices, or parts of one (`isonoise.device.selection.select_devices`).
@@ -76,8 +78,6 @@ class Renderer(RenderDevices):
     cluster : Cluster or None
         Workers that trace the samples in place of `device` (`isonoise.distributed.cluster.Cluster`). This process
         computes the statistics on its default device. It stays open when the renderer is closed.
-    layers : sequence of str
-        Layers beside the colour, such as `albedo` and `depth`, of `isonoise.layers.LAYERS`. They change no sample.
     on_compile : callable or None
         Called before each kernel program is compiled, with the renderer, whose scene and device are known by then, the
         program's name, how many programs are done, and how many there are; and once before all of them, with '', 0, 0.
@@ -96,10 +96,6 @@ class Renderer(RenderDevices):
         Version of its driver, and the CPU that the driver's compiler emits code for, if that is known.
     seed : int
         The seed in use.
-    layer_names : tuple of str
-        The layers that `layers` returns.
-    needs : Needs
-        Statistics that the device keeps: those of the strategy, the sampler and the layers.
     setup_times : dict of str to float
         Seconds to `load` the scene, `build` its BVH and `compile` the kernels.
 
@@ -120,13 +116,13 @@ class Renderer(RenderDevices):
 
     def __init__(
         self,
-        scene,
+        scene: SceneSource,
         device: str | int | None = None,
         strategy: str | Strategy = DEFAULT_STRATEGY,
         seed: int = 0,
         size: tuple[int, int] | None = None,
         max_depth: int | None = None,
-        parameters: dict[str, str] | None = None,
+        parameters: Mapping[str, object] | None = None,
         sampler: str | None = None,
         pool_size: int | None = None,
         profile: bool = False,
@@ -134,7 +130,6 @@ class Renderer(RenderDevices):
         memory: int | None = None,
         view: View | None = None,
         cluster: "Cluster | None" = None,
-        layers: Sequence[str] = (),
         on_compile: "Callable[[Renderer, str, int, int], None] | None" = None,
     ):
         options = check_options(locals())  # all arguments by name
@@ -145,30 +140,25 @@ class Renderer(RenderDevices):
         self.parameters = {name: str(value) for name, value in (parameters or {}).items()}
         self.overrides = {"size": size, "max_depth": max_depth, "sampler": sampler, "parameters": self.parameters}
         self.overrides["view"] = asdict(view or NO_VIEW)
-        self.layer_names: tuple[str, ...] = options["layers"] or ()
-        if self.layer_names:
-            from isonoise.film.layers import check_host_layers  # a render without layers does not need it
-
-            check_host_layers(self.layer_names, self.strategy)
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
-            keep_uvs = "uv" in self.layer_names
-            self.scene = load_compiled(scene, parameters, allow_outside, view, size, max_depth, sampler, keep_uvs)
+            self.scene = load_compiled(scene, self.parameters, allow_outside, view, size, max_depth, sampler)
         self.files: tuple[Path, ...] = tuple(files)
-        self.needs = needs = self.strategy.needs.with_sampler(self.scene.sampler).with_layers(self.layer_names)
+        needs = self.strategy.needs.with_sampler(self.scene.sampler)
         settings = (self.scene, needs, seed, pool_size, memory, self.strategy.is_adaptive)
 
-        def report(*progress) -> None:
+        def report(program: str, done: int, total: int) -> None:
             if on_compile is not None:
-                on_compile(self, *progress)
+                on_compile(self, program, done, total)
 
         def on_device(name: str, driver: str) -> None:
             self.device_name, self.driver = name, driver
             report("", 0, 0)
 
-        hooks = {"measured": self._measured, "on_device": on_device, "on_compile": report}
+        hooks: Hooks = {"measured": self._measured, "on_device": on_device, "on_compile": report}
         selected = [] if cluster else select_devices(device)
         self._distributed = None
+        wavefront: Wavefront | DistributedWavefront
         if len(selected) == 1:
             wavefront = set_up_device(Device(selected[0], profile), *settings, **hooks)
         else:
@@ -277,7 +267,7 @@ class Renderer(RenderDevices):
         return self.end_wave()
 
     @property
-    def wave_kind(self) -> str | None:
+    def wave_kind(self) -> Literal["uniform", "adaptive"] | None:
         """'uniform' or 'adaptive' during a wave, else None."""
         return self._waves.wave_kind
 
@@ -345,17 +335,6 @@ class Renderer(RenderDevices):
             return error_distribution(statistics, floor)
         self._wavefront.accumulator.update_luminance()
         return self._wavefront.errors.distribution(floor * self.scene.radiance_scale)
-
-    def layers(self) -> Mapping[str, np.ndarray]:
-        """Return the layers that were asked for, of all samples so far, by name. Waits for the device.
-
-        Arrays are (height, width) float32, or (height, width, channels).
-        """
-        if not self.layer_names:
-            return {}
-        from isonoise.film.layers import make_layers
-
-        return make_layers(self.layer_names, self._wavefront.accumulator.layers(), self.statistics(), self.strategy)
 
     def image(self) -> np.ndarray:
         """Return the mean linear RGB, (height, width, 3) float32. Waits for the device."""

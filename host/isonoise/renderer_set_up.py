@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 from isonoise.device.drivers import describe_driver
 from isonoise.device.opencl import Device
@@ -24,6 +24,14 @@ Measured = Callable[[str], AbstractContextManager[None]]
 """A `with` block of this step of the set-up is measured."""
 
 
+class Hooks(TypedDict):
+    """Functions of a renderer that are called during the set-up."""
+
+    measured: Measured
+    on_device: OnDevice
+    on_compile: OnCompile
+
+
 def set_up_device(
     device: Device,
     scene: CompiledScene,
@@ -42,25 +50,32 @@ def set_up_device(
         bvh = build_scene_bvh(scene)
     with measured("compile"):
         on_device(device.name, describe_driver(device.device))
-        options = {"memory": memory, "is_adaptive": is_adaptive, "on_compile": on_compile}
-        return make_wavefront(device, scene, bvh, needs, seed, pool_size, **options)
+        settings = scene, bvh, needs, seed, pool_size
+        return make_wavefront(device, *settings, memory=memory, is_adaptive=is_adaptive, on_compile=on_compile)
 
 
 def set_up_workers(
     selected: list[SelectedDevice],
     cluster: "Cluster | None",
-    *settings,
+    scene: CompiledScene,
+    needs: Needs,
+    seed: int,
+    pool_size: int | None,
+    memory: int | None,
+    is_adaptive: bool,
+    *,
     measured: Measured,
     on_device: OnDevice,
     on_compile: OnCompile,
 ) -> "DistributedWavefront":
-    """A wavefront on several devices, or on the workers of a cluster; `settings` as for `set_up_device`."""
+    """A wavefront on several devices, or on the workers of a cluster; other arguments as for `set_up_device`."""
     from isonoise.distributed import set_up  # a render on one device does not need it
 
     wavefront = None
     try:
         with measured("compile"):
             on_device(*set_up.describe_workers(selected, cluster))
+            settings = scene, needs, seed, pool_size, memory, is_adaptive
             wavefront = set_up.make_distributed_wavefront(selected, cluster, *settings, on_compile)
     except BaseException:  # a signal ends the set-up late
         if wavefront is not None:

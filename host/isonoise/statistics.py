@@ -3,11 +3,14 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isonoise.errors import UserError
-from isonoise.layers import device_layers
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,6 @@ class Needs:
     uniform : bool
         Keep count, mean and variance of the samples of uniform waves. Not on the device but on the host, which reads
         the statistics before and after every uniform wave.
-    layers : tuple of str
-        Layers that the device makes (`isonoise.layers.device_layers`). Set by the renderer.
 
     Raises
     ------
@@ -54,10 +55,8 @@ class Needs:
     neighbours: int | None = None
     nets: bool = False
     uniform: bool = False
-    layers: tuple[str, ...] = ()
 
-    def __post_init__(self):
-        object.__setattr__(self, "layers", tuple(self.layers))  # JSON has lists only
+    def __post_init__(self) -> None:
         if self.chunk not in range(1, 32, 2):
             raise UserError(f"Needs: chunk = {self.chunk} must be an odd number from 1 to 31, so that it has a median")
         if self.batch not in range(1, 65537):
@@ -70,10 +69,6 @@ class Needs:
     def with_sampler(self, sampler: str) -> "Needs":
         """These statistics, and those that the error of samples from this sampler needs."""
         return replace(self, nets=sampler == "sobol")
-
-    def with_layers(self, names: tuple[str, ...]) -> "Needs":
-        """These statistics, and the layers that the device makes for those of these names."""
-        return replace(self, layers=device_layers(names))
 
 
 BASIC_NEEDS = Needs()
@@ -92,7 +87,7 @@ class _ReadWhenUsed:
     def __get__(self, instance: object, owner: type) -> np.ndarray:
         if instance is None:
             raise AttributeError(self._name)  # so that a dataclass has no default
-        value = vars(instance)[self._name]
+        value: np.ndarray | Callable[[], np.ndarray] = vars(instance)[self._name]
         if callable(value):
             value = vars(instance)[self._name] = value()
         return value
@@ -138,7 +133,10 @@ class Statistics:
 
     count: np.ndarray
     rejected: np.ndarray
-    rgb: np.ndarray | Callable[[], np.ndarray] = _ReadWhenUsed()
+    if TYPE_CHECKING:
+        rgb: np.ndarray
+    else:
+        rgb: np.ndarray = _ReadWhenUsed()
     mean: np.ndarray
     variance: np.ndarray
     median: np.ndarray | None
@@ -150,16 +148,41 @@ class Statistics:
     uniform: "Statistics | None" = None
 
     def variance_of_mean(self, rows: slice = slice(None)) -> np.ndarray:
-        """d s^2 / n, d the design effect: the squared standard error of the mean of x, a new array; inf where n < 2."""
+        """d s^2 / n, d the design effect: the squared standard error of the mean of x, a new array; inf where n < 2.
+
+        Parameters
+        ----------
+        rows : slice
+            Rows of the image.
+
+        Returns
+        -------
+        (height, width) float64, of these rows, in the scene's squared units
+        """
         count = self.count[rows]
         result = np.full(count.shape, np.inf)
-        return np.divide(self.variance_per_sample(rows), count, out=result, where=count >= 2)
+        np.divide(self.variance_per_sample(rows), count, out=result, where=count >= 2)
+        return result
 
-    def variance_per_sample(self, rows: slice = slice(None), dtype: type = np.float64) -> np.ndarray:
-        """d s^2: the variance of independent samples, as many, with the same error of the mean. Do not write to it."""
+    def variance_per_sample(self, rows: slice = slice(None), dtype: "DTypeLike" = np.float64) -> np.ndarray:
+        """d s^2: the variance of independent samples, as many, with the same error of the mean. Do not write to it.
+
+        Parameters
+        ----------
+        rows : slice
+            Rows of the image.
+        dtype : numpy type
+            Of the result.
+
+        Returns
+        -------
+        (height, width), of these rows, in the scene's squared units
+        """
         if self.design_effect is None:
             return self.variance[rows].astype(dtype, copy=False)
-        return np.multiply(self.design_effect[rows], self.variance[rows], dtype=dtype, casting="same_kind")
+        factors = self.design_effect[rows], self.variance[rows]
+        variance: np.ndarray = np.multiply(*factors, dtype=dtype, casting="same_kind")
+        return variance
 
     def planes(self) -> dict[str, np.ndarray]:
         """The arrays by name, without those that are None."""
@@ -204,7 +227,8 @@ class UniformSamples:
         variance = np.zeros_like(mean)
         np.divide(squares - total * mean, count - 1, out=variance, where=count >= 2)
         np.maximum(variance, 0, out=variance)  # below 0 by rounding only
-        return Statistics(count.astype(np.uint32), statistics.rejected, None, mean, variance, None)
+        no_rgb: Any = None
+        return Statistics(count.astype(np.uint32), statistics.rejected, no_rgb, mean, variance, None)
 
 
 def _sums(statistics: Statistics) -> np.ndarray:

@@ -47,7 +47,7 @@ class Stops:
     quantile: float = 0.99
     confidence: float = 0.95
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, (is_valid, accepted) in _CHECKS.items():
             value = getattr(self, name)
             if value is not None or name in ("quantile", "confidence"):

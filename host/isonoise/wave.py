@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class WaveRecord:
     (3, 'uniform', 8192)
     """
 
-    kind: str
+    kind: Literal["uniform", "adaptive"]
     samples: int
     planned: int
     seconds: float
@@ -78,7 +79,7 @@ class WaveRecord:
 class WaveInProgress:
     """A wave that has begun and has not ended. A checkpoint stores all of it."""
 
-    kind: str
+    kind: Literal["uniform", "adaptive"]
     remaining: np.ndarray  # samples per pixel that are left to trace
     planned: int
     traced: int = 0

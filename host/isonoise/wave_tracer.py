@@ -3,7 +3,7 @@
 import time
 import weakref
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -65,7 +65,7 @@ class WaveTracer:
         self.statistics = CurrentStatistics(wavefront.accumulator, scene.radiance_scale, uniform)
 
     @property
-    def wave_kind(self) -> str | None:
+    def wave_kind(self) -> Literal["uniform", "adaptive"] | None:
         """'uniform' or 'adaptive' during a wave, else None."""
         return None if self.wave is None else self.wave.kind
 
@@ -79,8 +79,8 @@ class WaveTracer:
 
     def continue_wave(self, should_continue: Callable[[int], bool] | None) -> bool:
         """Trace samples of the wave until `should_continue` returns False; whether all are traced."""
-        start, wave = time.perf_counter(), self.wave
-        should_continue = should_continue or (lambda samples: True)
+        start, wave = time.perf_counter(), self._begun_wave()
+        may_continue = should_continue or (lambda samples: True)
 
         def on_reduced(samples: int) -> None:
             wave.traced += samples
@@ -88,15 +88,20 @@ class WaveTracer:
 
         self.statistics.forget()
         try:
-            self.wavefront.trace(wave.remaining, lambda: should_continue(wave.traced), on_reduced)
+            self.wavefront.trace(wave.remaining, lambda: may_continue(wave.traced), on_reduced)
         finally:
             wave.seconds += time.perf_counter() - start
         return wave.traced == wave.planned
 
+    def _begun_wave(self) -> WaveInProgress:
+        if self.wave is None:
+            raise UserError("no wave has begun: call `begin_wave` before `continue_wave` and `end_wave`")
+        return self.wave
+
     def end_wave(self, workers: int) -> WaveRecord:
         """End the wave, which this many workers have traced. The rest of it, if there is one, is dropped."""
-        start, wave = time.perf_counter(), self.wave
-        self.wave = wave.remaining = None
+        start, wave = time.perf_counter(), self._begun_wave()
+        self.wave = None
         self.statistics.end_wave()
         seconds = wave.seconds + time.perf_counter() - start
         number = self.planner.waves
@@ -135,11 +140,13 @@ class WaveTracer:
 
     def restore(self, state: State) -> None:
         """Continue from what `state` has returned. Only for waves that have not begun yet."""
-        values, wave = state.values["renderer"], state.values["renderer"]["wave"]
+        values: Any = state.values["renderer"]
+        strategy: Any = state.values["strategy"]
+        wave = values["wave"]
         self.statistics.forget()
         self.wavefront.accumulator.set_state(state.group("reduction"))
         self.planner.set_state(values["planner"])
-        self._strategy.set_state(state.values["strategy"] | state.group("strategy"))
+        self._strategy.set_state(strategy | state.group("strategy"))
         self.wave = None if wave is None else WaveInProgress(remaining=state.arrays["wave/remaining"].copy(), **wave)
         self.statistics.is_uniform_wave = self.wave_kind == "uniform"
         if self.statistics.uniform is not None:

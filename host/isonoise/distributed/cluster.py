@@ -12,6 +12,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING, Any
 
 from isonoise import __version__
 from isonoise.distributed.dask_worker import DeviceChoice, TracerSettings, other_version
@@ -19,6 +20,9 @@ from isonoise.errors import DeviceError, UserError
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.signals import deferred, raise_if_received
 from isonoise.statistics import Needs
+
+if TYPE_CHECKING:
+    from isonoise.distributed.dask_pool import DaskPool
 
 CONNECT_TIMEOUT_S = 5.0
 _LOOPBACK = "127.0.0.1"
@@ -53,11 +57,13 @@ class Cluster:
 
     Examples
     --------
-    >>> with isonoise.distributed.cluster.Cluster.local(2) as cluster:
+    >>> with isonoise.Cluster.local(2) as cluster:
     ...     outcome = isonoise.render("cornell", spp=64, cluster=cluster)
     """
 
-    def __init__(self, client, device_of: Callable[[object], DeviceChoice], stack: ExitStack, size: int | None = None):
+    def __init__(
+        self, client: Any, device_of: Callable[[object], DeviceChoice], stack: ExitStack, size: int | None = None
+    ):
         self.client, self.size = client, size
         self.device_of, self._stack = device_of, stack
         self.on_wait: Callable[[int], None] = lambda workers: None
@@ -167,7 +173,7 @@ class Cluster:
         needs: Needs,
         pool_size: int | None = None,
         memory: int | None = None,
-    ):
+    ) -> "DaskPool":
         """Send a scene to the workers, and wait until one is ready for tasks. The others join as they get ready.
 
         Parameters

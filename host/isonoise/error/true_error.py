@@ -1,10 +1,12 @@
 """Errors of an image against a reference, and whether the stated confidence intervals cover it."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from isonoise.error.stated_error import half_width_95
+from isonoise.field_docs import document_fields
 from isonoise.luminance import luminance
 from isonoise.statistics import Statistics
 from isonoise.strategies.measures import image_floor
@@ -19,10 +21,11 @@ FLOAT32_ROUNDING = 4 * 2.0**-24
 """Relative rounding of two float32 RGB values and of their luminance. A noiseless pixel differs by this much."""
 
 
-def _formula(text: str):
+def _formula(text: str) -> Any:
     return field(metadata={"doc": text})
 
 
+@document_fields
 @dataclass(frozen=True)
 class TrueError:
     """Errors of an image x against a reference r, as the log describes them.

@@ -70,6 +70,11 @@ def _stored_type(dtype: np.dtype) -> type:
 def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, object]]:
     """Read every channel and the header of a single-part OpenEXR file.
 
+    Parameters
+    ----------
+    path : path
+        The file.
+
     Returns
     -------
     channels : dict
@@ -103,6 +108,11 @@ def read_header(path: str | os.PathLike) -> tuple[list[str], tuple[int, int], di
 
 def read_reference(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
     """Read a reference image and its standard error.
+
+    Parameters
+    ----------
+    path : path
+        The file.
 
     Returns
     -------

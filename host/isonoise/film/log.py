@@ -4,19 +4,21 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from isonoise.errors import UserError
+from isonoise.field_docs import document_fields
 from isonoise.film.files import PathLock, check_writable, write_atomically
 
 if TYPE_CHECKING:
     from isonoise.error.true_error import TrueError
 
 
-def _column(meaning: str, **options):
+def _column(meaning: str, **options: Any) -> Any:
     return field(metadata={"doc": meaning}, **options)
 
 
+@document_fields
 @dataclass(frozen=True)
 class LogRow:
     """The state of a render after one wave. Each field is a column, except `true`: each of its fields is one."""
@@ -31,7 +33,7 @@ class LogRow:
     )
     stated_p95: float = _column("the same at q = 0.95")
     stated_p99: float = _column("the same at q = 0.99")
-    true: "TrueError | None"
+    true: "TrueError | None" = _column("errors against a reference; None without one")  # noqa: RUF009
     rejected: int = _column("samples so far that were negative or not finite; they enter no statistic")
     error_bound: float = _column(
         "with --error, the value that the true error at --quantile is below with --confidence, in all rows together, "

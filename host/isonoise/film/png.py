@@ -19,7 +19,7 @@ SHOULDER = 0.6
 """Display value up to which the curve is linear, so that only highlights are compressed."""
 
 
-def tone_map(rgb: np.ndarray, exposure: float | None = None, stops: float = 0.0) -> np.ndarray:
+def tone_map(rgb: np.ndarray, exposure: float | None = None) -> np.ndarray:
     """Tone-map linear RGB of any scale to 8-bit sRGB.
 
     Exposure, unless given: the log-average luminance becomes `MIDDLE_GREY` (Reinhard, Stark, Shirley, Ferwerda 2002,
@@ -35,8 +35,6 @@ def tone_map(rgb: np.ndarray, exposure: float | None = None, stops: float = 0.0)
         Linear, Rec. 709 primaries; negative and non-finite values count as 0.
     exposure : float or None
         Factor on `rgb`, in place of that by the image's brightness.
-    stops : float
-        Correction of the exposure: a factor of 2 to this power.
 
     Returns
     -------
@@ -44,21 +42,33 @@ def tone_map(rgb: np.ndarray, exposure: float | None = None, stops: float = 0.0)
     """
     value = np.where(np.isfinite(rgb), rgb, 0).astype(np.float32).clip(min=0)
     with np.errstate(over="ignore"):  # infinity is white as well
-        value *= np.float32((automatic_exposure(value) if exposure is None else exposure) * 2.0**stops)
+        value *= np.float32(automatic_exposure(value) if exposure is None else exposure)
     above = np.maximum(value - SHOULDER, 0) / (1 - SHOULDER)
     value = np.where(value <= SHOULDER, value, SHOULDER + (1 - SHOULDER) * -np.expm1(-above))
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.rint(encoded * 255).astype(np.uint8)
 
 
-def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None = None, stops: float = 0.0) -> None:
-    """Tone-map linear RGB (height, width, 3) as `tone_map` does and write it as a PNG, atomically.
+def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None = None) -> None:
+    """Tone-map linear RGB as `tone_map` does and write it as a PNG, atomically.
 
-    Raises UserError if the file cannot be written.
+    Parameters
+    ----------
+    path : path
+        The file.
+    rgb : (height, width, 3)
+        Linear, Rec. 709 primaries.
+    exposure : float or None
+        Factor on `rgb`; None: by the image's brightness.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be written.
     """
     from PIL import Image
 
-    picture = Image.fromarray(tone_map(rgb, exposure, stops))
+    picture = Image.fromarray(tone_map(rgb, exposure))
     write_atomically(path, lambda temporary: picture.save(temporary, format="PNG"))
 
 

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypeAlias
 
 from isonoise.errors import SceneError
 from isonoise.scene.compile import compile_scene
@@ -11,38 +12,43 @@ from isonoise.scene.load import load_description
 from isonoise.scene.scene import NO_PARAMETERS, Scene
 from isonoise.scene.view import View
 
+SceneSource: TypeAlias = str | os.PathLike[str] | Mapping[str, object] | Scene | CompiledScene
+"""What a renderer takes as its scene."""
+
 
 def load_compiled(
-    source: str | os.PathLike | Mapping | Scene | CompiledScene,
+    source: SceneSource,
     parameters: dict[str, str] | None = None,
     allow_outside: bool = False,
     view: View | None = None,
     size: tuple[int, int] | None = None,
     max_depth: int | None = None,
     sampler: str | None = None,
-    keep_uvs: bool = False,
 ) -> CompiledScene:
     """`compile_scene` of what `load_description` returns.
 
-    Of a CompiledScene only the sampler can be replaced, and its texture coordinates stay as they are. Raises
-    SceneError, also if the caller tries to replace more.
+    Of a CompiledScene only the sampler can be replaced. Raises SceneError, also if the caller tries to replace more.
     """
     if isinstance(source, Scene):
         if parameters:
             raise SceneError(NO_PARAMETERS)
-        return source.compile(size, max_depth, sampler, view, keep_uvs)
+        return source.compile(size, max_depth, sampler, view)
     if not isinstance(source, CompiledScene):
         description = load_description(source, parameters, allow_outside, view, size)
-        return compile_scene(description, size, max_depth, sampler, keep_uvs)
+        return compile_scene(description, size, max_depth, sampler)
     if parameters or view or size or max_depth is not None:
         raise SceneError("a compiled scene has its size, depth, view and parameters already: give none")
     return replace(source, sampler=sampler or source.sampler)
 
 
-def source_name(source: str | os.PathLike | Mapping | Scene | CompiledScene) -> str:
-    """Name of a scene in messages and file headers."""
+def source_name(source: SceneSource) -> str:
+    """Name of a scene in messages and file headers. Raises SceneError if it is none."""
     if isinstance(source, Scene):
         return source.name
     if isinstance(source, CompiledScene):
         return "a compiled scene"
-    return "a scene in Python" if isinstance(source, Mapping) else os.fspath(source)
+    if isinstance(source, (str, os.PathLike)):
+        return os.fspath(source)
+    if isinstance(source, Mapping):
+        return "a scene in Python"
+    raise SceneError(f"scene = {source!r} is no scene: it has to be a file's path, a built-in scene's name, or a dict")

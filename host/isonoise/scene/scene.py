@@ -103,14 +103,17 @@ class SceneObject(MutableMapping):
 
     @property
     def path(self) -> str:
+        """Where it is in the scene."""
         return ".".join(self._names)
 
     @property
     def kind(self) -> str:
+        """'shape', 'bsdf', 'sensor' and so on."""
         return find_plugin(self.type).kind
 
     @property
     def type(self) -> str:
+        """Name of its plugin."""
         return self.normalised["type"]
 
     @property
@@ -248,7 +251,6 @@ class Scene(SceneObject):
         max_depth: int | None = None,
         sampler: str | None = None,
         view: View | None = None,
-        keep_uvs: bool = False,
     ) -> CompiledScene:
         """The scene as arrays, for several renderers.
 
@@ -262,8 +264,6 @@ class Scene(SceneObject):
             `sobol` or `independent`, in place of the scene's.
         view : View or None
             Camera and environment in place of the scene's own.
-        keep_uvs : bool
-            Keep texture coordinates that no material reads, for the layer `uv`.
 
         Raises
         ------
@@ -271,8 +271,7 @@ class Scene(SceneObject):
             If a mesh or an image cannot be read, or numbers exceed the range of the device.
         """
         with record_files() as files:
-            description = apply_view(self.description, view or NO_VIEW, size)
-            compiled = compile_scene(description, size, max_depth, sampler, keep_uvs)
+            compiled = compile_scene(apply_view(self.description, view or NO_VIEW, size), size, max_depth, sampler)
         self.files = tuple(dict.fromkeys((*self.files, *files)))
         note_files(self.files)
         return compiled

@@ -23,7 +23,7 @@ from isonoise.input_files import open_regular_file, size_bytes
 from isonoise.state.consistency import check_consistency
 from isonoise.state.state import State
 
-FORMAT = 3
+FORMAT = 2
 """Version of the layout; a file of another one is refused."""
 _JSON_NAME = "state.json"
 _ARRAY_SUFFIX = ".npy"
@@ -41,6 +41,13 @@ RuntimeError."""
 
 def write_checkpoint(path: str | os.PathLike, state: State) -> None:
     """Write a state atomically: the previous file stays until the new one is on the disk.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    state : State
+        Of `Renderer.state` or `RenderLoop.state`.
 
     Raises
     ------
@@ -67,6 +74,16 @@ def write_checkpoint(path: str | os.PathLike, state: State) -> None:
 
 def read_checkpoint(path: str | os.PathLike) -> State:
     """Read the state that `write_checkpoint` has written.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    State
+        For `Renderer.restore`, or the parameter `state` of `RenderLoop`.
 
     Raises
     ------

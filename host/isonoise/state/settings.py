@@ -25,7 +25,6 @@ NAMES = {
     "seed": "seed",
     "max_depth": "max_depth",
     "parameters": "scene parameters (-D)",
-    "layers": "layers (--layers)",
 }
 """Settings with a value of their own -> name in messages."""
 _NOT_IN_THE_SCENE = ("max_depth", "sampler", "sample_count", "exposure", "hash")
@@ -40,7 +39,7 @@ def render_settings(renderer) -> dict[str, object]:
     - `files`: name of a file that the scene was read from, relative to the scene's folder -> sha256 of its content;
     - `exposure`: of the scene, for previews;
     - `overrides`: what the caller gave in place of the scene's own size, depth, sampler and view, else None;
-    - `layers`: their names; `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
+    - `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
     """
     scene: CompiledScene = renderer.scene
     return {
@@ -58,8 +57,7 @@ def render_settings(renderer) -> dict[str, object]:
         "radiance_scale": scene.radiance_scale,
         "exposure": scene.exposure,
         "overrides": renderer.overrides,
-        "needs": asdict(renderer.needs) | {"layers": list(renderer.needs.layers)},
-        "layers": list(renderer.layer_names),
+        "needs": asdict(renderer.strategy.needs.with_sampler(scene.sampler)),
         "device": ", ".join(renderer.devices),
     }
 
@@ -119,9 +117,7 @@ def _scene_differences(stored: Mapping[str, object], current: Mapping[str, objec
 def _text(value: object) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{name}={text}" for name, text in value.items()) or "none"
-    if isinstance(value, (list, tuple)):
-        return "x".join(map(str, value)) if value and isinstance(value[0], int) else ", ".join(value) or "none"
-    return str(value)
+    return "x".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
 
 
 def _part_hash(value: object) -> str:

@@ -70,14 +70,28 @@ class AdaptiveBase(Strategy):
     def waves(self) -> Iterator[Wave]:
         return alternating_waves(self.warmup, self.ratio, self.growth)
 
-    def allocate(self, statistics: Statistics, budget: int) -> np.ndarray:
+    def allocate(self, statistics: Statistics, budget: int | None) -> np.ndarray:
+        assert budget is not None  # every wave of the schedule has a size
         variance = self.variance(statistics, measures.image_floor(statistics.mean))
         limits = {"clip": self.clip, "cap": self.cap, "exponent": self.exponent}
         return allocate_by_rule(self.rule, statistics, variance, budget, limits)
 
     @abstractmethod
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
-        """V, the variance of one sample: a new (height, width) float64 array; inf where n < 2."""
+        """Return V, the variance of one sample.
+
+        Parameters
+        ----------
+        statistics : Statistics
+            Of all samples.
+        floor : float
+            Smallest denominator of relative errors, in the scene's units.
+
+        Returns
+        -------
+        (height, width) float64
+            A new array; inf where n < 2.
+        """
 
 
 @dataclass(kw_only=True, eq=False)

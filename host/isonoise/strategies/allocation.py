@@ -107,7 +107,15 @@ def deficit_of_sqrt(
 ) -> np.ndarray:
     """`deficit` of sqrt(V), which minimises the mean of V_i / n_i. Overwrites `variance`.
 
-    Parameters, result and errors are those of `deficit`.
+    Parameters
+    ----------
+    count, variance, budget, wave_index, clip, cap
+        As for `deficit`.
+
+    Returns
+    -------
+    (height, width) uint32
+        As of `deficit`, also the errors.
     """
     return deficit(count, np.sqrt(variance, out=variance), budget, wave_index, clip=clip, cap=cap)
 
@@ -125,7 +133,18 @@ def proportional_to_error(
     """Distribute samples in proportion to (V / n)^exponent: the common rule of adaptive sampling.
 
     Repeated, it converges to n ~ V^(p / (p + 1)), p the exponent: the error V / n never becomes equal.
-    Parameters, result and errors are those of `deficit`.
+
+    Parameters
+    ----------
+    count, variance, budget, wave_index, clip, cap
+        As for `deficit`.
+    exponent : float
+        Above 0.
+
+    Returns
+    -------
+    (height, width) uint32
+        As of `deficit`, also the errors.
     """
     weight = _clip_variance(variance.reshape(-1), clip)
     np.divide(weight, count.reshape(-1), out=weight, where=count.reshape(-1) > 0)

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -63,9 +63,15 @@ class Strategy:
 
     name: ClassVar[str] = "unnamed"
     is_adaptive: ClassVar[bool] = True
-    needs: Needs = BASIC_NEEDS
+    if TYPE_CHECKING:
 
-    def __post_init__(self):
+        @property
+        def needs(self) -> Needs: ...
+
+    else:
+        needs: Needs = BASIC_NEEDS
+
+    def __post_init__(self) -> None:
         check_ranges(self)  # of dataclasses
 
     def state(self) -> dict[str, object]:

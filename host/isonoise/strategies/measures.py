@@ -22,9 +22,24 @@ OUTLIER_RATIO = 16
 def image_floor(mean: np.ndarray) -> float:
     """1 % of the geometric mean of max(L, 1e-4 mean L) over the pixels with L > 0, both means over these pixels.
 
-    `mean` is the luminance image L, shape (height, width). 0 if no pixel is positive. Scaling the image by a power of
-    two scales the result exactly. The floor of the last read-only image is remembered: the render loop, the errors and
-    the strategy ask for it in turn.
+    Scaling the image by a power of two scales the result exactly. The floor of the last read-only image is remembered:
+    the render loop, the errors and the strategy ask for it in turn.
+
+    Parameters
+    ----------
+    mean : (height, width)
+        The luminance image L, in any unit: `Statistics.mean`.
+
+    Returns
+    -------
+    float
+        In the unit of `mean`; 0 if no pixel is positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> round(image_floor(np.array([[1.0, 100.0, 0.0]])), 6)
+    0.1
     """
     global _last_floor
     image, floor = _last_floor
@@ -62,13 +77,37 @@ def _compute_image_floor(mean: np.ndarray) -> float:
 
 
 def standard_error(statistics: Statistics) -> np.ndarray:
-    """se = sqrt(d s^2 / n) of the luminance mean, d the design effect."""
+    """se = sqrt(d s^2 / n) of the luminance mean, d the design effect.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples.
+
+    Returns
+    -------
+    (height, width) float64, in the scene's units of luminance
+    """
     error = statistics.variance_of_mean()
     return np.sqrt(error, out=error)
 
 
 def relative_mean(statistics: Statistics, floor: float, rows: slice = slice(None)) -> np.ndarray:
-    """e_a = se / max(mean, floor) of the pixels of some rows."""
+    """e_a = se / max(mean, floor): the relative standard error.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples.
+    floor : float
+        Smallest denominator, in the scene's units of luminance (`image_floor`).
+    rows : slice
+        Rows of the image.
+
+    Returns
+    -------
+    (height, width) float64, of these rows; without a unit
+    """
     error = statistics.variance_of_mean(rows)
     np.sqrt(error, out=error)
     return _divide(error, np.maximum(statistics.mean[rows], floor))
@@ -79,6 +118,20 @@ def relative_median(statistics: Statistics, floor: float, kappa: float = 8.0) ->
 
     M_x is 0 where more than half of the samples are 0. `mean / kappa` limits how much larger than `relative_mean` such
     a pixel's error can be. `kappa` = inf is the poster's own form.
+    Source: Pajot, Barthe, Paulin, "Robust adaptive sampling for Monte-Carlo-based rendering", 2011.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples, with the median (`Needs.median`).
+    floor : float
+        Smallest denominator, in the scene's units of luminance (`image_floor`).
+    kappa : float
+        1 to inf.
+
+    Returns
+    -------
+    (height, width) float64, without a unit
     """
     scale = statistics.mean / kappa
     np.maximum(scale, statistics.median, out=scale)
@@ -96,6 +149,19 @@ def neighbour_variance(statistics: Statistics, floor: float, outlier_share: floa
     With `outlier_share` > 0 some pixels have their own s^2 in place of the neighbours': among those whose s^2 is more
     than `OUTLIER_RATIO` times as large, the ones with the largest se / max(mean, floor)^2, as long as their standard
     errors se sum to at most `outlier_share` / sqrt(samples per pixel) of the sum of the image.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples, with those of the neighbours (`Needs.neighbours`, `with_neighbours`).
+    floor : float
+        Smallest denominator, in the scene's units of luminance (`image_floor`).
+    outlier_share : float
+        0 to 1.
+
+    Returns
+    -------
+    (height, width) float32 or float64, without a unit
     """
     if statistics.count.size == 1:
         return variance_per_sample(statistics, relative_mean(statistics, floor))
@@ -115,10 +181,21 @@ def neighbour_variance(statistics: Statistics, floor: float, outlier_share: floa
 
 
 def with_neighbours(statistics: Statistics, window: int) -> Statistics:
-    """The statistics with `neighbour_mean` and `neighbour_variance` for a window of this many pixels per side (odd).
+    """The statistics with `neighbour_mean` and `neighbour_variance`.
 
     The device computes the same faster if the strategy needs it. Nothing is subtracted, so that a large value leaves no
     rounding error behind.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples.
+    window : int
+        Pixels per side of the neighbourhood, odd; the pixel itself is left out.
+
+    Returns
+    -------
+    Statistics
     """
     height, width = statistics.shape
     known = statistics.count >= 2
@@ -190,6 +267,17 @@ def tsallis(statistics: Statistics, q: float) -> np.ndarray:
     is s^2 / (n mean^2). It knows no design effect. It depends only on the samples' shares and needs no floor. 0 where
     n < 2 or all samples are 0.
     Source: Xu, Sbert, Xing, Zhan, "Adaptive sampling based on Tsallis entropy", 2007.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples; if q is not 2, with the mean of x^q (`Needs.power`).
+    q : float
+        The entropic index, above 0.
+
+    Returns
+    -------
+    (height, width) float64, 0 to 1
     """
     n = np.maximum(statistics.count, 2).astype(np.float64)
     mean = statistics.mean
@@ -216,6 +304,17 @@ def confidence(statistics: Statistics, significance: float) -> np.ndarray:
     t is the quantile 1 - significance / 2 of Student's distribution with n - 1 degrees of freedom. The unit is
     the scene's.
     Source: Purgathofer, "A statistical method for adaptive stochastic sampling", 1987.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples.
+    significance : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    (height, width) float64, in the scene's units of luminance
     """
     return standard_error(statistics) * quantile(1 - significance / 2, np.maximum(statistics.count, 2) - 1)
 
@@ -227,19 +326,28 @@ def half_buffer(statistics: Statistics) -> np.ndarray:
     with the square root of the light. Black pixels have 0.
     Source: Dammertz, Hanika, Keller, Lensch, "A hierarchical automatic stopping condition for Monte Carlo global
     illumination", 2010, section 2.1.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples, with those of every second sample (`Needs.half`).
+
+    Returns
+    -------
+    (height, width) float64, in the square root of the scene's units
     """
     return _divide(half_difference(statistics), np.sqrt(brightness(statistics)))
 
 
 def half_difference(statistics: Statistics) -> np.ndarray:
-    """|I_R - A_R| + |I_G - A_G| + |I_B - A_B| of `half_buffer`."""
+    """|I_R - A_R| + |I_G - A_G| + |I_B - A_B| of `half_buffer`, from the same `statistics`, in the scene's units."""
     difference = np.abs(statistics.rgb - statistics.half.astype(np.float64)).sum(axis=-1)
     difference[statistics.count < 2] = np.inf
     return difference
 
 
 def brightness(statistics: Statistics) -> np.ndarray:
-    """max(R + G + B, 0) of the mean."""
+    """max(R + G + B, 0) of the mean RGB of `statistics`, (height, width) float64, in the scene's units."""
     return np.maximum(statistics.rgb.sum(axis=-1, dtype=np.float64), 0)
 
 
@@ -249,7 +357,19 @@ half_buffer.needs = Needs(half=True)  # type: ignore[attr-defined]
 
 
 def variance_per_sample(statistics: Statistics, measure: np.ndarray) -> np.ndarray:
-    """V = n m^2, the variance of one sample that a measure m of the mean's error implies."""
+    """V = n m^2, the variance of one sample that a measure m of the mean's error implies.
+
+    Parameters
+    ----------
+    statistics : Statistics
+        Of all samples.
+    measure : (height, width)
+        m, such as `relative_mean`.
+
+    Returns
+    -------
+    (height, width) float64, in the squared unit of the measure
+    """
     variance = measure * measure
     return np.multiply(variance, statistics.count, out=variance, where=np.isfinite(variance))
 

@@ -2,16 +2,17 @@
 
 import math
 from dataclasses import field, fields
+from typing import Any
 
 from isonoise.errors import UserError
 
 
-def ranged(default: float, low: float, high: float = math.inf):
+def ranged(default: float, low: float, high: float = math.inf) -> Any:
     """A dataclass field with a default, accepted from `low` to `high`; inf is accepted only if `high` is inf."""
     return field(default=default, metadata={"range": (low, high)})
 
 
-def check_ranges(strategy) -> None:
+def check_ranges(strategy: Any) -> None:
     """Raise UserError unless every `ranged` field of the dataclass is in its range."""
     for parameter in fields(strategy):
         if "range" in parameter.metadata:

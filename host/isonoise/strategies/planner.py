@@ -5,6 +5,7 @@ Strategies may be third-party code, so everything that they return is checked.
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
 
@@ -43,7 +44,9 @@ class WavePlanner:
         """Samples that one pixel can still take: the device counts them in 32 bits."""
         return MAX_COUNT - self._max_pixel_samples
 
-    def plan(self, statistics: Callable[[], Statistics], max_samples: int | None) -> tuple[str, np.ndarray]:
+    def plan(
+        self, statistics: Callable[[], Statistics], max_samples: int | None
+    ) -> tuple[Literal["uniform", "adaptive"], np.ndarray]:
         """Kind and allocation map of the next wave, of at most `max_samples`; the caller may change the map.
 
         The rest of a uniform wave comes with the next call; the rest of an adaptive one is dropped. `statistics`
