@@ -25,7 +25,7 @@ _SETTINGS = {
     "scene_hash": "ab", "scene_parts": {"faces": "cd"}, "files": {"s.xml": "ef"}, "radiance_scale": 0.5,
     "exposure": None,
     "overrides": {"size": None, "max_depth": None, "sampler": None, "parameters": {"a": "1"}, "view": _VIEW},
-    "needs": dataclasses.asdict(Needs(uniform=True)),
+    "needs": dataclasses.asdict(Needs(uniform=True)) | {"layers": []}, "layers": [],
 }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import small_files
 
 from isonoise.integrator.features import FEATURES
+from isonoise.layers import LAYERS, device_layers
 from isonoise.scene.light.light_kinds import KINDS as LIGHT_KINDS
 from isonoise.scene.material.bsdf_kinds import KINDS as BSDF_KINDS
 from isonoise.scene.material.bsdf_kinds import feature_of
@@ -38,8 +39,10 @@ NEEDS = {  # feature -> features that a scene with it always has
     "LIGHT_TREE": {"NEXT_EVENT", "MANY_LIGHTS"},
     "LIGHT_LIST": {"NEXT_EVENT", "MANY_LIGHTS"},
     "BATCH_MEANS": {"CHUNK_MEDIANS"},
+    "ALBEDO_LAYER": {"LAYERS"},
 }
 PARTS = 8
+LAYER_FEATURES = {"albedo": "ALBEDO_LAYER", "uv": "UVS"}
 AREA_LIGHTS = tuple(kind.feature for kind in LIGHT_KINDS.values() if kind.is_area)
 LIGHTS = (*(kind.feature for kind in LIGHT_KINDS.values() if not kind.is_area), *AREA_LIGHTS)
 NON_DELTA = tuple(feature_of(kind) for kind in BSDF_KINDS.values() if kind.scatters and not kind.is_delta)
@@ -186,6 +189,11 @@ def needs_of(features: dict[str, bool]) -> Needs:
         half=features["HALF_BUFFER"],
         nets=features["NET_MEANS"],
         neighbours=5 if features["NEIGHBOURS"] else None,
+        layers=tuple(
+            name
+            for name in device_layers(LAYERS)
+            if features["LAYERS"] and features[LAYER_FEATURES.get(name, "LAYERS")]
+        ),
     )
 
 

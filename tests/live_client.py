@@ -1,13 +1,19 @@
-"""A client of the live page, by the standard library: an implementation of HTTP other than the server's."""
+"""Renders with a live page, and a client of it by the standard library, which has an HTTP implementation of its own."""
 
 import http.client
 import json
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 import numpy as np
+from small_scene import lamp_over_floor
+
+from isonoise.live.live_page import LivePage
+from isonoise.loop import RenderLoop
+from isonoise.renderer import Renderer
 
 TIMEOUT_S = 30
 
@@ -17,7 +23,7 @@ class LiveClient:
 
     def __init__(self, url: str):
         parts = urlsplit(url)
-        self.host, self.port, self.path = parts.hostname, parts.port, parts.path
+        self.url, self.host, self.port, self.path = url, parts.hostname, parts.port, parts.path
 
     def request(self, method: str, path: str, headers=()) -> tuple[int, dict[str, str], bytes]:
         """Status, headers and body of the answer. A `path` that begins with / is not below the token."""
@@ -84,3 +90,28 @@ def in_thread(function) -> Iterator[list]:
     yield results
     thread.join(TIMEOUT_S)
     assert results, "it did not return"
+
+
+@contextmanager
+def running_render(stops, save=None, strategy="uniform:growth=0.2", scene=None, size=None):
+    """A render in another thread with a page: its client, its loop, and a list that gets the outcome."""
+    scene = scene or lamp_over_floor()
+    with LivePage("lamp", save=save) as page, Renderer(scene, strategy=strategy, size=size) as renderer:
+        loop = RenderLoop(renderer, stops, periodic=[page.periodic()])
+        client = LiveClient(page.url)
+
+        def run():
+            outcome = loop.run()
+            page.show(outcome)
+            return outcome
+
+        with in_thread(run) as outcomes:
+            yield client, loop, outcomes
+            loop.stop()
+
+
+def wait_for(condition, seconds=20):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)

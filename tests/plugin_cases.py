@@ -160,6 +160,8 @@ def plugin_and_value(plugin: Plugin, parameter: Parameter, files: Path) -> tuple
         "aovs": "n:sh_normal",
         "filename": minimal_plugin(plugin, files).get("filename", "").replace("a.", "b."),
     }
+    if plugin.name == "bitmap":
+        special["data"], context["data"] = np.eye(3, dtype=np.uint8), {"data": np.zeros((3, 3, 3), np.uint8)}
     value = special.get(parameter.name)
     if value is None:
         value = generic_value(parameter)

@@ -24,12 +24,13 @@ from isonoise.integrator.kernel_table import (
     LANE_KERNELS,
     STRUCTS,
 )
+from isonoise.layers import LAYERS, device_layers
 from isonoise.statistics import Needs
 
 STAGES = sorted({row.file for table in (KERNELS, BRUTE_FORCE_KERNELS) for row in table.values()})
 LANE_STAGES = sorted({row.file for row in (*(KERNELS[name] for name in LANE_KERNELS), *BRUTE_FORCE_KERNELS.values())})
 """Stages with several lanes a work-item: kernels/path/path_state.h."""
-EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5)
+EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5, layers=device_layers(LAYERS))
 
 
 BASE_FEATURES = ("TRIANGLES", "DIFFUSE")
@@ -37,6 +38,8 @@ BASE_FEATURES = ("TRIANGLES", "DIFFUSE")
 GENERAL_HEADERS = {"util/vec.h", "util/math.h", "path/path_state.h", "util/random.h"}
 """Headers that belong to no feature: arithmetic and path state."""
 RECORDS = set(STRUCTS) | {f"{name}_at" for name in STRUCTS}  # declared with their readers if a text names them
+ONE_LANE_STAGES = {"stages/shadow_transmittance.cl", "stages/accumulate_layers.cl"}
+"""Stages whose work-items always have one lane."""
 SINGLE_LANE_FUNCTIONS = {"bsdf_eval", "bsdf_sample", "sample_light", "select_from_list", "null_bsdf_sample"}
 """Functions that only work-items with one lane call."""
 PARAMETER_READERS = {"lookup_rgb", "lookup_float", "bsdf_rgb", "bsdf_float"}
@@ -123,6 +126,12 @@ MARKERS = {  # names that belong to one feature
         "BATCH_MEANS": "batch_sum",
         "POWER_MEAN": "powers",
         "HALF_BUFFER": "halves",
+    },
+    "stages/accumulate_layers.cl": {
+        "ALBEDO_LAYER": "albedo_of",
+        "ANALYTICS": "analytic_surface",
+        "UVS": "triangle_uv",
+        "INSTANCES": "instanced_surface_of_hit",
     },
     "stages/summarise.cl": {"CHUNK_MEDIANS": "medians", "POWER_MEAN": "powers", "HALF_BUFFER": "halves"},
 }
@@ -220,8 +229,8 @@ def test_features_that_are_off_leave_no_code(lanes):
     used: dict[str, set] = {label: set() for label in sets}
     files = STAGES
     for file in files:
-        if file == "stages/shadow_transmittance.cl" and lanes > 1:
-            continue  # with VOLPATH alone
+        if file in ONE_LANE_STAGES and lanes > 1:
+            continue
         mentioned = features_in(file)
         labels = defaultdict(list)
         for label, set_ in sets.items():

@@ -16,6 +16,7 @@ from isonoise.integrator.kernel_table import (
     path_bytes,
 )
 from isonoise.integrator.wavefront import Wavefront
+from isonoise.layers import device_layers
 from isonoise.scene import builtin_scenes, compile_scene, load_description, structs
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.light.envmap import ENVIRONMENT
@@ -79,6 +80,7 @@ def test_an_additional_feature_takes_the_stated_bytes(monkeypatch, name):
     records = {
         "faces": 12 * len(scene.faces),
         "shapes": scene.shapes.nbytes,
+        "triangle_shape": scene.triangle_shape.nbytes,
         "srgb": stated("srgb"),
         "light_bounds": stated("light_bounds") * len(scene.lights),
         "environment": ENVIRONMENT.itemsize,  # a black map
@@ -117,6 +119,22 @@ def test_statistics_take_the_stated_bytes(monkeypatch):
         assert set(new) == {each for feature in features_ for each in FEATURES[feature].buffers}
         assert sum(new.values()) == bytes_a_pixel * 16 * 8
         assert {each for each in bare if more[each] != bare[each]} == (set() if needs.neighbours else {"summary"})
+
+
+def test_layers_take_the_stated_bytes(monkeypatch):
+    scene = compile_scene(load_description("cornell"), size=(16, 8))
+    bare, _ = allocated(monkeypatch, scene)
+    more, wavefront = allocated(monkeypatch, scene, Needs(layers=device_layers(["normal", "depth", "shape_index"])))
+    assert wavefront.features["LAYERS"]
+    new = {each: size for each, size in more.items() if each not in bare}
+    channels = 3 + 1 + 1  # with the coverage
+    pixels = 16 * 8
+    assert new == {
+        "layer_sums": 8 * channels * pixels,
+        "layer_indices": 4 * pixels,
+        "triangle_shape": 4 * len(scene.faces),
+    }
+    assert all(more[each] == size for each, size in bare.items())
 
 
 def test_a_filter_takes_the_stated_bytes(monkeypatch, tmp_path):
@@ -181,4 +199,7 @@ def test_records_have_the_stated_bytes(monkeypatch, tmp_path):
     pixels = {"medians": 4 * 5 + 4 + 8, "powers": 8, "halves": 24, "neighbours": 8}
     assert {each: sizes[each] for each in pixels} == {each: size * 9 * 7 for each, size in pixels.items()}
     unchecked = {each for feature in FEATURES.values() for each in feature.buffers} - set(number) - set(pixels)
-    assert unchecked == {"texel_floats", "corners", "corner_indices", "light_bounds", "net_means"}
+    assert unchecked == {
+        *("texel_floats", "corners", "corner_indices", "light_bounds", "net_means"),
+        *("layer_sums", "layer_indices", "triangle_shape"),
+    }

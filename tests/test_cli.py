@@ -282,7 +282,6 @@ def test_help_lists_strategies_and_every_column(capsys):
         *columns(true_errors=True),
     ):
         assert word in out
-    assert "--layers" not in out  # not implemented
 
 
 def test_help_and_version_import_nothing_heavy():

@@ -188,11 +188,11 @@ def test_a_plan_keeps_its_preset(tmp_path):
 
 def test_options_override_a_preset():
     from isonoise.cli import make_parser
-    from isonoise.commands.compare import _preset, _request
+    from isonoise.commands.compare import _members
 
     def parsed(*arguments):
         options = make_parser().parse_args(["compare", "--preset", "poster", "-o", "out", *arguments])
-        return _request(options, _preset(options), *(options.spp or ()))
+        return _members(options)[0].request
 
     whole, preset = parsed(), PRESETS["poster"]
     assert tuple(scene.source for scene in whole.scenes) == preset.scenes

@@ -5,6 +5,7 @@ import io
 import json
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,6 +72,18 @@ def test_unknown_metrics_are_messages(names, message):
     with pytest.raises(UserError, match=message):
         checked_metrics(names)
     assert checked_metrics(["all"]) == tuple(METRICS)
+
+
+def test_the_documents_have_every_column_and_metric():
+    page = (Path(__file__).parent.parent / "host/docs/comparison-files.md").read_text("utf-8").replace("\\|", "|")
+    for name, columns in SCHEMA.items():
+        for column in columns:
+            tables = ", ".join(f"`{other}`" for other in SCHEMA if column in SCHEMA[other])
+            assert f"`{name}`" in tables
+            row = f"| `{column.name}` | {tables} | {column.dtype} | {column.unit} | {column.meaning} |"
+            assert row in page.splitlines()
+    for metric, meaning in METRICS.items():
+        assert f"| `{metric}` | {meaning} |" in page.splitlines()
 
 
 def test_rows_are_the_runs_and_their_waves_in_the_order_of_the_plan(tables):

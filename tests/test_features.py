@@ -26,6 +26,7 @@ from isonoise.integrator.features import FEATURES, features
 from isonoise.integrator.generated_headers import generated_headers
 from isonoise.integrator.kernel_table import STRUCTS, kernel_table
 from isonoise.integrator.wavefront import Wavefront
+from isonoise.layers import LAYERS, device_layers
 from isonoise.scene import builtin_scenes, compile_scene, load_description
 from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.compiled_scene import CompiledScene
@@ -34,7 +35,9 @@ from isonoise.strategies.uniform_allocation import uniform_allocation
 
 KEPT_FEATURES = ("LIGHT_TREE", "LIGHT_LIST", "UVS", "SOBOL")
 """Features that select another method. UVS may rotate the lobes of rough materials."""
-EVERY_STATISTIC = Needs(median=True, batch=4, power=2.0, half=True, neighbours=5, nets=True)
+EVERY_STATISTIC = Needs(
+    median=True, batch=4, power=2.0, half=True, neighbours=5, nets=True, layers=device_layers(LAYERS)
+)
 
 
 @pytest.fixture(scope="module")

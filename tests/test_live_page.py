@@ -3,44 +3,19 @@
 import json
 import socket
 import time
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from live_client import LiveClient, in_thread
+from live_client import LiveClient, running_render, wait_for
 from small_scene import HEIGHT, PIXELS, WIDTH, assert_same_bits, lamp_over_floor
 
 from isonoise.cli import main
 from isonoise.errors import UserError
 from isonoise.live.budget import OVERDRAFT_S, RESERVE_S, SHARE, Budget
 from isonoise.live.live_page import LivePage
-from isonoise.loop import RenderLoop, render_loop
+from isonoise.loop import render_loop
 from isonoise.renderer import Renderer
 from isonoise.stops import Stops
-
-
-@contextmanager
-def running_render(stops, save=None, strategy="uniform:growth=0.2"):
-    """A render in another thread with a page: its client, its loop, and a list that gets the outcome."""
-    with LivePage("lamp", save=save) as page, Renderer(lamp_over_floor(), strategy=strategy) as renderer:
-        loop = RenderLoop(renderer, stops, periodic=[page.periodic()])
-        client = LiveClient(page.url)
-
-        def run():
-            outcome = loop.run()
-            page.show(outcome)
-            return outcome
-
-        with in_thread(run) as outcomes:
-            yield client, loop, outcomes
-            loop.stop()
-
-
-def wait_for(condition, seconds=20):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def status_of(client):

@@ -182,7 +182,7 @@ def synthetic_state(device: Device, needs: Needs, samples: list[np.ndarray], see
     settings = {
         "version": "1", "size": [len(samples), 1], "max_depth": 1, "parameters": {}, "scene": "s", "scene_parts": {},
         "files": {}, "scene_hash": "", "radiance_scale": 1.0, "needs": dataclasses.asdict(needs), "seed": seed,
-        "strategy": "uniform", "sampler": "independent", "device": "d",
+        "layers": [], "strategy": "uniform", "sampler": "independent", "device": "d",
     }  # fmt: skip
     count = sum(map(len, samples))
     arrays = {f"reduction/{name}": array for name, array in reducer.accumulator.state().items()}

@@ -110,6 +110,17 @@ def size(text: str) -> tuple[int, int]:
     return width, height
 
 
+def stops(text: str) -> float:
+    value = finite_number(text)
+    if not -64 <= value <= 64:
+        raise argparse.ArgumentTypeError(f"{text} must be from -64 to 64 stops")
+    return value
+
+
+def names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def angle_of_view(text: str) -> float:
     value = finite_number(text)
     if not 0 < value < 180:

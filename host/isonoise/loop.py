@@ -167,17 +167,17 @@ class RenderLoop:
         failed, the statistics are those after the last wave.
         """
         try:
-            statistics = self.renderer.statistics()
+            statistics, layers = self.renderer.statistics(), self.renderer.layers()
             _ = statistics.rgb  # which may be the first use of it
         except UserError:
             if self.statistics is None:
                 raise
-            statistics = self.statistics
+            statistics, layers = self.statistics, {}
         bound = None if self._error_stop is None else self._error_stop.bound
         error = math.inf if self._error is None else self._error
         elapsed, share = self._elapsed(), self._client_share()
         floor = self._floor(statistics)
-        return Outcome(reason, self.rows, elapsed, statistics, floor, error, bound, share, self.stops)
+        return Outcome(reason, self.rows, elapsed, statistics, floor, error, bound, share, self.stops, layers)
 
     def state(self, reuse: State | None = None) -> State:
         """Return all that the render is, to continue it later. Waits for the device. `reuse`: as for `Renderer`."""

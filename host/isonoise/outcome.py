@@ -1,6 +1,7 @@
 """A finished render: image, statistics and log."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +37,8 @@ class Outcome:
         statistics and errors, or exchanged tasks. None on one device.
     stops : Stops or None
         The limits of the render.
+    layers : mapping of str to array
+        The layers that were asked for, by name: (height, width) float32, or (height, width, channels).
 
     Notebooks show image, error map, sample map and error curve.
     """
@@ -49,6 +52,7 @@ class Outcome:
     error_bound: float | None = None
     client_share: float | None = None
     stops: Stops | None = None
+    layers: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def rgb(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -78,6 +78,8 @@ class Renderer(RenderDevices):
     cluster : Cluster or None
         Workers that trace the samples in place of `device` (`isonoise.distributed.cluster.Cluster`). This process
         computes the statistics on its default device. It stays open when the renderer is closed.
+    layers : sequence of str
+        Layers beside the colour, such as `albedo` and `depth`, of `isonoise.layers.LAYERS`. They change no sample.
     on_compile : callable or None
         Called before each kernel program is compiled, with the renderer, whose scene and device are known by then, the
         program's name, how many programs are done, and how many there are; and once before all of them, with '', 0, 0.
@@ -96,6 +98,10 @@ class Renderer(RenderDevices):
         Version of its driver, and the CPU that the driver's compiler emits code for, if that is known.
     seed : int
         The seed in use.
+    layer_names : tuple of str
+        The layers that `layers` returns.
+    needs : Needs
+        Statistics that the device keeps: those of the strategy, the sampler and the layers.
     setup_times : dict of str to float
         Seconds to `load` the scene, `build` its BVH and `compile` the kernels.
 
@@ -130,6 +136,7 @@ class Renderer(RenderDevices):
         memory: int | None = None,
         view: View | None = None,
         cluster: "Cluster | None" = None,
+        layers: Sequence[str] = (),
         on_compile: "Callable[[Renderer, str, int, int], None] | None" = None,
     ):
         options = check_options(locals())  # all arguments by name
@@ -140,11 +147,17 @@ class Renderer(RenderDevices):
         self.parameters = {name: str(value) for name, value in (parameters or {}).items()}
         self.overrides = {"size": size, "max_depth": max_depth, "sampler": sampler, "parameters": self.parameters}
         self.overrides["view"] = asdict(view or NO_VIEW)
+        self.layer_names: tuple[str, ...] = options["layers"] or ()
+        if self.layer_names:
+            from isonoise.film.layers import check_host_layers  # a render without layers does not need it
+
+            check_host_layers(self.layer_names, self.strategy)
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
-            self.scene = load_compiled(scene, self.parameters, allow_outside, view, size, max_depth, sampler)
+            keep_uvs = "uv" in self.layer_names
+            self.scene = load_compiled(scene, self.parameters, allow_outside, view, size, max_depth, sampler, keep_uvs)
         self.files: tuple[Path, ...] = tuple(files)
-        needs = self.strategy.needs.with_sampler(self.scene.sampler)
+        self.needs = needs = self.strategy.needs.with_sampler(self.scene.sampler).with_layers(self.layer_names)
         settings = (self.scene, needs, seed, pool_size, memory, self.strategy.is_adaptive)
 
         def report(program: str, done: int, total: int) -> None:
@@ -335,6 +348,17 @@ class Renderer(RenderDevices):
             return error_distribution(statistics, floor)
         self._wavefront.accumulator.update_luminance()
         return self._wavefront.errors.distribution(floor * self.scene.radiance_scale)
+
+    def layers(self) -> Mapping[str, np.ndarray]:
+        """Return the layers that were asked for, of all samples so far, by name. Waits for the device.
+
+        Arrays are (height, width) float32, or (height, width, channels).
+        """
+        if not self.layer_names:
+            return {}
+        from isonoise.film.layers import make_layers
+
+        return make_layers(self.layer_names, self._wavefront.accumulator.layers(), self.statistics(), self.strategy)
 
     def image(self) -> np.ndarray:
         """Return the mean linear RGB, (height, width, 3) float32. Waits for the device."""

@@ -1,6 +1,6 @@
 """The keyword arguments of `Renderer`: their types, for functions that pass them on, and their checks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from isonoise.argument_checks import (
@@ -16,6 +16,7 @@ from isonoise.argument_checks import (
 from isonoise.device.pool_size import MAX_POOL_SIZE
 from isonoise.device.selection import SelectedDevice
 from isonoise.errors import UserError
+from isonoise.layers import check_layers
 from isonoise.samplers import SAMPLERS
 from isonoise.scene.view import View
 from isonoise.strategies import Strategy
@@ -42,6 +43,7 @@ class RendererOptions(TypedDict, total=False):
     memory: int | None
     view: View | None
     cluster: "Cluster | None"
+    layers: Sequence[str]
     on_compile: Callable[..., None] | None
 
 
@@ -88,5 +90,6 @@ _CHECKS: dict[str, Callable[[str, object], object]] = {
     "allow_outside": check_flag,
     "memory": lambda name, value: check_integer(f"{name} (in bytes)", value, 1, MAX_MEMORY_BYTES),
     "view": _check_view,
+    "layers": lambda name, value: check_layers(value),
     "on_compile": check_callable,
 }

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isonoise.errors import UserError
+from isonoise.layers import device_layers
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
@@ -40,6 +41,8 @@ class Needs:
     uniform : bool
         Keep count, mean and variance of the samples of uniform waves. Not on the device but on the host, which reads
         the statistics before and after every uniform wave.
+    layers : tuple of str
+        Layers that the device makes (`isonoise.layers.device_layers`). Set by the renderer.
 
     Raises
     ------
@@ -55,8 +58,10 @@ class Needs:
     neighbours: int | None = None
     nets: bool = False
     uniform: bool = False
+    layers: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "layers", tuple(self.layers))  # JSON has lists only
         if self.chunk not in range(1, 32, 2):
             raise UserError(f"Needs: chunk = {self.chunk} must be an odd number from 1 to 31, so that it has a median")
         if self.batch not in range(1, 65537):
@@ -69,6 +74,10 @@ class Needs:
     def with_sampler(self, sampler: str) -> "Needs":
         """These statistics, and those that the error of samples from this sampler needs."""
         return replace(self, nets=sampler == "sobol")
+
+    def with_layers(self, names: tuple[str, ...]) -> "Needs":
+        """These statistics, and the layers that the device makes for those of these names."""
+        return replace(self, layers=device_layers(names))
 
 
 BASIC_NEEDS = Needs()

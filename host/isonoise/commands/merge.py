@@ -7,14 +7,17 @@ from pathlib import Path
 from isonoise import __version__
 from isonoise.command_output import logger, print_json
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE
+from isonoise.commands.render_result import denoiser, denoiser_header
 from isonoise.device.opencl import Device
 from isonoise.error.stated_error import stated_error
 from isonoise.errors import UserError
 from isonoise.film.files import check_writable
+from isonoise.film.layers import make_layers
 from isonoise.film.output import ImageFiles
 from isonoise.progress import format_duration, format_number, format_percent
 from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
 from isonoise.state.merge import merge_states, state_statistics
+from isonoise.state.merge_layers import state_layers
 from isonoise.state.state import State
 from isonoise.strategies.measures import image_floor
 from isonoise.tables import label_lines
@@ -37,7 +40,9 @@ def run(options: argparse.Namespace) -> int:
         "isonoise.rejected": int(statistics.rejected.sum(dtype=int)),
         "isonoise.floor": floor,
     }
-    written = images.write(statistics, floor, header, may_be_partial=True, exposure=merged.settings["exposure"])
+    layers = make_layers(tuple(merged.settings["layers"]), state_layers(merged), statistics, strategy=None)
+    views = {"exposure": merged.settings["exposure"], "layers": layers, "stops": options.exposure}
+    written = images.write(statistics, floor, header | denoiser_header(denoiser(layers)), may_be_partial=True, **views)
     if options.checkpoint:
         write_checkpoint(options.checkpoint, merged)
     renders = merged.values["merged"]["renders"]

@@ -29,6 +29,8 @@ from isonoise.stops import Stops
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     images = ImageFiles(options.output)
+    if options.denoise:
+        options.layers = (*(options.layers or ()), "denoised")
     _check_files(options)
     reference = read_reference(options.reference) if options.reference else None
     with ExitStack() as stack:
@@ -122,7 +124,8 @@ class _Render:
         header = image_header(result_fields(self._options, self._renderer, self._stops, outcome))
         may_be_partial = outcome.reason not in ("unfinished", "interrupted", "failed")
         exposure = self._renderer.scene.exposure
-        return self._images.write(outcome.statistics, outcome.floor, header, has_ended, may_be_partial, exposure)
+        views = {"exposure": exposure, "layers": outcome.layers, "stops": self._options.exposure}
+        return self._images.write(outcome.statistics, outcome.floor, header, has_ended, may_be_partial, **views)
 
     def _end(self, outcome: Outcome, failure: BaseException | None) -> int:
         """Write images and log, report, and return the exit code; or raise the `failure` that has ended the render."""
@@ -256,6 +259,7 @@ def _make_renderer(options: argparse.Namespace, cluster) -> Renderer:
             allow_outside=options.allow_outside,
             memory=options.memory,
             view=view_of(options),
+            layers=options.layers,
             on_compile=display.update,
             **strategy,
         )

@@ -16,10 +16,11 @@ from isonoise.scene.view import View
 from isonoise.state.state import State, split_strategy_state
 from isonoise.strategies.registry import is_built_in
 
-_OPTIONS = ("seed", "strategy", "sampler", "size", "max_depth", "parameters", *(field.name for field in fields(View)))
+_OPTIONS = ("seed", "strategy", "sampler", "size", "max_depth", "parameters", "layers")
+_OPTIONS += tuple(field.name for field in fields(View))
 """Options that a continued render takes from the checkpoint if they are not given."""
 _LIMITS = ("spp", "time", "error")
-_DEFAULTS = {"seed": 0, "parameters": [], "quantile": 0.99, "confidence": 0.95}
+_DEFAULTS = {"seed": 0, "parameters": [], "layers": (), "quantile": 0.99, "confidence": 0.95}
 
 
 class Checkpoints:
@@ -122,7 +123,7 @@ class Checkpoints:
 def _complete(options: argparse.Namespace, state: State | None) -> None:
     """Set the options that were not given."""
     if state is not None and "loop" in state.values:
-        stored = state.settings["overrides"] | {name: state.settings[name] for name in ("seed", "strategy")}
+        stored = state.settings["overrides"] | {name: state.settings[name] for name in ("seed", "strategy", "layers")}
         if options.strategy is None and not is_built_in(stored["strategy"]):
             raise UserError(
                 f"--resume {options.resume}: the strategy '{stored['strategy']}' is no part of isonoise, and a file "

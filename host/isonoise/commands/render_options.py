@@ -2,6 +2,7 @@
 
 from isonoise import argument_types
 from isonoise.commands import shared_options
+from isonoise.layers import LAYERS
 from isonoise.samplers import SAMPLERS
 
 DEFAULT_TEV_ADDRESS = ("127.0.0.1", 14158)
@@ -21,6 +22,7 @@ def add_render(commands) -> None:
         "scene", metavar="SCENE", help="a scene file (.xml, .gltf, .glb, .obj, .ply, .stl, .pbrt) or a built-in scene"
     )
     shared_options.add_images(render)
+    _add_layers(render)
     limits = render.add_argument_group("when to stop")
     limits.add_argument("--spp", metavar="N", type=argument_types.positive, help="mean samples per pixel")
     limits.add_argument(
@@ -73,6 +75,21 @@ def add_render(commands) -> None:
     )
     shared_options.add_output(reports)
     _add_viewers(render)
+
+
+def _add_layers(parser) -> None:
+    parser.add_argument(
+        "--layers",
+        metavar="NAME,..",
+        type=argument_types.names,
+        help=f"further layers of .exr files, made from the same camera samples: {', '.join(LAYERS)}",
+    )
+    parser.add_argument(
+        "--denoise",
+        action="store_true",
+        help="add the layer denoised, by Open Image Denoise, and show it in .png files; the stated error is that of "
+        "the noisy image",
+    )
 
 
 def _add_viewers(parser) -> None:

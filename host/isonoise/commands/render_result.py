@@ -29,6 +29,9 @@ HEADER_FIELDS = (
 """Fields of the result that are written to the header of an .exr file, with the prefix 'isonoise.'."""
 
 
+ERROR_OF_NOISY = "the noisy image, channels R, G, B"
+"""What stated errors and the channel `error` belong to if there is a denoised image."""
+
 MAX_WORKER_LINES = 8
 """Workers that the result has a line for; the others share one."""
 
@@ -61,6 +64,8 @@ def result_fields(options: argparse.Namespace, renderer: Renderer, stops: Stops,
         "stated_error": outcome.stated_error,
         "waves": len(outcome.rows),
         "last_wave": row_values(outcome.rows[-1]) if outcome.rows else None,
+        "layers": list(renderer.layer_names),
+        "denoiser": denoiser(renderer.layer_names),
         "output": options.output,
         "log": options.log,
         "checkpoint": options.checkpoint or options.resume,
@@ -69,7 +74,22 @@ def result_fields(options: argparse.Namespace, renderer: Renderer, stops: Stops,
 
 def image_header(result: Mapping[str, object]) -> dict[str, object]:
     """The header of an image with this result."""
-    return {f"isonoise.{key}": result[key] for key in HEADER_FIELDS}
+    header = {f"isonoise.{key}": result[key] for key in HEADER_FIELDS}
+    return header | denoiser_header(result["denoiser"])
+
+
+def denoiser(layers: Sequence[str]) -> str | None:
+    """Name of the denoiser if one of the layers is its image."""
+    if "denoised" not in layers:
+        return None
+    from isonoise.film.denoise import denoiser_name
+
+    return denoiser_name()
+
+
+def denoiser_header(name: str | None) -> dict[str, str]:
+    """What a header says about the denoiser of this name."""
+    return {} if name is None else {"isonoise.denoiser": name, "isonoise.error_of": ERROR_OF_NOISY}
 
 
 def _print_line(label: str, text: str) -> None:
@@ -103,7 +123,8 @@ def print_result(result: Mapping[str, object]) -> None:
         "failed": "by an error of the program, the device or a file",
     }
     _print_line("stopped", reasons.get(result["stopped_by"], f"by --{result['stopped_by']}"))
-    _print_line("error", f"{format_percent(result['stated_error'])} (stated, quantile {result['quantile']:g})")
+    noisy = ", of the noisy image" if result["denoiser"] else ""
+    _print_line("error", f"{format_percent(result['stated_error'])} (stated, quantile {result['quantile']:g}{noisy})")
     if result["error_bound"] is not None:
         bound, confidence = format_percent(result["error_bound"]), format_percent(result["confidence"])
         _print_line("", f"true error below {bound} with {confidence} confidence, as far as samples show")

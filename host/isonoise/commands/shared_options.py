@@ -70,6 +70,13 @@ def add_images(parser) -> None:
         required=True,
         help=".exr: all layers, float32; .png: tone-mapped preview; may be given more than once",
     )
+    parser.add_argument(
+        "--exposure",
+        metavar="EV",
+        type=argument_types.stops,
+        default=0.0,
+        help="make .png files brighter by so many stops, each a factor of 2; less than 0: darker",
+    )
 
 
 def add_scene_overrides(parser) -> None:

@@ -149,7 +149,7 @@ def _variants(table: ExperimentTable) -> list[Variant]:
     fixed, grid, lists = (table.take(key, _table, default={}) for key in _SWEEP)
     for key, values in ((key, values) for part in (grid, lists) for key, values in part.items()):
         if not isinstance(values, list):
-            raise table.error(key, f"= {values!r} is one value: write it in 'set', or a list of values")
+            raise table.error(f"'{key}' = {values!r} is one value: write it in 'set', or a list of values")
     with table.errors():
         return variants(fixed, grid, lists)
 

@@ -80,9 +80,9 @@ def _integer(name: str, meaning: str = "") -> TableColumn:
 _KEYS = (
     _text("scene", "the scene's name in the folder"),
     _text("strategy", "the strategy's name in the folder"),
-    _integer("seed", "of the run"),
-    _number("budget_s", "s", "of a run; missing if it is samples per pixel"),
-    _number("budget_spp", "samples/pixel", "of a run; missing if it is a time"),
+    _integer("seed", "seed of the run"),
+    _number("budget_s", "s", "time of a run, if that is the budget"),
+    _number("budget_spp", "samples/pixel", "samples per pixel of a run, if they are the budget"),
     _text("device", "device and driver"),
 )
 _ABOUT_RUNS = (
@@ -93,34 +93,40 @@ _ABOUT_RUNS = (
     _number("max_depth", "1", "path segments at most, as the comparison sets them; missing if the scene says it"),
     _text("worker", "address of the worker of a cluster; empty without one"),
     _text("stopped_by", "what ended the run: time or spp"),
-    _number("setup_s", "s", "before the first sample: load, build, compile"),
-    _number("warm_up_spp", "samples/pixel", "before the first adaptive wave; missing if the first waves are uniform"),
+    _number("setup_s", "s", "time before the first sample: load, build, compile"),
+    _number(
+        "warm_up_spp",
+        "samples/pixel",
+        "samples per pixel before the first adaptive wave; missing if the first waves are uniform",
+    ),
     _integer("waves", "number of waves"),
 )
 _PROGRESS = (
     _number("elapsed_s", "s"),
-    _number("device_s", "s", "of these, during which the device was busy; missing if it cannot measure it"),
+    _number("device_s", "s", "part of elapsed_s in which the device was busy; missing if it cannot measure it"),
     _integer("samples"),
     _number("spp", "samples/pixel"),
     _integer("rejected"),
     _number("energy_loss", "1"),
-    _number("energy_loss_se", "1"),
+    _number("energy_loss_se", "1", "standard error of energy_loss"),
 )
-_STATED = "stated error at this quantile over the true one without the reference's own error"
+_REL_MSE = "mean over pixels and RGB of (x - r)^2 / (r^2 + 0.01), x the image, r the reference"
+_REL_MSE_FLOOR = "mean over pixels and RGB of (x - r)^2 / (r^2 + floor^2), x the image, r the reference"
+_TRIMMED = ", without the worst 0.1 % of the pixels"
+_ERROR = "of the pixels' |x - r| / max(r, floor), luminance x of the image, r of the reference"
 _METRICS = (
-    _number("true_rel_mse", "1", metric="rel-mse"),
-    _number("true_rel_mse_trimmed", "1", metric="rel-mse"),
-    _number("true_rel_mse_floor", "1", metric="rel-mse"),
-    _number("true_rel_mse_floor_trimmed", "1", metric="rel-mse"),
+    _number("true_rel_mse", "1", _REL_MSE, "rel-mse"),
+    _number("true_rel_mse_trimmed", "1", _REL_MSE + _TRIMMED, "rel-mse"),
+    _number("true_rel_mse_floor", "1", _REL_MSE_FLOOR, "rel-mse"),
+    _number("true_rel_mse_floor_trimmed", "1", _REL_MSE_FLOOR + _TRIMMED, "rel-mse"),
     _number("true_mse", f"{_RADIANCE}^2", "mean over pixels and RGB of (x - r)^2", "mse"),
-    _number("true_p50", "1", metric="quantiles"),
-    _number("true_p95", "1", metric="quantiles"),
-    _number("true_p99", "1", metric="quantiles"),
-    _number("true_max", "1", metric="quantiles"),
-    *(
-        _number(f"true_{q}_corrected", "1", f"true_{q} without the reference's own error", "quantiles")
-        for q in ("p50", "p95", "p99")
-    ),
+    _number("true_p50", "1", f"median {_ERROR}", "quantiles"),
+    _number("true_p95", "1", f"quantile 0.95 {_ERROR}", "quantiles"),
+    _number("true_p99", "1", f"quantile 0.99 {_ERROR}", "quantiles"),
+    _number("true_max", "1", f"largest {_ERROR}", "quantiles"),
+    _number("true_p50_corrected", "1", "true_p50 without the reference's own error", "quantiles"),
+    _number("true_p95_corrected", "1", "true_p95 without the reference's own error", "quantiles"),
+    _number("true_p99_corrected", "1", "true_p99 without the reference's own error", "quantiles"),
     _number(
         "true_uniformity",
         "1",
@@ -135,15 +141,17 @@ _METRICS = (
         "mean over the pixels of (x - r) / max(m, floor), m the mean of r over the pixel's 24 neighbours",
         "bias",
     ),
-    _number("true_bias_se", "1", "its standard error, from those of the image and of the reference", "bias"),
+    _number("true_bias_se", "1", "standard error of true_bias, from those of image and reference", "bias"),
     _number("true_bias_z", "1", "true_bias / true_bias_se: standard normal if the image is unbiased", "bias"),
     _number("true_coverage", "1", metric="coverage"),
-    _number("stated_p50", "1", metric="stated"),
-    _number("stated_p95", "1", metric="stated"),
-    _number("stated_p99", "1", metric="stated"),
-    *(_number(f"stated_over_true_{q}", "1", _STATED, "stated") for q in ("p50", "p95", "p99")),
+    _number("stated_p50", "1", "stated error at quantile 0.5: an estimate of true_p50 without a reference", "stated"),
+    _number("stated_p95", "1", "stated error at quantile 0.95", "stated"),
+    _number("stated_p99", "1", "stated error at quantile 0.99", "stated"),
+    _number("stated_over_true_p50", "1", "stated_p50 / true_p50_corrected", "stated"),
+    _number("stated_over_true_p95", "1", "stated_p95 / true_p95_corrected", "stated"),
+    _number("stated_over_true_p99", "1", "stated_p99 / true_p99_corrected", "stated"),
 )
-_FILES = (_text("run_file", "path of the run's file in the folder"),)
+_FILES = (_text("run_file", "path of the run's file below the folder"),)
 
 SCENE_SETTING, STRATEGY_SETTING = "scene.", "strategy."
 """Beginnings of the names of columns with the settings of an experiment; the parameter's name follows."""
@@ -155,7 +163,12 @@ SCHEMA: dict[str, tuple[TableColumn, ...]] = {
         *_PROGRESS,
         *_METRICS,
         _number("true_floor", _RADIANCE),
-        _number("flip", "1", "mean LDR-FLIP of the final image, see `image_metrics.flip`", "flip"),
+        _number(
+            "flip",
+            "1",
+            "mean LDR-FLIP of the final image, tone-mapped like PNG outputs with the exposure of the reference",
+            "flip",
+        ),
         *_FILES,
     ),
     "waves": (*_KEYS, _integer("wave"), _text("kind", _LOG["kind"]), *_PROGRESS, *_METRICS),

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,19 +14,26 @@ from isonoise.film.files import check_writable
 from isonoise.statistics import Statistics
 
 EXTENSIONS = (".exr", ".png")
+_NO_LAYERS: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
-def image_layers(statistics: Statistics, floor: float) -> dict[str, np.ndarray]:
+def image_layers(
+    statistics: Statistics, floor: float, layers: Mapping[str, np.ndarray] = _NO_LAYERS
+) -> dict[str, np.ndarray]:
     """Layers of an image file, named as `write_exr` expects.
 
     "" is the mean linear RGB, (height, width, 3) float32. The others are (height, width): `samples` the count (uint32),
     `error` the relative standard error of the luminance, se / max(mean, floor), inf where n < 2, and `M_x` the running
-    mean of the chunk medians if the strategy needs it.
+    mean of the chunk medians if the strategy needs it. `layers`, such as those of `Outcome`, follow channel by channel.
     """
-    layers = {"": statistics.rgb, "samples": statistics.count, "error": relative_standard_error(statistics, floor)}
+    images = {"": statistics.rgb, "samples": statistics.count, "error": relative_standard_error(statistics, floor)}
     if statistics.median is not None:
-        layers["M_x"] = statistics.median
-    return layers
+        images["M_x"] = statistics.median
+    if layers:
+        from isonoise.film.layers import layer_channels  # most images have none
+
+        images |= layer_channels(layers)
+    return images
 
 
 def check_output(path: str | os.PathLike) -> Path:
@@ -45,8 +53,11 @@ def write_image(
     layers: Mapping[str, np.ndarray],
     header: Mapping[str, object],
     exposure: float | None = None,
+    stops: float = 0.0,
 ) -> None:
-    """Write an image: .exr with all layers and the header, .png with the image only, tone-mapped with `exposure`.
+    """Write an image: .exr with all layers and the header, .png with the image only, tone-mapped.
+
+    The .png shows the denoised image if there is one. `exposure` and `stops` are as for `tone_map`.
 
     Raises UserError as `check_output` does.
     """
@@ -54,11 +65,18 @@ def write_image(
     if Path(path).suffix.lower() == ".png":
         from isonoise.film.png import write_png
 
-        write_png(path, layers[""], exposure)
+        write_png(path, _shown(layers), exposure, stops)
     else:
         from isonoise.film.exr import write_exr
 
         write_exr(path, layers, header)
+
+
+def _shown(layers: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The image that a preview shows, (height, width, 3)."""
+    if "denoised.R" not in layers:
+        return layers[""]
+    return np.stack([layers[f"denoised.{channel}"] for channel in "RGB"], axis=-1)
 
 
 class ImageFiles:
@@ -87,6 +105,8 @@ class ImageFiles:
         has_ended: bool = True,
         may_be_partial: bool = False,
         exposure: float | None = None,
+        layers: Mapping[str, np.ndarray] = _NO_LAYERS,
+        stops: float = 0.0,
     ) -> list[WrittenFile]:
         """Write all images that can be written.
 
@@ -98,17 +118,21 @@ class ImageFiles:
             Whether pixels without samples are as the user wants them.
         exposure : float or None
             Factor on radiance in .png files; None: by the image's brightness.
+        layers : mapping of str to array
+            Layers beside the colour, as of `Outcome`.
+        stops : float
+            Correction of the exposure of .png files: a factor of 2 to this power.
 
         Returns
         -------
         list of WrittenFile
             One per path; its path is None without a failure if the image is left out during the render.
         """
-        layers = _layers_within_memory(statistics, floor)
+        images = _layers_within_memory(statistics, floor, layers)
         is_partial = not may_be_partial and not ((statistics.count > 0) | (statistics.rejected > 0)).all()
 
         def write(path: str | os.PathLike) -> None:
-            write_image(path, layers, header, exposure)
+            write_image(path, images, header, exposure, stops)
 
         return [self._write_one(path, write, has_ended, is_partial) for path in self._paths]
 
@@ -130,9 +154,11 @@ def _try_to_write(path: str | os.PathLike, write) -> WrittenFile:
         return WrittenFile(None, error)
 
 
-def _layers_within_memory(statistics: Statistics, floor: float) -> dict[str, np.ndarray]:
+def _layers_within_memory(
+    statistics: Statistics, floor: float, layers: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
     """`image_layers`, or without memory for them those that need none."""
     try:
-        return image_layers(statistics, floor)
+        return image_layers(statistics, floor, layers)
     except MemoryError:
         return {"": statistics.rgb, "samples": statistics.count}

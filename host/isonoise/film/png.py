@@ -19,7 +19,7 @@ SHOULDER = 0.6
 """Display value up to which the curve is linear, so that only highlights are compressed."""
 
 
-def tone_map(rgb: np.ndarray, exposure: float | None = None) -> np.ndarray:
+def tone_map(rgb: np.ndarray, exposure: float | None = None, stops: float = 0.0) -> np.ndarray:
     """Tone-map linear RGB of any scale to 8-bit sRGB.
 
     Exposure, unless given: the log-average luminance becomes `MIDDLE_GREY` (Reinhard, Stark, Shirley, Ferwerda 2002,
@@ -35,6 +35,8 @@ def tone_map(rgb: np.ndarray, exposure: float | None = None) -> np.ndarray:
         Linear, Rec. 709 primaries; negative and non-finite values count as 0.
     exposure : float or None
         Factor on `rgb`, in place of that by the image's brightness.
+    stops : float
+        Correction of the exposure: a factor of 2 to this power.
 
     Returns
     -------
@@ -42,14 +44,14 @@ def tone_map(rgb: np.ndarray, exposure: float | None = None) -> np.ndarray:
     """
     value = np.where(np.isfinite(rgb), rgb, 0).astype(np.float32).clip(min=0)
     with np.errstate(over="ignore"):  # infinity is white as well
-        value *= np.float32(automatic_exposure(value) if exposure is None else exposure)
+        value *= np.float32((automatic_exposure(value) if exposure is None else exposure) * 2.0**stops)
     above = np.maximum(value - SHOULDER, 0) / (1 - SHOULDER)
     value = np.where(value <= SHOULDER, value, SHOULDER + (1 - SHOULDER) * -np.expm1(-above))
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.rint(encoded * 255).astype(np.uint8)
 
 
-def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None = None) -> None:
+def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None = None, stops: float = 0.0) -> None:
     """Tone-map linear RGB as `tone_map` does and write it as a PNG, atomically.
 
     Parameters
@@ -60,6 +62,8 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None =
         Linear, Rec. 709 primaries.
     exposure : float or None
         Factor on `rgb`; None: by the image's brightness.
+    stops : float
+        As for `tone_map`.
 
     Raises
     ------
@@ -68,7 +72,7 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None =
     """
     from PIL import Image
 
-    picture = Image.fromarray(tone_map(rgb, exposure))
+    picture = Image.fromarray(tone_map(rgb, exposure, stops))
     write_atomically(path, lambda temporary: picture.save(temporary, format="PNG"))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from isonoise.device.form import DeviceForm
 from isonoise.integrator.image_scratch import GRID_BINS, TILE_SIZE, ImageScratch, tile_count
+from isonoise.integrator.layer_planes import layer_images
 from isonoise.integrator.reduction_state import NET_COUNT_LOG2, ReductionState
 from isonoise.integrator.stages import Stages
 from isonoise.statistics import Needs, Statistics
@@ -103,6 +104,12 @@ class Accumulator:
                 raise ValueError(f"the array '{name}' of the state has the shape {array.shape}")
         self.reduction.write({name: array.reshape(len(array), -1) for name, array in state.items()})
         self.expire_luminance()
+
+    def layers(self) -> dict[str, np.ndarray]:
+        """The layers of `Needs.layers` by name, as `layer_images` returns them. Waits for the device."""
+        with self.reduction.mapped() as state:
+            planes = {name: array.reshape(-1, *self._shape) for name, array in state.items()}
+            return layer_images(planes, self._needs.layers)
 
     @contextmanager
     def mapped_state(self) -> Iterator[dict[str, np.ndarray]]:

@@ -4,6 +4,7 @@ from isonoise.device.form import DeviceForm
 from isonoise.integrator import accumulator, error_stage
 from isonoise.integrator.brute_force import MAX_CORNERS
 from isonoise.integrator.kernel_table import CONSTANTS
+from isonoise.layers import first_components, mean_components
 from isonoise.scene.accel.bvh import STACK_SIZE
 from isonoise.scene.light.light_list import MAX_LISTED_LIGHTS
 from isonoise.statistics import Needs
@@ -18,6 +19,8 @@ def build_constants(needs: Needs, form: DeviceForm, bvh_stack: int = STACK_SIZE)
         **CONSTANTS,
         **accumulator.build_constants(needs, form),
         **error_stage.build_constants(form.tile_work_items),
+        **{f"LAYER_{name.upper()}": str(number) for name, number in first_components(needs.layers).items()},
+        "LAYER_SUMS": mean_components(needs.layers),
         "LANES": form.lanes,
         "BVH_LANES": form.bvh_lanes,
         "STACK_SIZE": form.stack_size(bvh_stack),

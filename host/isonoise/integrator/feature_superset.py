@@ -19,8 +19,8 @@ from isonoise.scene.material.media import uniform_records
 DUMMY_BYTES = 4096
 """Size of a dummy buffer: room for any record."""
 
-ALTERNATIVES = ("LIGHT_TREE", "LIGHT_LIST", "HIDE_EMITTERS", "FILTER_TABLE", "COUNT_TESTS")
-"""Features that select another algorithm or image. They stay as the scene has them."""
+ALTERNATIVES = ("LIGHT_TREE", "LIGHT_LIST", "HIDE_EMITTERS", "FILTER_TABLE", "LAYERS", "ALBEDO_LAYER", "COUNT_TESTS")
+"""Features that select another algorithm or other images. They stay as they are."""
 
 
 def feature_superset(used: Mapping[str, bool], volpath: bool) -> dict[str, bool]:

@@ -136,7 +136,7 @@ FEATURES = {
     ),
     "UVS": Feature(
         "texture coordinates",
-        lambda use: reads_uvs(use.scene.bsdfs) or use.has_textured_lights,
+        lambda use: reads_uvs(use.scene.bsdfs) or use.has_textured_lights or "uv" in use.needs.layers,
         {"uvs": "8 bytes a vertex", "faces": "12 bytes a triangle"},
     ),
     "TEXTURES": Feature(
@@ -246,6 +246,16 @@ FEATURES = {
         lambda use: use.needs.neighbours is not None,
         {"neighbours": "8 bytes a pixel"},
     ),
+    "LAYERS": Feature(
+        "layers of what camera rays hit first",
+        lambda use: bool(use.needs.layers),
+        {
+            "layer_sums": "8 bytes a pixel and channel",
+            "layer_indices": "4 bytes a pixel and index",
+            "triangle_shape": "4 bytes a triangle",
+        },
+    ),
+    "ALBEDO_LAYER": Feature("the layer albedo", lambda use: "albedo" in use.needs.layers),
     "COUNT_TESTS": Feature("node and triangle tests, counted for measurements", lambda use: False),
 }
 """All features, in the order in which they are printed. Buffers of every program belong to no feature."""

@@ -9,18 +9,63 @@ from functools import cache
 
 from isonoise.integrator.kernel_table import (
     ARGUMENT_FEATURES,
+    BOUNCE_BUFFERS,
     BRUTE_FORCE_KERNELS,
     ELEMENT_TYPES,
     KERNELS,
-    PATH_BUFFERS,
     PATH_STATE,
-    SCENE_VIEW,
     VALUE_TYPES,
-    VIEW_CONDITIONS,
     Kernel,
 )
 from isonoise.scene.light.light_kinds import light_header
 from isonoise.scene.material.bsdf_kinds import bsdf_header
+
+_VIEW_MEMBERS = (
+    "triangles faces corner_normals uvs analytics shapes bsdfs instances lights projections light_cdf light_count "
+    "environment_light seed media rough_transmittances textured_slots world_triangle_count"
+)
+SCENE_VIEW = {
+    **{name: name for name in _VIEW_MEMBERS.split()},
+    "textures.records": "textures",
+    "textures.bytes": "texel_bytes",
+    "textures.floats": "texel_floats",
+    "textures.srgb": "srgb",
+    "textures.attributes": "attributes",
+    "textures.faces": "faces",
+    "envmap.record": "environment",
+    "envmap.texels": "environment_texels",
+    "envmap.rows": "environment_rows",
+    "envmap.guide": "environment_guide",
+    "light_list.bounds": "light_bounds",
+    "light_list.light_count": "light_count",
+    "heterogeneous.media": "heterogeneous_media",
+    "heterogeneous.grids": "grids",
+    "heterogeneous.values": "grid_values",
+    "heterogeneous.bounds": "extinction_bounds",
+    "light_tree.nodes": "light_nodes",
+    "light_tree.parents": "light_parents",
+    "light_tree.cdf": "light_cdf",
+    "light_tree.light_count": "light_count",
+}
+"""Member of the struct `SceneView` (kernels/geometry/surface.h) -> kernel argument."""
+
+VIEW_CONDITIONS = {
+    "textures": "FEATURE_TEXTURES",
+    "envmap": "FEATURE_ENVIRONMENT_MAP",
+    "heterogeneous": "FEATURE_HETEROGENEOUS",
+    "light_list": "FEATURE_LIGHT_LIST",
+    "light_tree": "FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST",
+}
+"""Nested structs of `SceneView` and when they are there."""
+
+PATH_BUFFERS = (
+    "plane_stride",
+    "sample_pixel",
+    *PATH_STATE,
+    *(name for name in BOUNCE_BUFFERS if name not in ("holes", "tests")),
+    "samples",
+)
+"""Members of the struct `PathBuffers`: kernel arguments of the same name."""
 
 
 @cache
@@ -39,7 +84,8 @@ def generated_headers() -> dict[str, str]:
         for name, kernel in table.items():
             headers[f"{name}{suffix}_parameters"] = _parameters(kernel)
             headers[f"{name}{suffix}_scene_view"] = _scene_view(kernel)
-    headers["shade_path_buffers"] = _lines((f"paths.{name} = {name};", _condition(name)) for name in PATH_BUFFERS)
+    for name in ("shade", "accumulate_layers"):
+        headers[f"{name}_path_buffers"] = _path_buffers(KERNELS[name])
     headers |= {"bsdf_kinds": bsdf_header(), "light_kinds": light_header()}
     return {f"generated/{name}.h": text for name, text in headers.items()}
 
@@ -86,6 +132,11 @@ def _scene_view(kernel: Kernel) -> str:
             condition = VIEW_CONDITIONS.get(member.partition(".")[0]) or _condition(argument)
             rows.append((f"scene.{member} = {argument};", condition))
     return _lines(rows)
+
+
+def _path_buffers(kernel: Kernel) -> str:
+    members = [name for name in PATH_BUFFERS if name in kernel.arguments]
+    return _lines((f"paths.{name} = {name};", _condition(name)) for name in members)
 
 
 def _members() -> dict[str, str]:

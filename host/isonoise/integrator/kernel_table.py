@@ -90,7 +90,7 @@ NO_WORK = dict.fromkeys(
     (
         *("pixels", "total_pixels", "tile_count", "error_groups", "first_pixel"),
         *("path_count", "count_new", "path_block_count", "rays_per_item", "first_slot"),
-        *("slice_samples", "first_sample"),
+        *("slice_samples", "first_sample", "first_layer_pixel", "layer_pixels"),
     ),
     np.uint32(0),
 )
@@ -107,6 +107,7 @@ ELEMENT_TYPES = {
     **dict.fromkeys(("nodes", "triangle_blocks", "light_nodes"), "float8"),
     **dict.fromkeys(("faces", "corner_indices", "light_parents", "environment_guide"), "uint"),
     **dict.fromkeys(("sample_pixel", "sample_index", "pixel_list", "pixel_offset"), "uint"),
+    **dict.fromkeys(("triangle_shape", "layer_indices"), "uint"),
     **dict.fromkeys(("count", "rejected", "error_bins"), "uint"),
     **dict.fromkeys(("alive", "path_block_alive", "total_alive", "holes"), "uint"),
     "tests": "uint2",
@@ -250,6 +251,14 @@ KERNELS = {
     "count_alive": _kernel("compact.cl", "path_count", "alive", "path_block_alive"),
     "scan_blocks": _kernel("compact.cl", "path_block_count", "alive", "path_block_alive total_alive"),
     "list_holes": _kernel("compact.cl", "path_count", "alive path_block_alive total_alive", "holes"),
+    "accumulate_layers": _kernel(
+        "accumulate_layers.cl",
+        "plane_stride first_slot first_sample count_new first_pixel pixels first_layer_pixel layer_pixels total_pixels "
+        "seed textured_slots world_triangle_count",
+        f"sample_pixel pixel_offset camera {_SURFACES} rough_transmittances media triangle_shape",
+        "PATH_STATE hit layer_sums layer_indices",  # the first two are only read: `PathBuffers` has no const pointers
+        needs="LAYERS",
+    ),
     "fill_holes": _kernel(
         "compact.cl", "path_count plane_stride", "alive path_block_alive total_alive holes", "PATH_STATE"
     ),
@@ -328,53 +337,6 @@ IMAGE_KERNELS = {
     "relative_errors",
 }
 """Kernels that need the statistics of a whole image."""
-
-_VIEW_MEMBERS = (
-    "triangles faces corner_normals uvs analytics shapes bsdfs instances lights projections light_cdf light_count "
-    "environment_light seed media rough_transmittances textured_slots world_triangle_count"
-)
-SCENE_VIEW = {
-    **{name: name for name in _VIEW_MEMBERS.split()},
-    "textures.records": "textures",
-    "textures.bytes": "texel_bytes",
-    "textures.floats": "texel_floats",
-    "textures.srgb": "srgb",
-    "textures.attributes": "attributes",
-    "textures.faces": "faces",
-    "envmap.record": "environment",
-    "envmap.texels": "environment_texels",
-    "envmap.rows": "environment_rows",
-    "envmap.guide": "environment_guide",
-    "light_list.bounds": "light_bounds",
-    "light_list.light_count": "light_count",
-    "heterogeneous.media": "heterogeneous_media",
-    "heterogeneous.grids": "grids",
-    "heterogeneous.values": "grid_values",
-    "heterogeneous.bounds": "extinction_bounds",
-    "light_tree.nodes": "light_nodes",
-    "light_tree.parents": "light_parents",
-    "light_tree.cdf": "light_cdf",
-    "light_tree.light_count": "light_count",
-}
-"""Member of the struct `SceneView` (kernels/geometry/surface.h) -> kernel argument."""
-
-VIEW_CONDITIONS = {
-    "textures": "FEATURE_TEXTURES",
-    "envmap": "FEATURE_ENVIRONMENT_MAP",
-    "heterogeneous": "FEATURE_HETEROGENEOUS",
-    "light_list": "FEATURE_LIGHT_LIST",
-    "light_tree": "FEATURE_LIGHT_TREE && !FEATURE_LIGHT_LIST",
-}
-"""Nested structs of `SceneView` and when they are there."""
-
-PATH_BUFFERS = (
-    "plane_stride",
-    "sample_pixel",
-    *PATH_STATE,
-    *(name for name in BOUNCE_BUFFERS if name not in ("holes", "tests")),
-    "samples",
-)
-"""Members of the struct `PathBuffers`: kernel arguments of the same name."""
 
 
 def kernel_table(features: Mapping[str, bool], brute_force: bool) -> dict[str, Kernel]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.integrator.stages import Stages
+from isonoise.layers import first_values, mean_components
 from isonoise.statistics import Needs
 
 NET_COUNT_LOG2 = 3
@@ -30,6 +31,7 @@ _LABELS = {
     "powers": "the sums of powers",
     "halves": "the sums of every second sample",
     "net_means": "the means over nets",
+    **dict.fromkeys(("layer_sums", "layer_indices"), "the layers"),
 }
 
 
@@ -44,6 +46,8 @@ def state_planes(needs: Needs) -> dict[str, int]:
         "powers": 2 * (needs.power is not None),
         "halves": 6 * needs.half,
         "net_means": (2**NET_COUNT_LOG2 - 1) * needs.nets,
+        "layer_sums": 2 * mean_components(needs.layers),  # two parts of the sum of every channel
+        "layer_indices": first_values(needs.layers),
     }
     return {name: number for name, number in planes.items() if number}
 
@@ -86,7 +90,7 @@ class ReductionState:
             name: _Planes(
                 self._device.buffer(4 * number * pixels, _LABELS[name]),
                 number,
-                np.uint32 if name in ("count", "rejected") else np.float32,
+                np.uint32 if name in ("count", "rejected", "layer_indices") else np.float32,
             )
             for name, number in state_planes(needs).items()
         }

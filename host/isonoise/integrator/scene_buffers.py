@@ -124,6 +124,7 @@ def _geometry(device: Device, scene: CompiledScene, bvh: Bvh, features: Mapping[
         "analytics": _table(device, scene.analytics, "the analytic shapes"),
         "shapes": _table(device, scene.shapes if features["ANALYTICS"] else _EMPTY, "the shapes"),
         "instances": _table(device, scene.instances, "the instances"),
+        "triangle_shape": _table(device, scene.triangle_shape if features["LAYERS"] else _EMPTY, "the shapes"),
         "scene_sphere": _bounding_sphere(scene.bounds),
     }
 

@@ -7,6 +7,7 @@ reduced to statistics.
 """
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,6 +55,13 @@ _BUFFER_LABELS = {
     "pixel_offset": "the allocation",
 }
 """Labels of the path buffers in errors and reports; the others are `the paths`."""
+
+
+class _Run(NamedTuple):
+    """Consecutive samples of a slice."""
+
+    first: int
+    samples: int
 
 
 def scene_form(device: Device, features: Mapping[str, bool]) -> DeviceForm:
@@ -157,7 +165,7 @@ class Wavefront:
             on_compile=on_compile,
         )
         self._arguments = self._stages.arguments
-        self._arguments["pixel_list"] = None
+        self._arguments.update(dict.fromkeys(("pixel_list", "layer_sums", "layer_indices")))
         if has_image:
             shape = (scene.height, scene.width)
             self.accumulator = Accumulator(self._stages, shape, needs)
@@ -262,14 +270,14 @@ class Wavefront:
         if self.scene.max_depth == 0:
             self.device.write(self._arguments["samples"], np.zeros(3 * samples, np.float32))
         else:
-            samples = self._trace_paths(samples, should_continue)
+            samples = self._trace_paths(offsets, samples, should_continue)
         if self.accumulator is not None:
             self.accumulator.expire_luminance()
         self._stages.launch("reduce", pixels, slice_samples=np.uint32(samples), **slice_pixels)
         self.device.finish()
         return samples
 
-    def _trace_paths(self, samples: int, should_continue: Callable[[], bool]) -> int:
+    def _trace_paths(self, offsets: np.ndarray, samples: int, should_continue: Callable[[], bool]) -> int:
         """Trace the paths of a slice to their ends; returns how many were started."""
         in_flight, started, is_stopped = 0, 0, False
         while in_flight or (started < samples and not is_stopped):
@@ -277,14 +285,20 @@ class Wavefront:
             if new:
                 first = {"first_slot": np.uint32(in_flight), "first_sample": np.uint32(started)}
                 self._stages.launch("generate", new, count_new=np.uint32(new), **first)
+            in_flight = self._bounce(in_flight, _Run(started, new), offsets)
             started += new
-            in_flight = self._bounce(in_flight + new)
             is_stopped = is_stopped or (started < samples and not should_continue())
         return started
 
-    def _bounce(self, paths: int) -> int:
-        """Trace all paths in flight for one bounce; returns how many continue. Waits for the device."""
+    def _bounce(self, old_paths: int, new: "_Run", offsets: np.ndarray) -> int:
+        """Trace all paths in flight, of which some are `new`, for one bounce; returns how many continue.
+
+        Waits for the device.
+        """
+        paths = old_paths + new.samples
         self.trace_rays("intersect", paths)
+        if self.features["LAYERS"] and new.samples:
+            self._accumulate_layers(old_paths, new, offsets)
         self._stages.launch("shade", paths, path_count=np.uint32(paths))
         if self._shadow:
             self.trace_rays(self._shadow, paths)
@@ -292,6 +306,21 @@ class Wavefront:
         if self.on_bounce:
             self.on_bounce(paths)
         return alive
+
+    def _accumulate_layers(self, first_slot: int, new: "_Run", offsets: np.ndarray) -> None:
+        """Add what new camera rays have hit to the layers of their pixels. `offsets` as for `_trace_slice`."""
+        ends = np.array([new.first, new.first + new.samples - 1], offsets.dtype)
+        first, last = np.searchsorted(offsets, ends, side="right") - 1
+        self._stages.launch(
+            "accumulate_layers",
+            int(last - first + 1),
+            first_slot=np.uint32(first_slot),
+            first_sample=np.uint32(new.first),
+            count_new=np.uint32(new.samples),
+            pixels=np.uint32(len(offsets)),
+            first_layer_pixel=np.uint32(first),
+            layer_pixels=np.uint32(last - first + 1),
+        )
 
     def _compact(self, paths: int) -> int:
         """Move live paths into the slots of dead ones; returns how many are alive."""

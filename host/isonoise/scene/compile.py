@@ -55,6 +55,7 @@ def compile_scene(
     size: tuple[int, int] | None = None,
     max_depth: int | None = None,
     sampler: str | None = None,
+    keep_uvs: bool = False,
 ) -> CompiledScene:
     """Compile a scene for the device.
 
@@ -68,6 +69,8 @@ def compile_scene(
         Maximum path length, in place of the integrator's.
     sampler
         One of `SAMPLERS`, in place of the sensor's.
+    keep_uvs
+        Keep texture coordinates that no material reads.
 
     Returns
     -------
@@ -86,7 +89,7 @@ def compile_scene(
     warn_if_clipped(camera, world.union())
     integrator = _integrator_settings(description, max_depth)
     emitters = _objects_of_kind(description, "emitter")
-    materials = _compile_materials(geometry, emitters, sensor.get("medium"), integrator["volumetric"])
+    materials = _compile_materials(geometry, emitters, sensor.get("medium"), integrator["volumetric"], keep_uvs)
     environment = _environment_map(emitters)
     projecting = list(zip(emitters.values(), materials.projected_textures, strict=True))
     lights = compile_lights(materials.area_lights, projecting, environment, materials.textures, world.union())
@@ -252,7 +255,7 @@ class _Materials:
 
 
 def _compile_materials(
-    geometry: _Geometry, emitters: dict[str, dict], sensor_medium: dict | None, volumetric: bool
+    geometry: _Geometry, emitters: dict[str, dict], sensor_medium: dict | None, volumetric: bool, keep_uvs: bool
 ) -> _Materials:
     """Compile bsdfs, media and textures. Media are left out unless the integrator is volumetric."""
     textures = Textures()
@@ -276,7 +279,8 @@ def _compile_materials(
         shapes["flags"][mark_pass_through(bsdf_records)[shapes["bsdf"]]] |= structs.SHAPE_PASS_THROUGH
     texture_arrays = textures.arrays(geometry.mesh_attributes() if textures.reads_attributes else ())
     uvs, reversed_winding = np.zeros((0, 2), np.float32), np.zeros(0, bool)
-    if reads_uvs(bsdf_records) or any(texture != structs.NONE for texture in radiance_textures.values()):
+    has_textured_lights = any(texture != structs.NONE for texture in radiance_textures.values())
+    if keep_uvs or reads_uvs(bsdf_records) or has_textured_lights:
         uvs, reversed_winding = merge_uvs(geometry.surfaces, layout)
         if len(uvs):
             shapes["flags"][layout.has_uvs] |= structs.SHAPE_UVS

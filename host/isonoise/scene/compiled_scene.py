@@ -44,7 +44,7 @@ class CompiledScene:
     rough_transmittances: np.ndarray  # (t, rough_transmittance.NODES) float32: of rough plastics, by cosine
     # (T,) bool: the corners are in reverse order of the mesh file; (0,) if all meshes have uvs
     reversed_winding: np.ndarray
-    uvs: np.ndarray  # (V, 2) float32 if a material reads them and a shape has SHAPE_UVS, else (0, 2)
+    uvs: np.ndarray  # (V, 2) float32 if they are needed and a shape has SHAPE_UVS, else (0, 2)
     textures: np.ndarray  # (X,) textures.TEXTURE
     texel_bytes: np.ndarray  # (b, 4) uint8: texels of 8-bit images
     texel_floats: np.ndarray  # (f, 4) float32: texels of all other images

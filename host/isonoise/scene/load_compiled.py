@@ -24,18 +24,20 @@ def load_compiled(
     size: tuple[int, int] | None = None,
     max_depth: int | None = None,
     sampler: str | None = None,
+    keep_uvs: bool = False,
 ) -> CompiledScene:
     """`compile_scene` of what `load_description` returns.
 
-    Of a CompiledScene only the sampler can be replaced. Raises SceneError, also if the caller tries to replace more.
+    Of a CompiledScene only the sampler can be replaced, and its texture coordinates stay as they are. Raises
+    SceneError, also if the caller tries to replace more.
     """
     if isinstance(source, Scene):
         if parameters:
             raise SceneError(NO_PARAMETERS)
-        return source.compile(size, max_depth, sampler, view)
+        return source.compile(size, max_depth, sampler, view, keep_uvs)
     if not isinstance(source, CompiledScene):
         description = load_description(source, parameters, allow_outside, view, size)
-        return compile_scene(description, size, max_depth, sampler)
+        return compile_scene(description, size, max_depth, sampler, keep_uvs)
     if parameters or view or size or max_depth is not None:
         raise SceneError("a compiled scene has its size, depth, view and parameters already: give none")
     return replace(source, sampler=sampler or source.sampler)

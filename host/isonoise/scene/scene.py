@@ -251,6 +251,7 @@ class Scene(SceneObject):
         max_depth: int | None = None,
         sampler: str | None = None,
         view: View | None = None,
+        keep_uvs: bool = False,
     ) -> CompiledScene:
         """The scene as arrays, for several renderers.
 
@@ -264,6 +265,8 @@ class Scene(SceneObject):
             `sobol` or `independent`, in place of the scene's.
         view : View or None
             Camera and environment in place of the scene's own.
+        keep_uvs : bool
+            Keep texture coordinates that no material reads, for the layer `uv`.
 
         Raises
         ------
@@ -271,7 +274,8 @@ class Scene(SceneObject):
             If a mesh or an image cannot be read, or numbers exceed the range of the device.
         """
         with record_files() as files:
-            compiled = compile_scene(apply_view(self.description, view or NO_VIEW, size), size, max_depth, sampler)
+            description = apply_view(self.description, view or NO_VIEW, size)
+            compiled = compile_scene(description, size, max_depth, sampler, keep_uvs)
         self.files = tuple(dict.fromkeys((*self.files, *files)))
         note_files(self.files)
         return compiled

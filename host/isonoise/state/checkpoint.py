@@ -23,7 +23,7 @@ from isonoise.input_files import open_regular_file, size_bytes
 from isonoise.state.consistency import check_consistency
 from isonoise.state.state import State
 
-FORMAT = 2
+FORMAT = 3
 """Version of the layout; a file of another one is refused."""
 _JSON_NAME = "state.json"
 _ARRAY_SUFFIX = ".npy"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from isonoise.film.log import columns
+from isonoise.layers import HOST, LAYERS
 from isonoise.samplers import SAMPLERS
 from isonoise.state.state import State
 from isonoise.strategies.uniform_allocation import MAX_COUNT
@@ -59,6 +60,10 @@ def _is_size(value: object) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(_is_count(side) and 0 < side < 2**31 for side in value)
 
 
+def _is_layers(value: object) -> bool:
+    return isinstance(value, list) and all(_is_text(name) and name in LAYERS for name in value)
+
+
 def _is_object(value: object) -> bool:
     return isinstance(value, dict)
 
@@ -93,6 +98,7 @@ _SETTINGS = {
     "exposure": _or_none(_is_positive),
     "overrides": _is_object,
     "needs": _is_object,
+    "layers": _is_layers,
 }
 _OVERRIDES = {
     "size": _or_none(_is_size),
@@ -117,6 +123,7 @@ _NEEDS = {
     "neighbours": _or_none(_is_count),
     "nets": _is_flag,
     "uniform": _is_flag,
+    "layers": _is_layers,
 }
 _RENDERER = {"samples": _is_count, "planner": _is_object, "wave": _or_none(_is_object)}
 _PLANNER = {
@@ -245,6 +252,11 @@ def _check_merged(state: State, shape: tuple[int, int]) -> None:
     for name in names:
         dtype, channels = _STATISTICS[name]
         _check_array(state, f"statistics/{name}", dtype, (*shape, *channels))
+    for name in state.group("layers"):
+        if name not in LAYERS or LAYERS[name].made == HOST:
+            raise ValueError(f"it has the layer '{name}'")
+        channels = len(LAYERS[name].channels)
+        _check_array(state, f"layers/{name}", "<f4", (*shape, channels) if channels > 1 else shape)
     counts = (int(state.arrays[f"statistics/{name}"].sum(dtype=np.int64)) for name in ("count", "rejected"))
     if sum(counts) != sum(render["samples"] for render in merged["renders"]):
         raise ValueError("its pixels and its renders have different numbers of samples")

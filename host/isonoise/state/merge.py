@@ -13,6 +13,7 @@ from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.integrator.accumulator import Accumulator
 from isonoise.integrator.statistics_stages import make_statistics_stages
+from isonoise.state.merge_layers import merge_layers, state_layers
 from isonoise.state.settings import differences_of
 from isonoise.state.state import State, with_group
 from isonoise.statistics import Needs, Statistics
@@ -40,16 +41,17 @@ def merge_states(states: Iterable[State], names: Sequence[str], device: Device) 
     -------
     State
         `values["merged"]["renders"]` has an entry for each render: its seed, strategy, sampler, device, samples and
-        seconds. `arrays` has the statistics, in the scene's units, as the group `statistics`.
+        seconds. `arrays` has the statistics, in the scene's units, as the group `statistics`, and the layers that all
+        renders have as the group `layers`.
 
     Raises
     ------
     UserError
         If the scenes differ, two renders have the same seed, or a pixel would have too many samples.
     """
-    settings, statistics, renders = None, None, {}
+    settings, statistics, layers, renders = None, None, {}, {}
     for name, state in zip(names, states, strict=True):
-        settings = settings or state.settings
+        settings = settings or dict(state.settings)
         differences = differences_of(settings, state.settings, _SAME)
         if differences:
             raise UserError(f"'{name}' is no render of the same scene as '{names[0]}': {'; '.join(differences)}")
@@ -65,9 +67,15 @@ def merge_states(states: Iterable[State], names: Sequence[str], device: Device) 
             part = state_statistics(state, device)
         except ValueError as error:
             raise UserError(f"'{name}' is damaged: {error}") from error
-        statistics = part if statistics is None else merge_two(statistics, part)
+        if statistics is None:
+            statistics, layers = part, state_layers(state)
+        else:
+            settings["layers"] = [layer for layer in settings["layers"] if layer in state.settings["layers"]]
+            layers = merge_layers(layers, statistics, state_layers(state), part)
+            statistics = merge_two(statistics, part)
     planes = {field.name: getattr(statistics, field.name) for field in fields(Statistics)}
     arrays = with_group("statistics", {name: plane for name, plane in planes.items() if plane is not None})
+    arrays |= with_group("layers", layers)
     settings = {name: value for name, value in settings.items() if name not in _OF_A_RENDER}
     return State(settings, {"merged": {"renders": [render for _, render in renders.values()]}}, arrays)
 

@@ -25,6 +25,7 @@ NAMES = {
     "seed": "seed",
     "max_depth": "max_depth",
     "parameters": "scene parameters (-D)",
+    "layers": "layers (--layers)",
 }
 """Settings with a value of their own -> name in messages."""
 _NOT_IN_THE_SCENE = ("max_depth", "sampler", "sample_count", "exposure", "hash")
@@ -39,7 +40,7 @@ def render_settings(renderer) -> dict[str, object]:
     - `files`: name of a file that the scene was read from, relative to the scene's folder -> sha256 of its content;
     - `exposure`: of the scene, for previews;
     - `overrides`: what the caller gave in place of the scene's own size, depth, sampler and view, else None;
-    - `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
+    - `layers`: their names; `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
     """
     scene: CompiledScene = renderer.scene
     return {
@@ -57,7 +58,8 @@ def render_settings(renderer) -> dict[str, object]:
         "radiance_scale": scene.radiance_scale,
         "exposure": scene.exposure,
         "overrides": renderer.overrides,
-        "needs": asdict(renderer.strategy.needs.with_sampler(scene.sampler)),
+        "needs": asdict(renderer.needs) | {"layers": list(renderer.needs.layers)},
+        "layers": list(renderer.layer_names),
         "device": ", ".join(renderer.devices),
     }
 
@@ -117,7 +119,9 @@ def _scene_differences(stored: Mapping[str, object], current: Mapping[str, objec
 def _text(value: object) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{name}={text}" for name, text in value.items()) or "none"
-    return "x".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+    if isinstance(value, (list, tuple)):
+        return "x".join(map(str, value)) if value and isinstance(value[0], int) else ", ".join(value) or "none"
+    return str(value)
 
 
 def _part_hash(value: object) -> str:

@@ -96,8 +96,8 @@ export class Viewer {
     if (!this.hasPicture) return;
     this.context.imageSmoothingEnabled = step < 1.5;
     this.context.imageSmoothingQuality = "high";
-    const { width, height } = this.buffer;
-    this.context.drawImage(this.buffer, this.left * ratio, this.top * ratio, width * step, height * step);
+    const { width, height } = this.buffer, left = Math.round(this.left * ratio), top = Math.round(this.top * ratio);
+    this.context.drawImage(this.buffer, left, top, width * step, height * step);
   }
 
   pixelAt(event) {

@@ -150,7 +150,7 @@ class Textures:
         return np.concatenate(texels) if texels else np.zeros((0, 4), dtype)
 
     def _fill_bitmap(self, record: np.ndarray, texture: dict) -> np.ndarray:
-        source, raw = texture.get("filename", texture.get("bitmap")), bool(texture.get("raw", False))
+        source, raw = _image_source(texture), bool(texture.get("raw", False))
         bitmap = self._bitmaps.get((_key(source), raw)) or self._store_image(source, raw)
         flags = bitmap.store
         flags |= TEXTURE_NEAREST if texture.get("filter_type") == "nearest" else 0
@@ -223,6 +223,11 @@ class _Bitmap:
     size: tuple[int, int]  # width, height
     first: int  # index of the first texel
     mean: np.ndarray  # (3,) float64, linear
+
+
+def _image_source(texture: dict) -> str | Image:
+    """The file of a bitmap, or its image in memory."""
+    return next(texture[name] for name in ("filename", "bitmap", "data") if name in texture)
 
 
 def _key(source: str | Image) -> str | int:

@@ -30,7 +30,7 @@ _MUTUALLY_EXCLUSIVE = {
     "principled": (("eta", "specular"),),
     "point": (("position", "to_world"),),
     "directional": (("direction", "to_world"),),
-    "bitmap": (("filename", "bitmap"),),
+    "bitmap": (("filename", "bitmap"), ("filename", "data"), ("bitmap", "data")),
     "envmap": (("filename", "bitmap"),),
 }
 
@@ -162,7 +162,7 @@ def _check_bump_map(bsdf: dict, location: Location):
 
 
 def _check_bitmap(texture: dict, location: Location):
-    if "filename" not in texture and "bitmap" not in texture:
+    if not texture.keys() & {"filename", "bitmap", "data"}:
         location.raise_error("texture 'bitmap' needs a 'filename'")
 
 

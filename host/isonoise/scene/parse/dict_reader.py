@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from isonoise.scene.parse.elements import Element, Reference, SourceLocation, copy_objects
+from isonoise.scene.parse.foreign_values import is_trimesh, plain_value, trimesh_arrays, with_mesh
 
 _MAX_DEPTH = 64  # nested dicts; also ends the recursion of a dict that contains itself
 
@@ -41,6 +42,7 @@ class _DictReader:
         identifier = source.get("id", path)  # as in Mitsuba 3, the default id is the path of keys: 'floor.bsdf'
         if not isinstance(identifier, str):
             location.raise_error(f"'id' has to be a string, got {identifier!r}")
+        given, source = source, with_mesh(source, location) if type_ == "mesh" and "mesh" in source else source
         element = Element(location, "scene" if type_ == "scene" else "", type_, identifier)
         for name, value in source.items():
             if not isinstance(name, str):
@@ -50,7 +52,7 @@ class _DictReader:
             value_path = f"{path}.{name}" if path else name
             entry = (name, self.read_value(value, value_path, depth), SourceLocation(element=value_path))
             element.entries.append(entry)
-        self.elements[id(source)] = element
+        self.elements[id(given)] = element
         return element
 
     def read_value(self, value, path: str, depth: int):
@@ -72,12 +74,7 @@ class _DictReader:
             return self.read_element(value, path, depth + 1)
         if isinstance(value, (bool, int, float, str)) or value is None:
             return value
-        try:
-            array = np.asarray(getattr(value, "matrix", value))
-        except (TypeError, ValueError):
-            array = np.asarray(None)
-        if array.dtype.kind not in "biuf":
-            return value  # rejected when the parameter's type is checked
-        if array.ndim == 0:
-            return array.item()
-        return tuple(array.tolist()) if array.ndim == 1 else array
+        location = SourceLocation(element=path)
+        if is_trimesh(value):
+            return self.read_element({"type": "mesh", **trimesh_arrays(value)}, path, depth + 1)
+        return plain_value(value, location)

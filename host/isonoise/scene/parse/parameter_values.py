@@ -9,6 +9,7 @@ import numpy as np
 from isonoise.scene.image.image import Image
 from isonoise.scene.material.presets import refractive_indices
 from isonoise.scene.parse.elements import Location, did_you_mean
+from isonoise.scene.parse.foreign_values import array_image
 from isonoise.scene.spectra import colour_to_rgb
 from isonoise.scene.vocabulary.plugin import COLOURS, Parameter
 
@@ -89,6 +90,10 @@ def _to_grid(value):
     return value if is_array or isinstance(value, VolumeGrid) else None
 
 
+def _to_image(value) -> Image | None:
+    return array_image(value) if isinstance(value, np.ndarray) else value if isinstance(value, Image) else None
+
+
 def _to_attributes(value) -> dict[str, np.ndarray] | None:
     is_valid = isinstance(value, dict) and all(
         name.startswith(("vertex_", "face_")) and array.ndim == 2 and array.shape[1] in (1, 3)
@@ -109,7 +114,7 @@ _TYPES = {
     "positions": (_to_positions, "an array of n x 3 finite numbers"),
     "uvs": (_to_uvs, "an array of n x 2 finite numbers"),
     "attributes": (_to_attributes, "a dict of arrays n x 1 or n x 3 by names that begin with vertex_ or face_"),
-    "image": (lambda value: value if isinstance(value, Image) else None, "an Image"),
+    "image": (_to_image, "an array (height, width) or (height, width, channels) of numbers, or an Image"),
     "grid": (_to_grid, "an array of numbers with 3 or 4 dimensions, or a VolumeGrid"),
     "indices": (_to_indices, "an array of n x 3 whole numbers"),
     "texture": (lambda value: None, "a nested texture"),

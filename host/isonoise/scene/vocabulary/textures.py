@@ -14,6 +14,12 @@ TEXTURES = (
             P("filename", "file", meaning="PNG, JPEG, BMP, TGA, OpenEXR or Radiance HDR", unset="required"),
             P("bitmap", "image", meaning="an image in memory instead of a file, in dicts only", unset="by filename"),
             P(
+                "data",
+                "image",
+                meaning="an array (h, w, c): bytes are sRGB, floats linear; dicts only",
+                unset="by filename",
+            ),
+            P(
                 "filter_type",
                 "string",
                 "bilinear",

@@ -1,0 +1,210 @@
+"""Layers: closed forms, the same bits however a render is cut, merging, files, and the denoiser."""
+
+import numpy as np
+import pytest
+from small_scene import HEIGHT, PIXELS, WIDTH, assert_same_bits, lamp_over_floor
+
+from isonoise import Renderer
+from isonoise.errors import UserError
+from isonoise.film.exr import read_exr
+from isonoise.film.layers import ImageLayers, layer_channels
+from isonoise.film.output import ImageFiles
+from isonoise.layers import HOST, LAYERS, NO_HIT_DEPTH, check_layers, device_layers, first_components
+from isonoise.state.merge_layers import merge_layers
+
+DEVICE_LAYERS = tuple(name for name, layer in LAYERS.items() if layer.made != HOST)
+EYE, AHEAD = np.array([0.0, 2.4, 3.0]), np.array([0.0, -2.4, -3.0]) / np.hypot(2.4, 3.0)
+
+
+def render(spp: int = 8, layers=DEVICE_LAYERS, steps: int = 1, seed: int = 1, **options) -> Renderer:
+    renderer = Renderer(lamp_over_floor(), strategy="uniform", layers=layers, seed=seed, **options)
+    while renderer.samples < spp * PIXELS:
+        renderer.step(min(spp * PIXELS - renderer.samples, -(-spp * PIXELS // steps)))
+    return renderer
+
+
+@pytest.fixture
+def rendered(one_lane) -> Renderer:
+    return render()
+
+
+def test_the_layers_of_a_floor_have_their_closed_forms(rendered):
+    layers = rendered.layers()
+    assert list(layers) == list(DEVICE_LAYERS)
+    on_floor = (layers["coverage"] == 1) & (layers["position"][..., 2] == 0)
+    assert on_floor.sum() > 5
+    np.testing.assert_array_equal(layers["albedo"][on_floor], np.float32(0.6))
+    np.testing.assert_array_equal(layers["normal"][on_floor], np.tile((0, 0, 1), (on_floor.sum(), 1)))
+    np.testing.assert_array_equal(layers["normal"], layers["geometric_normal"])
+    position, hits = layers["position"], layers["coverage"] > 0
+    np.testing.assert_allclose(layers["depth"][hits], (position[hits] - EYE) @ AHEAD, rtol=1e-5)
+    uv = (position[on_floor][:, :2] + 1) / 2  # of the rectangle
+    np.testing.assert_allclose(layers["uv"][on_floor], uv, atol=1e-6)
+    for name in ("shape_index", "material_index"):
+        assert len(np.unique(layers[name][on_floor])) == 1
+
+
+def test_pixels_without_a_hit_have_the_values_of_the_background(rendered):
+    layers = rendered.layers()
+    missed = layers["coverage"] == 0
+    assert missed.any()
+    for name, value in {"depth": NO_HIT_DEPTH, "shape_index": -1, "material_index": -1}.items():
+        assert (layers[name][missed] == value).all()
+    for name in ("albedo", "normal", "position", "uv"):
+        assert not layers[name][missed].any()
+
+
+def test_the_coverage_is_a_number_of_samples(rendered):
+    share = rendered.layers()["coverage"] * 8
+    np.testing.assert_array_equal(share, np.rint(share))
+    assert ((share > 0) & (share < 8)).any()
+
+
+def test_layers_change_no_sample(one_lane):
+    with render(layers=()) as without, render() as with_layers:
+        assert without.layers() == {}
+        assert_same_bits(without.statistics(), with_layers.statistics())
+
+
+@pytest.mark.parametrize("options", [{"steps": 4}, {"pool_size": 16}])
+def test_waves_and_pool_change_no_bit_of_the_layers(rendered, options):
+    with render(**options) as other:
+        assert_same_layers(rendered, other)
+
+
+def test_a_continued_render_has_the_same_layers(rendered):
+    with (
+        render(spp=3) as first,
+        Renderer(lamp_over_floor(), strategy="uniform", layers=DEVICE_LAYERS, seed=1) as second,
+    ):
+        second.restore(first.state())
+        second.step(5 * PIXELS)
+        assert_same_layers(rendered, second)
+        second.reset()
+        assert not second.layers()["coverage"].any()
+
+
+def test_a_render_is_continued_only_with_the_same_layers(rendered):
+    with (
+        Renderer(lamp_over_floor(), strategy="uniform", layers=["depth"], seed=1) as other,
+        pytest.raises(UserError, match="layers"),
+    ):
+        other.restore(rendered.state())
+
+
+def test_merged_layers_are_means_over_the_samples_of_both(rendered):
+    with render(spp=24, seed=2) as other:
+        a, b = ((each.layers(), each.statistics()) for each in (rendered, other))
+        merged = merge_layers(*a, *b)
+    assert list(merged) == list(DEVICE_LAYERS)
+    for name in ("albedo", "normal", "coverage"):
+        np.testing.assert_allclose(merged[name], (a[0][name] + 3.0 * b[0][name]) / 4, rtol=1e-6, atol=1e-7)
+    hits = [layers["coverage"].astype(float) * weight for (layers, _), weight in ((a, 1), (b, 3))]
+    both = (hits[0] > 0) & (hits[1] > 0)
+    sums = [hits[k] * each[0]["depth"] for k, each in enumerate((a, b))]
+    np.testing.assert_allclose(merged["depth"][both], (sum(sums) / sum(hits).clip(1e-9))[both], rtol=1e-6)
+    np.testing.assert_array_equal(merged["shape_index"], a[0]["shape_index"])
+
+
+def test_variance_and_measure_come_from_statistics_and_strategy(one_lane):
+    with Renderer(lamp_over_floor(), strategy="relative-mean", layers=["measure", "variance"]) as renderer:
+        renderer.step()
+        layers, statistics = renderer.layers(), renderer.statistics()
+        assert list(layers) == ["variance", "measure"]
+        np.testing.assert_array_equal(layers["variance"], statistics.variance)
+        from isonoise.strategies.measures import image_floor, relative_mean
+
+        expected = relative_mean(statistics, image_floor(statistics.mean))
+        np.testing.assert_allclose(layers["measure"], expected, rtol=1e-6)
+
+
+def test_files_have_a_channel_for_each_component(rendered, tmp_path):
+    path, layers = tmp_path / "a.exr", rendered.layers()
+    ImageFiles([str(path)]).write(rendered.statistics(), 0.1, {}, layers=layers)
+    channels = read_exr(path)[0]
+    assert {"R", "G", "B", "samples", "error", "albedo.G", "normal.Z", "depth.Z", "uv.V", "coverage.X"} <= set(channels)
+    for name, image in layers.items():
+        planes = np.atleast_3d(image)
+        for k, channel in enumerate(LAYERS[name].channels):
+            np.testing.assert_array_equal(channels[f"{name}.{channel}"], planes[..., k])
+
+
+def test_a_preview_shows_the_denoised_image(rendered, tmp_path):
+    from PIL import Image
+
+    path, bright = tmp_path / "a.png", np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    layers = ImageLayers({"denoised": lambda: bright})
+    ImageFiles([str(path)]).write(rendered.statistics(), 0.1, {}, exposure=1.0, layers=layers)
+    assert (np.asarray(Image.open(path)) == 188).all()  # of 0.5 in sRGB
+    ImageFiles([str(path)]).write(rendered.statistics(), 0.1, {}, exposure=1.0, layers=layers, stops=-1.0)
+    assert (np.asarray(Image.open(path)) == 137).all()  # of 0.25
+
+
+def test_a_layer_is_made_once_and_when_it_is_read():
+    made = []
+    layers = ImageLayers({"depth": lambda: made.append(1) or np.zeros((2, 3), np.float32)})
+    assert list(layers) == ["depth"]
+    assert len(layers) == 1
+    assert made == []
+    assert layers["depth"] is layers["depth"]
+    assert made == [1]
+    assert list(layer_channels(layers)) == ["depth.Z"]
+
+
+def test_names_are_ordered_and_lead_to_what_the_device_makes():
+    assert check_layers(["depth", "albedo", "depth"]) == ("albedo", "depth")
+    assert device_layers(["denoised"]) == ("albedo", "normal")
+    assert device_layers(["depth"]) == ("depth", "coverage")
+    assert device_layers(["variance"]) == ()
+    numbers = first_components(DEVICE_LAYERS)
+    assert sorted(numbers.values()) == sorted([0, 3, 6, 9, 10, 13, 15, 0, 1])
+    assert set(first_components(()).values()) == {-1}
+
+
+@pytest.mark.parametrize(
+    ("layers", "strategy", "message"),
+    [
+        (["dpeth"], "uniform", "did you mean 'depth'"),
+        ("depth", "uniform", "must be a list of names"),
+        (["measure"], "uniform", "uniform has no measure"),
+    ],
+)
+def test_wrong_layers_are_errors(layers, strategy, message):
+    with pytest.raises(UserError, match=message):
+        Renderer(lamp_over_floor(), strategy=strategy, layers=layers)
+
+
+def test_a_missing_denoiser_is_an_error(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyoidn", None)
+    with pytest.raises(UserError, match=r"isonoise\[denoise\]"):
+        Renderer(lamp_over_floor(), layers=["denoised"])
+
+
+def test_the_denoiser_removes_noise_and_keeps_what_the_guides_show():
+    pytest.importorskip("pyoidn")
+    from isonoise.film.denoise import denoise
+
+    rng = np.random.default_rng(1)
+    albedo = np.where(np.arange(64)[:, None] < 32, 0.2, 0.8)[..., None] * np.ones((64, 64, 3))
+    normal = np.zeros((64, 64, 3))
+    normal[..., 2] = 1
+    noisy = albedo * 40 * rng.exponential(size=(64, 64, 1))
+    before, after = (np.abs(image - albedo * 40).mean() for image in (noisy, denoise(noisy, albedo, normal)))
+    assert after < 0.25 * before
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("device", ["0/2"])
+def test_several_devices_make_the_same_layers(device):
+    with (
+        render(layers=(*DEVICE_LAYERS, "variance")) as one,
+        render(layers=(*DEVICE_LAYERS, "variance"), device=device) as several,
+    ):
+        assert_same_layers(one, several)
+
+
+def assert_same_layers(a: Renderer, b: Renderer) -> None:
+    first, second = a.layers(), b.layers()
+    assert list(first) == list(second)
+    for name, image in first.items():
+        assert image.tobytes() == second[name].tobytes(), name
