@@ -4,7 +4,10 @@ import html
 import math
 import re
 import sys
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class ProgressBar:
@@ -20,10 +23,10 @@ class ProgressBar:
 
     is_shown: ClassVar[bool] = True
 
-    def __init__(self, description: str = "first samples"):
+    def __init__(self, description: str = "first samples") -> None:
         self._description = description
 
-    def __enter__(self):
+    def __enter__(self) -> "Self":
         self._progress = None
         if self.is_shown and sys.stderr.isatty():
             from rich.console import Console
@@ -42,7 +45,7 @@ class ProgressBar:
         self.show(0, None, self._description)
         return self
 
-    def __exit__(self, *exception) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._progress:
             self._progress.stop()
         if self._notebook:
@@ -76,16 +79,16 @@ def in_notebook() -> bool:
 class NotebookOutput:
     """One output of a notebook's cell, whose content can be replaced."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         from IPython.display import DisplayHandle
 
-        self._handle = DisplayHandle()
+        self._handle = DisplayHandle()  # type: ignore[no-untyped-call]
         self._is_shown = False
 
     def show(self, content: str, text: str) -> None:
         """Show HTML in place of what was shown before; `text` is for frontends without HTML."""
         display = self._handle.update if self._is_shown else self._handle.display
-        display({"text/html": content, "text/plain": text}, raw=True)
+        display({"text/html": content, "text/plain": text}, raw=True)  # type: ignore[no-untyped-call]
         self._is_shown = True
 
     def clear(self) -> None:

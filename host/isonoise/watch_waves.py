@@ -75,7 +75,7 @@ def _describe(renderer: Renderer, wave: WaveRecord) -> str:
 class _Picture:
     """The output of a notebook's cell with the pictures of the last wave; nothing elsewhere."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._output = NotebookOutput() if in_notebook() else None
         self._due_at = 0.0
         self._waiting: WaveRecord | None = None  # not shown yet
@@ -96,6 +96,7 @@ class _Picture:
             self._draw(wave)
 
     def _draw(self, wave: WaveRecord) -> None:
+        assert self._output is not None  # otherwise no wave is waiting
         start = time.perf_counter()
         try:
             self._output.show(wave._repr_html_(), repr(wave))

@@ -99,7 +99,8 @@ def _position(values: np.ndarray, scale: ColourScale) -> np.ndarray:
     low, high = scale.low, scale.high
     if scale.is_log:
         values, low, high = np.log(np.maximum(values, np.float32(low))), np.log(low), np.log(high)
-    return np.clip((values - low) / (high - low), 0, 1) if high > low else np.zeros_like(values)
+    position: np.ndarray = (values - low) / (high - low) if high > low else np.zeros_like(values)
+    return position.clip(0, 1)
 
 
 def _colour_table(colours: str) -> np.ndarray:
@@ -107,4 +108,5 @@ def _colour_table(colours: str) -> np.ndarray:
     stops = np.array([list(bytes.fromhex(colour)) for colour in colours.split()], float)
     at = np.linspace(0, len(stops) - 1, 256)
     channels = [np.interp(at, np.arange(len(stops)), stops[:, channel]) for channel in range(3)]
-    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+    table: np.ndarray = np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+    return table

@@ -5,7 +5,7 @@ saved notebook needs no other file.
 """
 
 import html
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from isonoise.notebook.pictures import (
 from isonoise.progress import format_number, format_percent
 from isonoise.statistics import Statistics
 
+FormatValue = Callable[[float], str]
+"""Makes the text of a value."""
 ROW_STYLE = "display:flex;flex-wrap:wrap;gap:12px;align-items:flex-start;margin:6px 0"
 FIGURE_STYLE = "margin:0;flex:0 1 {width}px;min-width:160px"
 CAPTION_STYLE = "font-size:85%;margin-top:2px"
@@ -71,7 +73,7 @@ def image_figure(rgb: np.ndarray) -> str:
     return _figure(image_picture(rgb), "image", f"image, {width}x{height}{reduced}", width)
 
 
-def map_figure(title: str, values: np.ndarray, colours: str, format_value) -> str:
+def map_figure(title: str, values: np.ndarray, colours: str, format_value: FormatValue) -> str:
     """A map, with its colours and their values below it."""
     picture, scale = map_picture(values, colours)
     return _figure(picture, title, _legend(title, scale, colours, format_value), values.shape[1], is_html=True)
@@ -88,7 +90,7 @@ def _figure(picture: str, alt: str, caption: str, pixels: int, is_html: bool = F
     )
 
 
-def _legend(title: str, scale: ColourScale, colours: str, format_value) -> str:
+def _legend(title: str, scale: ColourScale, colours: str, format_value: FormatValue) -> str:
     """Title, and the values at both ends of a bar of colours; a single value if there is only one."""
     low, high = (html.escape(format_value(value)) for value in (scale.low, scale.high))
     if scale.low == scale.high and not (scale.has_lower or scale.has_higher):

@@ -62,7 +62,7 @@ class AdaptiveBase(Strategy):
     clip: float = ranged(0.999, 0.5, 1)
     cap: float = ranged(4, 2)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         self.rule = find_rule(self.rule)
         check_integer("cap", self.cap)
@@ -72,6 +72,7 @@ class AdaptiveBase(Strategy):
 
     def allocate(self, statistics: Statistics, budget: int | None) -> np.ndarray:
         assert budget is not None  # every wave of the schedule has a size
+        assert not isinstance(self.rule, str)  # it is the function since it was checked
         variance = self.variance(statistics, measures.image_floor(statistics.mean))
         limits = {"clip": self.clip, "cap": self.cap, "exponent": self.exponent}
         return allocate_by_rule(self.rule, statistics, variance, budget, limits)
@@ -123,7 +124,7 @@ class Adaptive(AdaptiveBase):
 
     measure: Measure | str
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         self.measure = find_measure(self.measure)
 
@@ -132,6 +133,7 @@ class Adaptive(AdaptiveBase):
         return getattr(self.measure, "needs", BASIC_NEEDS)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
+        assert not isinstance(self.measure, str)  # it is the function since it was checked
         return measures.variance_per_sample(statistics, compute_measure(self.measure, statistics, floor))
 
 
@@ -175,7 +177,7 @@ class RelativeMedian(AdaptiveBase):
     batch: int = ranged(4, 1, 1024)
     literal: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         check_odd("chunk", self.chunk)
 
@@ -187,8 +189,9 @@ class RelativeMedian(AdaptiveBase):
         measure = measures.relative_median(statistics, floor, self.kappa)
         if not self.literal:
             return measures.variance_per_sample(statistics, measure)
-        measure = measure * measures.standard_error(statistics)  # falls like 1 / n, as a squared error does
-        return np.multiply(measure, statistics.count, out=measure, where=np.isfinite(measure))
+        square: np.ndarray = measure * measures.standard_error(statistics)  # falls like 1 / n, as a squared error does
+        np.multiply(square, statistics.count, out=square, where=np.isfinite(square))
+        return square
 
 
 class Absolute(AdaptiveBase):
@@ -265,7 +268,7 @@ class Pooled(AdaptiveBase):
     growth: float = ranged(0.2, 0.01, 4)
     clip: float = ranged(1.0, 0.5, 1)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         check_odd("window", self.window)
 
@@ -275,6 +278,7 @@ class Pooled(AdaptiveBase):
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
         if self.unbiased:
+            assert statistics.uniform is not None  # it is needed
             uniform = measures.with_neighbours(statistics.uniform, self.window)
             return measures.neighbour_variance(uniform, measures.image_floor(uniform.mean))
         if statistics.neighbour_variance is None:  # they are not from a renderer

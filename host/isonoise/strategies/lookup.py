@@ -8,9 +8,13 @@ import importlib
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ RULES = Kind(
 )
 
 
-def entry_points(group: str) -> Iterable:
+def entry_points(group: str) -> "Iterable[EntryPoint]":
     """Entry points of installed packages. Slow to import: as much time as all other modules of the package."""
     from importlib.metadata import entry_points
 

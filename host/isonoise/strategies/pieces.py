@@ -80,7 +80,9 @@ def allocate_by_rule(
     return allocation
 
 
-def _find(kind: Kind, piece: str | Callable, arguments: tuple[str, ...], options: tuple[str, ...]) -> Callable:
+def _find(
+    kind: Kind, piece: str | Measure | AllocationRule, arguments: tuple[str, ...], options: tuple[str, ...]
+) -> Callable[..., np.ndarray]:
     function = kind.find(piece) if isinstance(piece, str) else piece
     name = piece if isinstance(piece, str) else kind.name_of(piece)
     if not callable(function) or inspect.isclass(function):
@@ -96,12 +98,12 @@ def _find(kind: Kind, piece: str | Callable, arguments: tuple[str, ...], options
     return function
 
 
-def _accepted(function: Callable, options: Mapping[str, object]) -> dict[str, object]:
+def _accepted(function: Callable[..., np.ndarray], options: Mapping[str, object]) -> dict[str, object]:
     """The options that the function has parameters for."""
     return {name: value for name, value in options.items() if name in _parameters(function)}
 
 
-def _parameters(function: Callable) -> Mapping[str, inspect.Parameter]:
+def _parameters(function: Callable[..., np.ndarray]) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(function).parameters
 
 

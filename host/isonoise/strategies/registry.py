@@ -111,7 +111,7 @@ def _value(head: str, key: str, text: str, target_type: object) -> object:
             return {"true": True, "false": False}[text.lower()]
         return target_type(text) if target_type in (int, float) else text
     except (ValueError, KeyError):
-        expected = {bool: "true or false", int: "a whole number", float: "a number"}[target_type]
+        expected = "true or false" if target_type is bool else "a whole number" if target_type is int else "a number"
         raise UserError(f"strategy '{head}': {key}={text} should be {expected}") from None
 
 
