@@ -36,7 +36,10 @@ def test_commands_have_these_options(block):
 @of_language("python")
 def test_imported_names_exist(block):
     for node in ast.walk(ast.parse(block.body)):
-        if isinstance(node, ast.ImportFrom) and node.module.startswith("isonoise"):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                importlib.import_module(alias.name)
+        elif isinstance(node, ast.ImportFrom) and node.module.startswith("isonoise"):
             module = importlib.import_module(node.module)
             assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "isonoise":
