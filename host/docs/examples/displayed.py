@@ -1,9 +1,9 @@
 import numpy as np
 
-from isonoise.strategies.measures import standard_error
+import isonoise
 
 
 def displayed_error(statistics, floor):
     """Standard error of the displayed value L^(1/2.2), by its slope at the mean."""
     slope = np.maximum(statistics.mean, floor) ** (1 / 2.2 - 1) / 2.2
-    return standard_error(statistics) * slope
+    return isonoise.measures.standard_error(statistics) * slope

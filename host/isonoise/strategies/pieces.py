@@ -75,7 +75,7 @@ def allocate_by_rule(
         raise UserError(
             f"allocation rule '{name}' returned {_describe(allocation)}; it has to return the samples "
             f"of every pixel: uint32, shape {statistics.shape} (height, width), sum {budget}; "
-            "isonoise.strategies.allocation.distribute_in_proportion makes such an array of any weights"
+            "isonoise.allocation.distribute_in_proportion makes such an array of any weights"
         )
     return allocation
 
