@@ -102,7 +102,7 @@ def test_params_lists_what_can_be_read():
     assert len(params) == len(params.parameters) > 30
     for parameter in params.parameters:
         np.testing.assert_equal(scene[parameter.path], parameter.value)
-        if parameter.path != "sensor.film.size":
+        if parameter.path != "sensor.film.crop":  # sets what is not set
             scene[parameter.path] = parameter.value
     assert scene.compile().hash == load("cornell").compile().hash
     assert params["lamp.emitter.radiance"] == (21, 18.5, 15.5)
@@ -137,7 +137,7 @@ def test_errors_of_paths(path, message):
     ("path", "value", "message"),
     [
         ("film.size", (0, 3), "sensor.film.width: 'width' has to be in [1, 65536], got 0"),
-        ("film.size", "8", "a size is (width, height) in pixels, got '8'"),
+        ("film.size", "8", "it is a tuple of whole numbers, width and height, pixels; got '8'"),
         ("film.width", 2.5, "'width' has to be a whole number, got 2.5"),
         ("lamp.radiance", -1, "lamp.emitter.radiance: a radiance cannot be negative"),
         ("plaster.reflectance", (0.5, 0.5, 2), "a reflectance is at most 1"),

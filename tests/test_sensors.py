@@ -45,6 +45,13 @@ def scene_with(sensor: dict, film: dict) -> dict:
     }
 
 
+def film_pixels(scene) -> np.ndarray:
+    """The pixels of the film that are those of the image, (pixels,) uint32."""
+    (width, height), (left, top), size = scene.film_window
+    in_film = np.arange(width * height, dtype=np.uint32).reshape(height, width)
+    return in_film[top : top + size[1], left : left + size[0]].ravel()
+
+
 def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
     """Returns origins with lengths, and directions, both (pixels, SAMPLES, 4), as the kernel writes them."""
     scene = compile_scene(load_description(description))
@@ -64,7 +71,7 @@ def generate_rays(description: dict) -> tuple[np.ndarray, np.ndarray]:
         seed=np.array(SEED, np.uint32),
         camera=device.buffer(scene.camera, "camera"),
         inverse_cdf=None,
-        sample_pixel=device.buffer(np.repeat(np.arange(pixels, dtype=np.uint32), SAMPLES), "list"),
+        sample_pixel=device.buffer(np.repeat(film_pixels(scene), SAMPLES), "list"),
         sample_index=device.buffer(np.tile(np.arange(SAMPLES, dtype=np.uint32), pixels), "indices"),
         samples=device.buffer(12 * n, "samples"),
     )
@@ -85,8 +92,9 @@ def test_rays_equal_mitsubas(name, film):
     theirs = mitsuba.load_dict(as_mitsuba(mitsuba, description["sensor"]))
     origins, directions = generate_rays(description)
     width, height = film.get("crop_width", film["width"]), film.get("crop_height", film["height"])
+    in_film = film_pixels(compile_scene(load_description(description))).tolist()
     for pixel, index in np.ndindex(len(origins), SAMPLES):
-        u = np.array([word >> 8 for word in philox_4x32((pixel, index, BLOCK_CAMERA, 0), SEED)]) / 2**24
+        u = np.array([word >> 8 for word in philox_4x32((in_film[pixel], index, BLOCK_CAMERA, 0), SEED)]) / 2**24
         at = ((pixel % width + u[0]) / width, (pixel // width + u[1]) / height)
         ray, _ = theirs.sample_ray(0.0, 0.0, at, u[2:])
         np.testing.assert_allclose(directions[pixel, index, :3], np.array(ray.d), atol=2e-6)

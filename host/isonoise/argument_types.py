@@ -121,6 +121,16 @@ def names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
+def crop_window(text: str) -> tuple[int, int, int, int]:
+    match = re.fullmatch(r"([0-9]{1,5}),([0-9]{1,5}),([0-9]{1,5})[xX]([0-9]{1,5})", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a window: write LEFT,TOP,WIDTHxHEIGHT, as in 100,50,64x48")
+    left, top, width, height = map(int, match.groups())
+    if width < 1 or height < 1:
+        raise argparse.ArgumentTypeError(f"{text} has no pixels: width and height must be 1 or more")
+    return left, top, width, height
+
+
 def angle_of_view(text: str) -> float:
     value = finite_number(text)
     if not 0 < value < 180:

@@ -30,9 +30,8 @@ __kernel void generate(
         const uint pixel = sample_pixel[sample], index = sample_index[sample];
 
         const Vec4 u = random_block(seed, pixel, index, BLOCK_CAMERA);
-        const uint width = camera->crop_size[0], row = pixel / width;
-        const Vec2 corner =
-            vec2((float)(camera->crop_offset[0] + pixel - row * width), (float)(camera->crop_offset[1] + row));
+        const uint width = camera->film_size[0], row = pixel / width;
+        const Vec2 corner = vec2((float)(pixel - row * width), (float)row);
         const float radius = camera->filter_radius;
         const Vec2 offset = vec2(sample_filter(u.x, radius, inverse_cdf, inverse_cdf_cells),
                                  sample_filter(u.y, radius, inverse_cdf, inverse_cdf_cells));

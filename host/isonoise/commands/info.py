@@ -75,7 +75,7 @@ def _print_scene(options: argparse.Namespace) -> None:
 
     parameters, view = dict(options.parameters), view_of(options)
     loaded = load_scene(options.source, parameters, options.allow_outside, view, options.size)
-    scene = compile_scene(loaded.description, options.size)
+    scene = compile_scene(loaded.description)
     width = shutil.get_terminal_size((120, 24)).columns
     contents = describe_scene(scene)
     if loaded.model_bounds is not None:

@@ -11,6 +11,7 @@ from isonoise.commands.render_result import denoiser, denoiser_header
 from isonoise.device.opencl import Device
 from isonoise.error.stated_error import stated_error
 from isonoise.errors import UserError
+from isonoise.film.exr import film_windows
 from isonoise.film.files import check_writable
 from isonoise.film.layers import make_layers
 from isonoise.film.output import ImageFiles
@@ -39,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
         "isonoise.samples": statistics.samples,
         "isonoise.rejected": int(statistics.rejected.sum(dtype=int)),
         "isonoise.floor": floor,
+        **film_windows(*map(tuple, merged.settings["film_window"])),
     }
     layers = make_layers(tuple(merged.settings["layers"]), state_layers(merged), statistics, strategy=None)
     views = {"exposure": merged.settings["exposure"], "layers": layers, "stops": options.exposure}

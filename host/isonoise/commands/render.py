@@ -12,7 +12,7 @@ from isonoise.commands.render_result import image_header, print_result, print_se
 from isonoise.commands.render_viewers import Viewers
 from isonoise.commands.shared_options import cluster_of
 from isonoise.errors import UserError
-from isonoise.film.exr import read_reference
+from isonoise.film.exr import film_windows, read_reference
 from isonoise.film.fallback import WrittenFile, write_elsewhere
 from isonoise.film.files import check_no_input
 from isonoise.film.log import LogRow, LogWriter, write_log
@@ -122,6 +122,7 @@ class _Render:
 
     def _write_images(self, outcome: Outcome, has_ended: bool) -> list[WrittenFile]:
         header = image_header(result_fields(self._options, self._renderer, self._stops, outcome))
+        header |= film_windows(*self._renderer.scene.film_window)
         may_be_partial = outcome.reason not in ("unfinished", "interrupted", "failed")
         exposure = self._renderer.scene.exposure
         views = {"exposure": exposure, "layers": outcome.layers, "stops": self._options.exposure}

@@ -40,7 +40,20 @@ def add_size(parser) -> None:
 def add_view(parser) -> None:
     """The fields of `isonoise.View`."""
     view = parser.add_argument_group("what to see, in place of the scene's own camera and environment")
-    view.add_argument("--camera", metavar="NAME|N", help="a camera of the file, by its name or its number from 0")
+    view.add_argument(
+        "--sensor",
+        "--camera",
+        dest="camera",
+        metavar="NAME|N",
+        help="a camera of the file, by its name or its number from 0",
+    )
+    view.add_argument(
+        "--crop",
+        metavar="X,Y,WxH",
+        type=argument_types.crop_window,
+        help="only this window of the image, W x H pixels from column X and row Y on; its pixels are those of the "
+        "image",
+    )
     view.add_argument(
         "--fov", metavar="DEG", type=argument_types.angle_of_view, help="horizontal angle of view, degrees"
     )

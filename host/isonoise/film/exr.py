@@ -13,6 +13,7 @@ from isonoise.input_files import open_regular_file
 
 _MAX_PIXELS_PER_BYTE = 1 << 14
 """Of a compressed file; a header that claims more is damaged."""
+_WINDOWS = ("dataWindow", "displayWindow")
 _MAGIC = b"\x76\x2f\x31\x01"
 
 
@@ -29,7 +30,7 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
         OpenEXR readers convert to float on request), float16 as HALF, all others as 32-bit FLOAT.
     header : mapping
         Render settings. Values are stored as strings, numbers in full precision, because OpenEXR's own int and float
-        attributes have 32 bits: a sample count does not fit.
+        attributes have 32 bits: a sample count does not fit. `film_windows` has the windows of a cropped image.
 
     Raises
     ------
@@ -39,7 +40,7 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
     import OpenEXR
 
     channels = image_channels(layers)
-    attributes = {key: _encodable(str(value)) for key, value in header.items()}
+    attributes = {key: value if key in _WINDOWS else _encodable(str(value)) for key, value in header.items()}
     attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 
     def write(temporary: Path) -> None:
@@ -50,6 +51,23 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
             raise OSError(reason) from error
 
     write_atomically(path, write)
+
+
+def film_windows(
+    film: tuple[int, int], offset: tuple[int, int], size: tuple[int, int]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Attributes of an image that is a window of the film, as Mitsuba 3 writes them; none if it is the whole film.
+
+    Parameters
+    ----------
+    film, size : (width, height) of the film and of the image
+    offset : (x, y), the pixel of the film where the image begins
+    """
+    if (film, offset) == (size, (0, 0)):
+        return {}
+    low = np.array(offset, np.int32)
+    whole = (np.zeros(2, np.int32), np.array(film, np.int32) - 1)
+    return {"dataWindow": (low, low + np.array(size, np.int32) - 1), "displayWindow": whole}
 
 
 def image_channels(layers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

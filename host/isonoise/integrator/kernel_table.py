@@ -210,7 +210,7 @@ _COUNTS = "corner_count triangle_count analytic_count"
 KERNELS = {
     "list_samples": _kernel(
         "list_samples.cl",
-        "first_pixel pixels slice_samples",
+        "first_pixel pixels slice_samples crop_width film_width film_offset",
         "pixel_offset pixel_list count rejected",
         "sample_pixel sample_index",
     ),

@@ -98,6 +98,13 @@ def _memory_plan(device, scene, scene_sizes, used, needs, pool_size, is_adaptive
     )
 
 
+def _window_arguments(scene: CompiledScene) -> dict[str, np.uint32]:
+    """Where the pixels of the image are in the film, of which the image may be a window."""
+    (film_width, _), (left, top), (width, _) = scene.film_window
+    offset = top * film_width + left
+    return {"film_width": np.uint32(film_width), "film_offset": np.uint32(offset), "crop_width": np.uint32(width)}
+
+
 class Wavefront:
     """A scene on a device, ready to trace.
 
@@ -165,7 +172,10 @@ class Wavefront:
             on_compile=on_compile,
         )
         self._arguments = self._stages.arguments
-        self._arguments.update(dict.fromkeys(("pixel_list", "layer_sums", "layer_indices")))
+        self._arguments |= {
+            **dict.fromkeys(("pixel_list", "layer_sums", "layer_indices")),
+            **_window_arguments(scene),
+        }
         if has_image:
             shape = (scene.height, scene.width)
             self.accumulator = Accumulator(self._stages, shape, needs)

@@ -28,8 +28,7 @@ def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarr
     """
     film = sensor.get("film", _DEFAULT_FILM)
     if size:
-        if min(size) < 1 or size[0] * size[1] > MAX_PIXELS:
-            raise SceneError(f"size = {size} is out of range: an image has 1 to {MAX_PIXELS:,} pixels")
+        check_size(size)
         film = {"width": size[0], "height": size[1], "rfilter": film.get("rfilter", _DEFAULT_FILTER)}
     width, height, offset, crop = _crop_window(film)
     rfilter = film.get("rfilter", _DEFAULT_FILTER)
@@ -50,6 +49,12 @@ def compile_camera(sensor: dict, size: tuple[int, int] | None) -> tuple[np.ndarr
     radius = {"box": 0.5, "tent": rfilter.get("radius"), "gaussian": _GAUSSIAN_RADIUS * stddev}
     camera["filter_radius"] = radius[rfilter["type"]]
     return camera, rfilter["type"]
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Raise SceneError if an image cannot have this size."""
+    if min(size) < 1 or size[0] * size[1] > MAX_PIXELS:
+        raise SceneError(f"size = {size} is out of range: an image has 1 to {MAX_PIXELS:,} pixels")
 
 
 def warn_if_clipped(camera: np.ndarray, bounds: np.ndarray) -> None:

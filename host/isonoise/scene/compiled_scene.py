@@ -59,6 +59,11 @@ class CompiledScene:
     hash: str  # hex digest of the arrays and settings: changes whenever the image may change
 
     @property
+    def film_window(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
+        """(width, height) of the film, the pixel (x, y) of it where the image begins, (width, height) of the image."""
+        return tuple(tuple(self.camera[name][0].tolist()) for name in ("film_size", "crop_offset", "crop_size"))
+
+    @property
     def width(self) -> int:
         """Of the image, in pixels."""
         return int(self.camera["crop_size"][0, 0])

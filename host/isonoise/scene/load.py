@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from isonoise.errors import SceneError
 from isonoise.scene.builtin import find_scene
+from isonoise.scene.camera import check_size
 from isonoise.scene.files import scene_folder
 from isonoise.scene.parse.dict_reader import read_dict
 from isonoise.scene.parse.elements import Element
@@ -74,6 +75,8 @@ def load_scene(
     size: tuple[int, int] | None = None,
 ) -> LoadedScene:
     """A scene, with the report of what it has lost. The parameters are those of `load`; there are no warnings."""
+    if size is not None:
+        check_size(size)
     parameters, view = {name: str(value) for name, value in (parameters or {}).items()}, view or NO_VIEW
     if isinstance(source, Mapping):
         if parameters:
@@ -115,6 +118,8 @@ def _import_scene(
 
     staged, cameras = stage(scene, str(path), view, size, format_.up), tuple(sensors_of(scene))
     loaded = _normalise_dict(staged.scene, report)
+    if view.crop is not None:
+        loaded = replace(loaded, description=apply_view(loaded.description, View(crop=view.crop), None))
     return replace(loaded, cameras=cameras, format=format_.title, added=tuple(staged.added), model_bounds=staged.bounds)
 
 

@@ -37,7 +37,7 @@ def load_compiled(
         return source.compile(size, max_depth, sampler, view, keep_uvs)
     if not isinstance(source, CompiledScene):
         description = load_description(source, parameters, allow_outside, view, size)
-        return compile_scene(description, size, max_depth, sampler, keep_uvs)
+        return compile_scene(description, None, max_depth, sampler, keep_uvs)  # `load_description` has set the size
     if parameters or view or size or max_depth is not None:
         raise SceneError("a compiled scene has its size, depth, view and parameters already: give none")
     return replace(source, sampler=sampler or source.sampler)

@@ -9,7 +9,7 @@ import numpy as np
 
 from isonoise.scene.parse.elements import is_object
 from isonoise.scene.parse.plugin_tables import parameter_info
-from isonoise.scene.paths import Place, is_film_size
+from isonoise.scene.paths import FILM_VALUES, Place, film_value
 from isonoise.scene.vocabulary import find_plugin
 from isonoise.tables import LEFT, Column, Table, columns, html_table, text_table
 
@@ -94,9 +94,9 @@ def count_objects(description: dict) -> Table:
 
 
 def _describe(place: Place) -> SceneParameter:
-    if is_film_size(place.owner, place.key):
-        size = (place.owner["width"], place.owner["height"])
-        return SceneParameter(place.path, "whole numbers", (2,), size, "width and height, pixels")
+    if place.is_film_value:
+        numbers = film_value(place.owner, place.key)
+        return SceneParameter(place.path, "whole numbers", (len(numbers),), numbers, FILM_VALUES[place.key][1])
     value = plain_value(place.owner[place.key])
     parameter = find_plugin(place.owner["type"]).parameter(place.key)
     info = parameter_info(parameter)

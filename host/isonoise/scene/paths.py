@@ -7,14 +7,20 @@ place of its name, as long as one parameter fits: 'film.width', 'lamp.radiance'.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from isonoise.errors import SceneError
 from isonoise.scene.parse.elements import Element, closest_name, is_object
 from isonoise.scene.view import sensors_of
 from isonoise.scene.vocabulary import find_plugin
 from isonoise.scene.vocabulary.plugin import SUPPORTED
 
-SIZE = "size"
-"""Parameter of a film that stands for its width and height."""
+_CROP = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+FILM_VALUES = {
+    "size": (("width", "height"), "width and height, pixels"),
+    "crop": (_CROP, "crop window: left, top, width and height, pixels"),
+}
+"""Values of a film that stand for several parameters, and their meaning. A new size removes the crop window."""
 _MAX_LISTED = 6
 
 
@@ -45,11 +51,32 @@ class Place:
 
     @property
     def has_value(self) -> bool:
-        return self.key in self.owner or is_film_size(self.owner, self.key)
+        return self.key in self.owner or self.is_film_value
+
+    @property
+    def is_film_value(self) -> bool:
+        """Whether it is one of FILM_VALUES."""
+        return _is_film_value(self.owner, self.key)
 
 
-def is_film_size(owner: dict, key: str) -> bool:
-    return key == SIZE and find_plugin(owner["type"]).kind == "film"
+def _is_film_value(owner: dict, key: str) -> bool:
+    return key in FILM_VALUES and find_plugin(owner["type"]).kind == "film"
+
+
+def film_value(film: dict, key: str) -> tuple[int, ...]:
+    """One of FILM_VALUES."""
+    defaults = {"crop_offset_x": 0, "crop_offset_y": 0, "crop_width": film["width"], "crop_height": film["height"]}
+    return tuple((defaults | film)[name] for name in FILM_VALUES[key][0])
+
+
+def film_parameters(place: Place, value: object) -> dict[str, object]:
+    """The parameters that one of FILM_VALUES sets; None for those that it removes. Raises SceneError."""
+    names, meaning = FILM_VALUES[place.key]
+    numbers = np.asarray(value)
+    if numbers.shape != (len(names),) or numbers.dtype.kind not in "iu":
+        raise SceneError(f"{place.path}: it is a tuple of whole numbers, {meaning}; got {value!r}")
+    removed = dict.fromkeys(_CROP) if place.key == "size" else {}
+    return removed | dict(zip(names, numbers.tolist(), strict=True))
 
 
 def find_place(inside: Place, elements: Mapping[str, Element], path: str) -> Place:
@@ -86,7 +113,7 @@ def parameter_places(description: dict) -> Iterator[Place]:
         part = chain[-1]
         visited.add(id(part))
         if find_plugin(part["type"]).kind == "film":
-            yield Place(chain, (*names, SIZE))
+            yield from (Place(chain, (*names, key)) for key in FILM_VALUES)
         for key, value in part.items():
             if not is_object(value) and key != "type":
                 yield Place(chain, (*names, key))
@@ -129,7 +156,7 @@ def _accepts(owner: dict, key: str) -> bool:
     parameter = plugin.parameter(key)
     if parameter is not None:
         return parameter.status == SUPPORTED
-    return is_film_size(owner, key) or any(key in (child.names or (child.kind,)) for child in plugin.children)
+    return _is_film_value(owner, key) or any(key in (child.names or (child.kind,)) for child in plugin.children)
 
 
 def _objects(chain: tuple[dict, ...], names: tuple[str, ...]) -> Iterator[tuple[tuple[dict, ...], tuple[str, ...]]]:
@@ -183,7 +210,7 @@ def _unknown(start: Place, rest: Sequence[str], path: str) -> str:
 def _names_in(owner: dict) -> list[str]:
     """The parameters that an object may have, and the objects in it."""
     names = [parameter.name for parameter in find_plugin(owner["type"]).parameters if parameter.status == SUPPORTED]
-    names += [SIZE] if is_film_size(owner, SIZE) else []
+    names += [key for key in FILM_VALUES if _is_film_value(owner, key)]
     return names + [name for name, part in owner.items() if is_object(part) and name not in names]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.scene.camera import check_size
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import note_files, record_files
@@ -15,8 +16,8 @@ from isonoise.scene.load import LoadedScene, load_scene
 from isonoise.scene.parameter_list import ParameterList, count_objects, plain_value
 from isonoise.scene.parse.edit import SceneEditor
 from isonoise.scene.parse.elements import Element, copy_objects, is_object
-from isonoise.scene.paths import Place, ScenePathError, find_place, is_film_size, parameter_places
-from isonoise.scene.view import NO_VIEW, View, apply_view, resized
+from isonoise.scene.paths import Place, ScenePathError, film_parameters, film_value, find_place, parameter_places
+from isonoise.scene.view import NO_VIEW, View, apply_view
 from isonoise.scene.vocabulary import find_plugin
 from isonoise.scene.vocabulary.plugin import COLOURS
 from isonoise.tables import html_table
@@ -71,9 +72,7 @@ def load(
             raise SceneError(
                 "parameters belong to XML files; set values of a Scene by path: scene['film.size'] = 64, 64"
             )
-        copied = source.copy()
-        copied._editor.description = apply_view(copied.description, view or NO_VIEW, size)
-        return copied
+        return source.copy(view, size)
     with record_files() as files:
         loaded = load_scene(source, parameters, allow_outside, view, size)
     note_files(files)
@@ -130,8 +129,8 @@ class SceneObject(MutableMapping):
         place = self._find(path)
         if not place.has_value:
             raise ScenePathError(_not_set(place))
-        if is_film_size(place.owner, place.key):
-            return place.owner["width"], place.owner["height"]
+        if place.is_film_value:
+            return film_value(place.owner, place.key)
         value = place.owner[place.key]
         if is_object(value):
             return SceneObject(self._scene, (*place.chain, value), place.names)
@@ -234,14 +233,23 @@ class Scene(SceneObject):
         """The scene as plain dicts, to read: changes of it are not noticed."""
         return self._editor.description
 
-    def copy(self) -> "Scene":
-        """A scene with the same values, to be changed on its own. Arrays, meshes and images are shared."""
+    def copy(self, view: View | None = None, size: tuple[int, int] | None = None) -> "Scene":
+        """A scene with the same values, to be changed on its own. Arrays, meshes and images are shared.
+
+        Parameters
+        ----------
+        view : View or None
+            Camera and environment in place of the scene's own.
+        size : (width, height) or None
+            Image size in pixels, in place of the scene's.
+        """
         copies: dict[int, dict] = {}
         description = copy_objects(self.description, copies)
         elements = {}
         for name, element in self._editor.elements.items():
             part = element.normalised and copy_objects(element.normalised, copies)
             elements[name] = Element(element.location, element.kind, element.type, element.id, normalised=part)
+        description = apply_view(description, view or NO_VIEW, size)
         loaded = LoadedScene(description, self.report, elements, self.cameras, self.format)
         return Scene(loaded, self.name, self.files)
 
@@ -273,9 +281,11 @@ class Scene(SceneObject):
         SceneError
             If a mesh or an image cannot be read, or numbers exceed the range of the device.
         """
+        if size is not None:
+            check_size(size)
         with record_files() as files:
             description = apply_view(self.description, view or NO_VIEW, size)
-            compiled = compile_scene(description, size, max_depth, sampler, keep_uvs)
+            compiled = compile_scene(description, None, max_depth, sampler, keep_uvs)
         self.files = tuple(dict.fromkeys((*self.files, *files)))
         note_files(self.files)
         return compiled
@@ -298,8 +308,8 @@ class Scene(SceneObject):
 
     def _assign(self, place: Place, value) -> None:
         _check_not_type(place)
-        if is_film_size(place.owner, place.key):
-            self._resize(place, value)
+        if place.is_film_value:
+            self._editor.set_values(list(place.chain), film_parameters(place, value), ".".join(place.names[:-1]))
         else:
             if find_plugin(place.owner["type"]).parameter(place.key) is None and not isinstance(value, Mapping):
                 raise SceneError(
@@ -307,17 +317,6 @@ class Scene(SceneObject):
                 )
             value = _with_colour(place, value)
             self._editor.assign(list(place.chain), place.key, value, place.path)
-
-    def _resize(self, place: Place, value) -> None:
-        """Set width and height of a film, and remove its crop window."""
-        size = np.asarray(value)
-        if size.shape != (2,) or size.dtype.kind not in "iu":
-            raise SceneError(f"{place.path}: a size is (width, height) in pixels, got {value!r}")
-        film = resized(place.owner, tuple(size.tolist()))
-        if "exposure" in place.owner:
-            film["exposure"] = place.owner["exposure"]
-        outside = place.chain[:-1]
-        self._editor.assign(list(outside), place.names[-2], film, ".".join(place.names[:-1]))
 
     def _remove(self, place: Place) -> None:
         _check_not_type(place)

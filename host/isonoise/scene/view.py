@@ -1,6 +1,6 @@
 """View: what the caller gives in place of a scene's own camera and environment. Applied by `load` and by `staging`.
 
-The command line's options --camera, --fov, --look-at, --up and --env are its fields.
+The command line's options --sensor, --fov, --look-at, --up, --env and --crop are its fields.
 """
 
 import math
@@ -35,6 +35,8 @@ class View:
         along z, and `look_at` keeps up the coordinate axis that is nearest to the camera's own up.
     env : str or None
         An image in latitude-longitude format that takes the place of the environment. Its upper edge is `up`, else y.
+    crop : (left, top, width, height) or None
+        Window of the whole image in pixels. Its pixels have the same samples as in the whole image.
 
     Raises
     ------
@@ -47,6 +49,7 @@ class View:
     look_at: tuple | None = None
     up: tuple[float, float, float] | None = None
     env: str | None = None
+    crop: tuple[int, int, int, int] | None = None
 
     def __post_init__(self):
         if self.camera is not None:
@@ -65,6 +68,8 @@ class View:
             if points is None or len(points) != 1 or not points.any():
                 raise UserError(f"up = {self.up} is not a direction x, y, z")
             object.__setattr__(self, "up", tuple((points[0] / np.abs(points).max()).tolist()))
+        if self.crop is not None:
+            object.__setattr__(self, "crop", _window(self.crop))
         if self.env is not None:
             object.__setattr__(self, "env", os.fspath(self.env))
 
@@ -80,6 +85,8 @@ class View:
 
 
 NO_VIEW = View()
+DEFAULT_FILM = {"type": "hdrfilm", "width": 768, "height": 576}
+"""Mitsuba 3's, for a sensor without a film."""
 
 
 def view_of(options) -> View:
@@ -97,6 +104,14 @@ def _points(value) -> np.ndarray | None:
     return points if is_valid else None
 
 
+def _window(value) -> tuple[int, int, int, int]:
+    numbers = np.asarray(value)
+    is_window = numbers.shape == (4,) and numbers.dtype.kind in "iu" and (numbers >= (0, 0, 1, 1)).all()
+    if not is_window:
+        raise UserError(f"crop = {value} is not a window: give (left, top, width, height) in whole pixels")
+    return tuple(numbers.tolist())
+
+
 def apply_view(description: dict, view: View, size: tuple[int, int] | None) -> dict:
     """A normalised scene with the view's camera and environment, and an image of this size.
 
@@ -110,6 +125,8 @@ def apply_view(description: dict, view: View, size: tuple[int, int] | None) -> d
     result[name] = move_camera(sensor, view)
     if size is not None:
         result[name]["film"] = resized(sensor.get("film", {"type": "hdrfilm"}), size)
+    if view.crop is not None:
+        result[name]["film"] = cropped(result[name].get("film", DEFAULT_FILM), view.crop)
     if view.env is not None:
         result = {key: part for key, part in result.items() if not is_environment(part)}
         name = next(name for name in ("environment", "environment_map", "--env") if name not in result)
@@ -182,6 +199,17 @@ def resized(film: Mapping, size: tuple[int, int]) -> dict:
     """The film with another size, and without a crop window."""
     kept = {key: value for key, value in film.items() if not key.startswith("crop_")}
     return kept | {"width": size[0], "height": size[1]}
+
+
+def cropped(film: Mapping, window: tuple[int, int, int, int]) -> dict:
+    """The film with this crop window: left, top, width, height. Raises UserError if it is not inside the film."""
+    left, top, width, height = window
+    if left + width > film["width"] or top + height > film["height"]:
+        raise UserError(
+            f"the window of --crop, {left},{top},{width}x{height}, extends beyond the image of "
+            f"{film['width']}x{film['height']} pixels"
+        )
+    return dict(film) | {"crop_offset_x": left, "crop_offset_y": top, "crop_width": width, "crop_height": height}
 
 
 def _moved(to_world: np.ndarray, view: View) -> np.ndarray:

@@ -38,6 +38,7 @@ def render_settings(renderer) -> dict[str, object]:
     - `scene`: the file or built-in scene; `scene_hash`: of all that the scene compiles to;
     - `scene_parts`: name of an array or setting of `CompiledScene` -> hash;
     - `files`: name of a file that the scene was read from, relative to the scene's folder -> sha256 of its content;
+    - `film_window`: size of the film, the pixel of it where the image begins, and size of the image;
     - `exposure`: of the scene, for previews;
     - `overrides`: what the caller gave in place of the scene's own size, depth, sampler and view, else None;
     - `layers`: their names; `needs`: the fields of `Needs`; `device`, which may change while a render goes on.
@@ -47,6 +48,7 @@ def render_settings(renderer) -> dict[str, object]:
         "version": __version__,
         "scene": renderer.source_name,
         "size": [scene.width, scene.height],
+        "film_window": [list(part) for part in scene.film_window],
         "strategy": describe(renderer.strategy),
         "sampler": scene.sampler,
         "seed": renderer.seed,

@@ -1,6 +1,6 @@
 """Changes a normalised scene: a new value or object gets the same checks as in a file. Called by `Scene`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from isonoise.errors import SceneError
 from isonoise.scene.parse.constraints import check_constraints
@@ -40,7 +40,7 @@ class SceneEditor:
         entry = read_value(value, path, self._scene)
         normaliser.element_by_id = self._elements_without(old, entry, path)
         others = {name: part for name, part in owner.items() if name != key}
-        changed = normaliser.add_to(others, (key, entry, location), location)
+        changed = normaliser.add_to(others, [(key, entry, location)], location)
         for name in changed.keys() - others.keys():
             if is_object(changed[name]):
                 self._check_nesting(chain, changed[name], location)
@@ -72,11 +72,19 @@ class SceneEditor:
             _swap(holders, new, old)
             raise
 
+    def set_values(self, chain: Chain, values: Mapping[str, object], path: str) -> None:
+        """Set several parameters of the last object of the chain at once; None removes one."""
+        location = SourceLocation(element=path)
+        others = {name: part for name, part in chain[-1].items() if name not in values}
+        entries = [(name, value, SourceLocation(element=f"{path}.{name}")) for name, value in values.items()]
+        given = [entry for entry in entries if entry[1] is not None]
+        self._commit(chain, SceneNormaliser().add_to(others, given, location), location)
+
     def remove(self, chain: Chain, key: str, path: str) -> None:
         """Remove a value or an object; a parameter gets its default. Raises SceneError if it is required."""
         owner, location = chain[-1], SourceLocation(element=path)
         others = {name: part for name, part in owner.items() if name != key}
-        self._commit(chain, SceneNormaliser().add_to(others, None, location), location)
+        self._commit(chain, SceneNormaliser().add_to(others, [], location), location)
 
     def _elements_without(self, old: object, entry: object, path: str) -> dict[str, Element]:
         """The objects by id, without those that the new entry replaces."""

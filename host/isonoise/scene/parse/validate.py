@@ -57,12 +57,12 @@ class SceneNormaliser:
         _complete(self.plugin, self.scene, self.child_counts, root.location)
         return self.scene
 
-    def add_to(self, part: dict, entry: tuple[str, object, Location] | None, location: Location) -> dict:
-        """A copy of a normalised object with another entry, and with defaults for all that is missing."""
+    def add_to(self, part: dict, entries: list[tuple[str, object, Location]], location: Location) -> dict:
+        """A copy of a normalised object with more entries, and with defaults for all that is missing."""
         plugin, result = vocabulary.find_plugin(part["type"]), dict(part)
         nested = (value["type"] for value in part.values() if is_object(value))
         child_counts = Counter(vocabulary.find_plugin(type_).kind for type_ in nested)
-        if entry:
+        for entry in entries:
             self._collect_ids(entry[1])
             self._add_entry(plugin, result, child_counts, *entry)
         _complete(plugin, result, child_counts, location)
