@@ -192,3 +192,37 @@ def test_an_object_with_several_users_counts_once():
     floor = {"type": "rectangle", "bsdf": {"type": "ref", "id": "paint"}}
     scene = load(lamp_over_floor() | {"paint": {"type": "dielectric"}, "a": floor, "b": floor})
     assert ("bsdf", "dielectric", "1") in count_objects(scene.description).rows
+
+
+def layers() -> dict[str, np.ndarray]:
+    """One of each kind."""
+    depth = RNG.uniform(1, 5, (6, 9)).astype(np.float32)
+    depth[0, 0] = 1e10
+    index = np.zeros((6, 9), np.float32)
+    index[:, :3], index[:, 6:] = -1, 7
+    vectors = np.zeros((6, 9, 3), np.float32)
+    vectors[0, :3] = (-1, 0, 1)
+    return {
+        "albedo": np.full((6, 9, 3), 0.5, np.float32),
+        "normal": vectors,
+        "uv": vectors[..., :2] + 1,
+        "depth": depth,
+        "shape_index": index,
+    }
+
+
+def test_an_outcome_shows_its_layers():
+    html = outcome(layers=layers())._repr_html_()
+    ElementTree.fromstring(html)
+    pictures = re.findall(r'src="(data:image/png[^"]*)" alt="(\w+)"', html)
+    albedo, normal, uv, depth, index = (decode(picture) for picture, name in pictures if name in layers())
+    assert (albedo == tone_map(np.full((1, 1, 3), 0.5), exposure=1)[0, 0]).all()
+    assert normal[0, 0].tolist() == [0, 128, 255]
+    assert normal[1, 0].tolist() == [128, 128, 128]
+    assert "normal: x, y, z as red, green, blue from -1 to 1" in html
+    assert uv[0, 0].tolist() == [0, 255, 0]
+    assert (depth[0, 0] == (0xFD, 0xE7, 0x25)).all()  # no hit: the last colour, and beyond the scale
+    assert len(np.unique(depth.reshape(-1, 3), axis=0)) > 20
+    assert (index[:, :3] == 0).all()
+    assert len(np.unique(index.reshape(-1, 3), axis=0)) == 3
+    assert "shape_index: 2 different numbers" in html

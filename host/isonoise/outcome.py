@@ -40,7 +40,7 @@ class Outcome:
     layers : mapping of str to array
         The layers that were asked for, by name: (height, width) float32, or (height, width, channels).
 
-    Notebooks show image, error map, sample map and error curve.
+    Notebooks show image, error map, sample map, error curve and layers.
     """
 
     reason: str
@@ -70,9 +70,9 @@ class Outcome:
         height, width = self.statistics.shape
         spp = format_number(self.statistics.samples / (width * height), 4)
         facts = f"{width}x{height} pixels, {spp} samples per pixel in {format_duration(self.elapsed_s)}"
-        if self.stops is None:
-            return render_html(facts, self.statistics, self.floor, self.rows)
-        facts += f"; stated error {format_percent(self.stated_error)} at quantile {self.stops.quantile:g}"
-        return render_html(
-            f"{facts}; ended by: {self.reason}", self.statistics, self.floor, self.rows, self.stops.error
-        )
+        target = None
+        if self.stops is not None:
+            target = self.stops.error
+            facts += f"; stated error {format_percent(self.stated_error)} at quantile {self.stops.quantile:g}"
+            facts += f"; ended by: {self.reason}"
+        return render_html(facts, self.statistics, self.floor, self.rows, target, self.layers)

@@ -38,12 +38,15 @@ class ColourScale(NamedTuple):
     has_higher: bool
 
 
-def image_picture(rgb: np.ndarray) -> str:
-    """A data URI of linear RGB (height, width, 3), tone-mapped as .png files are, reduced to `MAX_SIDE`."""
+def image_picture(rgb: np.ndarray, exposure: float | None = None) -> str:
+    """A data URI of linear RGB (height, width, 3), tone-mapped as .png files are, reduced to `MAX_SIDE`.
+
+    `exposure` is a factor on RGB; None: by the image's brightness.
+    """
     from isonoise.film.png import tone_map
 
     reduced = [reduce_plane(rgb[..., channel]) for channel in range(3)]
-    return png_data_uri(tone_map(np.stack(reduced, axis=-1)))
+    return png_data_uri(tone_map(np.stack(reduced, axis=-1), exposure))
 
 
 def map_picture(values: np.ndarray, colours: str) -> tuple[str, ColourScale]:
