@@ -17,6 +17,9 @@ from isonoise.loop import render_loop
 from isonoise.renderer import Renderer
 from isonoise.stops import Stops
 
+NOTHING_LEFT = {"remaining_s": None, "wave_kind": None}
+"""What the last status says of the render."""
+
 
 def status_of(client):
     with client.events() as events:
@@ -169,6 +172,19 @@ def test_pictures_change_no_bit_and_none_are_made_for_nobody(monkeypatch):
         status_of(client)
         wait_for(lambda: outcomes)
     assert_same_bits(outcomes[0].statistics, without)
+
+
+def test_a_page_that_stays_does_not_hold_up_the_end(capfd, monkeypatch):
+    monkeypatch.setattr("isonoise.live.server.LINGER_S", 0.1)
+    with LivePage() as page:
+        client = LiveClient(page.url)
+        with client.events() as events:
+            assert next(events) == ("status", {"state": "setting up", "waves": 0})
+            start = time.monotonic()
+            page.close()
+            assert time.monotonic() - start < 5
+            assert list(events)[-1] == ("status", {"state": "ended", "waves": 0, "reason": "failed"} | NOTHING_LEFT)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_port_in_use_is_an_error(idle_page, capsys, in_tmp_path):

@@ -3,9 +3,9 @@
 import time
 from collections.abc import Callable
 
-SHARE = 0.01
+SHARE = 0.0075
 """Share of the time that pictures may take."""
-RESERVE_S = 0.25
+RESERVE_S = 0.2
 """Seconds that pictures may take at once after a while without them, as at the beginning."""
 OVERDRAFT_S = 1.0
 """Seconds by which urgent pictures may exceed that; later ones then come less often."""

@@ -75,10 +75,9 @@ class LiveServer:
         self._socket = _listen(port)
         self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}/{self._token}/"
         self._pages = 0  # open streams of events
-        self._loop = asyncio.new_event_loop()
-        self._changed = self._closing = None
+        self._loop = self._changed = self._closing = None
         self._has_started = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="live page", daemon=True)
         self._thread.start()
         self._has_started.wait()
         state.on_change = self._notify
@@ -89,15 +88,8 @@ class LiveServer:
             self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join()
 
-    def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        try:
-            self._loop.run_until_complete(self._serve())
-        finally:
-            self._loop.close()
-
     async def _serve(self) -> None:
-        self._changed, self._closing = asyncio.Event(), asyncio.Event()
+        self._loop, self._changed, self._closing = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()
         application = web.Application(middlewares=[self._check], client_max_size=1024)
         prefix = "/{token}"
         application.add_routes(
