@@ -133,6 +133,7 @@ class _Render:
         options = self._options
         if outcome.statistics.samples == 0:
             logger.error("stopped before the first sample; no image is written")
+            self._viewers.show(outcome)
             if failure:
                 raise failure
             return EXIT_DONE  # `cli` adds the signal

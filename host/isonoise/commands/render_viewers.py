@@ -37,7 +37,7 @@ class Viewers:
         if options.serve is not None:
             from isonoise.live import serve
 
-            self._page = self._add(serve(options.scene, options.serve))
+            self._page = self._add(serve(options.scene, options.serve, stops=options.exposure))
             print(f"isonoise: watch the render at {self._page.url}", file=sys.stderr, flush=True)
 
     @property

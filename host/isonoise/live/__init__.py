@@ -11,7 +11,10 @@ if TYPE_CHECKING:
 
 
 def serve(
-    title: str = "isonoise", port: int = 0, save: "Callable[[RenderLoop], Sequence[str]] | None" = None
+    title: str = "isonoise",
+    port: int = 0,
+    save: "Callable[[RenderLoop], Sequence[str]] | None" = None,
+    stops: float = 0.0,
 ) -> "LivePage":
     """Serve a page on loopback that shows a render while it runs, until its `close` or the end of a `with` block.
 
@@ -24,6 +27,8 @@ def serve(
     save : callable or None
         Called with the `RenderLoop` when the user asks to save; returns the paths that were written. None: the page has
         no button for it.
+    stops : float
+        Exposure that the page begins with: a factor of 2 to this power.
 
     Raises
     ------
@@ -44,4 +49,4 @@ def serve(
         if error.name != "aiohttp":
             raise
         raise UserError("the live page needs aiohttp: pip install 'isonoise[live]'") from error
-    return LivePage(title, port, save)
+    return LivePage(title, port, save, stops)

@@ -24,7 +24,7 @@ class LivePage:
 
     Parameters
     ----------
-    title, port, save
+    title, port, save, stops
         As for `serve`.
 
     Attributes
@@ -41,10 +41,14 @@ class LivePage:
     """
 
     def __init__(
-        self, title: str = "isonoise", port: int = 0, save: Callable[[RenderLoop], Sequence[str]] | None = None
+        self,
+        title: str = "isonoise",
+        port: int = 0,
+        save: Callable[[RenderLoop], Sequence[str]] | None = None,
+        stops: float = 0.0,
     ):
         self.save = save
-        self._state = PageState(title)
+        self._state = PageState(title, stops)
         self._server = LiveServer(self._state, port)
         self.url = self._server.url
         self._budget: Budget | None = None  # from the beginning of the render on

@@ -43,12 +43,12 @@ class PageState:
         Seconds of CPU time that the server's thread has taken.
     """
 
-    def __init__(self, title: str):
+    def __init__(self, title: str, stops: float):
         self.is_paused = self.wants_save = self.wants_stop = False
         self.on_change: Callable[[], None] = lambda: None
         self.server_cpu_s = 0.0
         self.has_ended = False
-        self._title = title
+        self._title, self._stops = title, stops
         self._lock = threading.Lock()
         self._looks: dict[View, tuple[float, int]] = {}  # until when a view is wanted, and above which version
         self._pictures: dict[View, Picture] = {}
@@ -115,6 +115,7 @@ class PageState:
             "time_s": stops.time,
             "error": stops.error,
             "quantile": stops.quantile,
+            "stops": self._stops,
             "can_save": can_save,
         }
         self._rows = loop.rows
@@ -133,7 +134,7 @@ class PageState:
         now = time.monotonic()
         with self._lock:
             self._looks = {view: look for view, look in self._looks.items() if look[0] > now}
-            return {view: after < 0 for view, (_, after) in self._looks.items() if after < samples}
+            return {view: after < 0 for view, (_, after) in self._looks.items() if max(after, 0) < samples}
 
     @property
     def has_pictures(self) -> bool:

@@ -82,6 +82,11 @@ function show() {
   showPixel();
 }
 
+function showExposure() {
+  const stops = Number(byId("exposure").value);
+  byId("exposure-value").textContent = `${stops > 0 ? "+" : ""}${stops} EV`;
+}
+
 function showLegend(picture) {
   const context = byId("scale").getContext("2d"), width = byId("scale").width;
   for (let x = 0; x < width; x++) {
@@ -168,7 +173,9 @@ function showMessage(text) {
 const events = new EventSource("events");
 events.addEventListener("open", () => { rows = []; });
 events.addEventListener("settings", (event) => {
+  if (!settings) byId("exposure").value = JSON.parse(event.data).stops;
   settings = JSON.parse(event.data);
+  showExposure();
   showSettings();
   follow();
 });
@@ -245,8 +252,7 @@ byId("zoom-out").addEventListener("click", () => viewer.zoomTo(viewer.scale / 1.
 byId("fit").addEventListener("click", () => viewer.fit());
 byId("actual").addEventListener("click", () => viewer.zoomTo(1 / devicePixelRatio));
 byId("exposure").addEventListener("input", () => {
-  const stops = Number(byId("exposure").value);
-  byId("exposure-value").textContent = `${stops > 0 ? "+" : ""}${stops} EV`;
+  showExposure();
   show();
 });
 document.addEventListener("visibilitychange", follow);
