@@ -208,3 +208,73 @@ def assert_same_layers(a: Renderer, b: Renderer) -> None:
     assert list(first) == list(second)
     for name, image in first.items():
         assert image.tobytes() == second[name].tobytes(), name
+
+
+MATERIALS = (
+    {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.5, 0.9]}},
+    {"type": "plastic", "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.4, 0.8]}},
+    {"type": "roughplastic", "alpha": 0.2, "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.4, 0.8]}},
+    {"type": "conductor", "material": "Au"},
+    {"type": "roughconductor", "material": "Cu", "alpha": 0.3},
+    {"type": "principled", "base_color": {"type": "rgb", "value": [0.8, 0.3, 0.1]}, "metallic": 0.3, "roughness": 0.4},
+)
+
+
+@pytest.mark.long
+def test_the_albedo_is_what_a_surface_reflects_of_light_from_everywhere():
+    """Under an environment of radiance 1 one bounce has the radiance of the albedo."""
+    film = {"type": "hdrfilm", "width": 8 * len(MATERIALS), "height": 8, "rfilter": {"type": "box"}}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 2, "hide_emitters": True},
+        "sensor": {"type": "orthographic", "film": film, "to_world": np.diag([6.0, 1.0, 1.0, 1.0])},
+        "sky": {"type": "constant", "radiance": 1.0},
+    }
+    for k, material in enumerate(MATERIALS):
+        place = np.diag([-1.0, 1.0, -1.0, 1.0])  # faces the camera
+        place[:3, 3] = 2.0 * k - 5.0, 0.0, 4.0
+        place[2, 1] = 1.2  # at an angle of 50 degrees; all in one plane, so that none sees another
+        scene[f"card{k}"] = {"type": "rectangle", "to_world": place, "bsdf": {"type": "twosided", "bsdf": material}}
+    with Renderer(scene, strategy="uniform:wave_spp=4096", layers=["albedo", "coverage", "material_index"]) as renderer:
+        renderer.step()
+        layers, rgb = renderer.layers(), renderer.image()
+    inside = layers["coverage"] == 1
+    assert inside.sum() > 300
+    difference = layers["albedo"] - rgb
+    for index in np.unique(layers["material_index"][inside]):
+        one = inside & (layers["material_index"] == index)
+        assert np.abs(difference[one].mean(axis=0)).max() < 0.003, index
+
+
+@pytest.mark.long
+def test_layers_agree_with_those_of_mitsuba():
+    """In pixels that one shape fills; Mitsuba's depth is the distance from the camera."""
+    from scalar_mitsuba import as_mitsuba, import_mitsuba
+
+    mitsuba = import_mitsuba()
+    ball = {"type": "sphere", "center": [-0.3, 0.1, 0.4], "radius": 0.4}
+    texels = np.random.default_rng(3).random((4, 4, 3)).astype(np.float32)
+    paint = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels, "raw": True}}
+    scene = lamp_over_floor(width=48, height=32) | {"ball": ball | {"bsdf": paint}}
+    aovs = "albedo:albedo,distance:depth,position:position,uv:uv,geometric_normal:geo_normal,normal:sh_normal"
+    aovs += ",shape_index:shape_index"
+    loaded = mitsuba.load_dict(as_mitsuba(mitsuba, scene | {"integrator": {"type": "aov", "aovs": aovs}}))
+    image = np.array(mitsuba.render(loaded, spp=256))
+    theirs, first = {}, 0
+    for name, channels in (("albedo", 3), ("distance", 1), ("position", 3), ("uv", 2), ("geometric_normal", 3)):
+        theirs[name], first = image[..., first : first + channels], first + channels
+    theirs["normal"], theirs["shape_index"] = image[..., first : first + 3], image[..., first + 3]
+    with Renderer(scene, strategy="uniform:wave_spp=256", layers=DEVICE_LAYERS) as renderer:
+        renderer.step()
+        ours = dict(renderer.layers())
+    distance = np.linalg.norm(ours["position"] - EYE, axis=-1) * (1 - 0.01 / ours["depth"])  # from near_clip on
+    ours["distance"] = distance[..., None]
+    same = np.stack([np.roll(ours["shape_index"], (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+    filled = (np.ptp(same, axis=0) == 0) & (ours["coverage"] == 1)
+    assert filled.sum() > 300
+    assert len(np.unique(ours["shape_index"][filled])) >= 2
+    for name, tolerance in (("distance", 0.01), ("position", 0.01), ("uv", 0.05), ("albedo", 0.08)):
+        assert np.abs(ours[name] - theirs[name])[filled].max() < tolerance, name
+    for name in ("normal", "geometric_normal"):
+        toward = np.sign(np.sum(theirs[name] * (EYE - theirs["position"]), axis=-1, keepdims=True))
+        assert np.abs(ours[name] - toward * theirs[name])[filled].max() < 0.05, name

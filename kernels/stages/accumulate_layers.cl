@@ -10,24 +10,30 @@
 // LAYER_<NAME> is the number of the layer's first channel among the sums, or among the indices; -1 without the layer.
 
 #if FEATURE_ALBEDO_LAYER
-#define ALBEDO_SAMPLES 16u
+#define ALBEDO_SAMPLES 4u
+
+// Coordinate of the n-th point of an additive recurrence, in [0, 1); `step` is 2^32 times its step.
+INLINE float recurrence(uint n, uint step)
+{
+    return (float)((n * step) >> 8) * 0x1p-24f;
+}
 
 // Share of the light that the surface scatters to any direction, for the direction of the path: the mean of the BSDF
-// samples' weights for fixed random numbers, as pbrt-v4's GBufferFilm computes it. They are points of the sequence R3
-// (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"). Exact for diffuse surfaces.
-INLINE Vec3 albedo_of(const BsdfContext* ctx)
+// samples' weights, as pbrt-v4's GBufferFilm computes it. The samples of a pixel take consecutive points of the
+// sequence R3 (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"), the same ones in every pixel,
+// so that equal surfaces have equal albedos. One point is exact for diffuse surfaces.
+INLINE Vec3 albedo_of(const BsdfContext* ctx, uint sample_index)
 {
     const uint count = material(ctx).kind & BSDF_DIFFUSE ? 1u : ALBEDO_SAMPLES;
-    Vec3 sum = splat3(0.0f), u = splat3(0.5f);
+    Vec3 sum = splat3(0.0f);
     for (uint k = 0u; k < count; ++k) {
-        const BsdfSample sample = bsdf_sample(ctx, u);
+        const uint n = sample_index * ALBEDO_SAMPLES + k;
+        const BsdfSample sample =
+            bsdf_sample(ctx, vec3(recurrence(n, 3518319155u), recurrence(n, 2882110345u), recurrence(n, 2360945575u)));
         // transmitted radiance is that of a cone of another solid angle: eta^2 gives the light itself
         sum = add3(sum, scale3(sample.weight, sample.eta * sample.eta));
-        u = vec3(u.x + 0.8191725134f, u.y + 0.6710436067f, u.z + 0.5497004779f);
-        u = vec3(u.x - (float)(int)u.x, u.y - (float)(int)u.y, u.z - (float)(int)u.z);
     }
-    const Vec3 albedo = scale3(sum, 1.0f / (float)count);
-    return vec3(MIN(MAX(albedo.x, 0.0f), 1.0f), MIN(MAX(albedo.y, 0.0f), 1.0f), MIN(MAX(albedo.z, 0.0f), 1.0f));
+    return scale3(sum, 1.0f / (float)count);
 }
 #endif
 
@@ -84,7 +90,7 @@ INLINE void add_surface(const SceneView* scene, __global const Camera* camera, c
     }
 #endif
 #if FEATURE_ALBEDO_LAYER
-    add_layer3(LAYER_ALBEDO, passes ? splat3(1.0f) : albedo_of(&ctx), sums);
+    add_layer3(LAYER_ALBEDO, passes ? splat3(1.0f) : albedo_of(&ctx, p->index), sums);
 #endif
 }
 

@@ -45,5 +45,7 @@ def layer_images(state: Mapping[str, np.ndarray], names: tuple[str, ...]) -> dic
         planes = [mean(first + k, weight) for k in range(len(layer.channels))]
         if name == "depth":
             planes[0][weight == 0] = NO_HIT_DEPTH
+        if name == "albedo":  # few samples of a rough surface may have a mean above 1
+            planes = [np.minimum(plane, 1.0) for plane in planes]
         images[name] = (planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)).astype(np.float32)
     return images
