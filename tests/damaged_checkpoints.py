@@ -19,11 +19,11 @@ from isonoise.stops import Stops
 HEIGHT, WIDTH = 5, 7
 SHAPE = HEIGHT, WIDTH
 _OF_A_RENDER = {"seed": 3, "strategy": "pooled", "sampler": "independent", "device": "d"}
-_VIEW = {"camera": None, "fov": 40.0, "look_at": [[1.0, 2.0, 3.0]], "up": None, "env": None}
+_VIEW = {"camera": None, "fov": 40.0, "look_at": [[1.0, 2.0, 3.0]], "up": None, "env": None, "crop": None}
 _SETTINGS = {
     "version": "1", "scene": "s.xml", "size": [WIDTH, HEIGHT], "max_depth": 4, "parameters": {"a": "1"},
     "scene_hash": "ab", "scene_parts": {"faces": "cd"}, "files": {"s.xml": "ef"}, "radiance_scale": 0.5,
-    "exposure": None,
+    "film_window": [[9, HEIGHT], [2, 0], [WIDTH, HEIGHT]], "exposure": None,
     "overrides": {"size": None, "max_depth": None, "sampler": None, "parameters": {"a": "1"}, "view": _VIEW},
     "needs": dataclasses.asdict(Needs(uniform=True)) | {"layers": []}, "layers": [],
 }  # fmt: skip

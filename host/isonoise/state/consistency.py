@@ -60,6 +60,17 @@ def _is_size(value: object) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(_is_count(side) and 0 < side < 2**31 for side in value)
 
 
+def _is_window(value: object) -> bool:
+    """Size of a film, an offset in it, and the size of an image that is inside the film from there on."""
+    if not isinstance(value, list) or len(value) != 3:
+        return False
+    film, offset, size = value
+    is_offset = isinstance(offset, list) and len(offset) == 2 and all(map(_is_count, offset))
+    if not (_is_size(film) and is_offset and _is_size(size)):
+        return False
+    return all(begin + side <= whole for whole, begin, side in zip(film, offset, size, strict=True))
+
+
 def _is_layers(value: object) -> bool:
     return isinstance(value, list) and all(_is_text(name) and name in LAYERS for name in value)
 
@@ -89,6 +100,7 @@ _SETTINGS = {
     "version": _is_text,
     "scene": _is_text,
     "size": _is_size,
+    "film_window": _is_window,
     "max_depth": _is_depth,
     "parameters": _is_text_table,
     "scene_hash": _is_text,
@@ -113,6 +125,7 @@ _VIEW = {  # `View` checks the numbers
     "look_at": _or_none(lambda value: isinstance(value, list)),
     "up": _or_none(lambda value: isinstance(value, list)),
     "env": _or_none(_is_text),
+    "crop": _or_none(lambda value: isinstance(value, list)),
 }
 _NEEDS = {
     "median": _is_flag,
