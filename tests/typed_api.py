@@ -64,11 +64,7 @@ class Own(isonoise.Strategy):
     name = "own"
 
     def __init__(self, window: int = 5):
-        self.window = window
-
-    @property
-    def needs(self) -> isonoise.Needs:
-        return isonoise.Needs(neighbours=self.window)
+        self.needs = isonoise.Needs(neighbours=window)
 
     def waves(self) -> Iterator[isonoise.Wave]:
         yield isonoise.Wave("uniform", 16)

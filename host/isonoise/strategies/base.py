@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Strategy:
         Whether it plans adaptive waves, for which a render takes more memory.
     needs : Needs
         Optional statistics that `allocate` reads. The renderer reads it once, before the first wave. A class attribute;
-        if it depends on parameters, a property or set in `__init__`.
+        if it depends on parameters, set in `__init__`, or a property.
 
     Examples
     --------
@@ -63,13 +63,7 @@ class Strategy:
 
     name: ClassVar[str] = "unnamed"
     is_adaptive: ClassVar[bool] = True
-    if TYPE_CHECKING:
-
-        @property
-        def needs(self) -> Needs: ...
-
-    else:
-        needs: Needs = BASIC_NEEDS
+    needs: Needs = BASIC_NEEDS
 
     def __post_init__(self) -> None:
         check_ranges(self)  # of dataclasses
