@@ -71,7 +71,7 @@ def test_the_page_in_chromium(tmp_path):
             page.click("pause")
             wait_for(lambda: page.text("state") == "paused")
             rgb = loop.renderer.image()
-            exposure = decode(encode_image(rgb, 0).data)[0]["exposure"]
+            exposure = decode(encode_image(rgb, 0))[0]["exposure"]
             page.click("actual")
             wait_for(lambda: page.shows(tone_map(rgb)))
             page.set_exposure(1.5)

@@ -167,7 +167,7 @@ def test_pictures_change_no_bit_and_none_are_made_for_nobody(monkeypatch):
         assert client.follow("error", reduction=2)
         wait_for(lambda: outcomes)
     assert_same_bits(outcomes[0].statistics, without)
-    monkeypatch.setattr("isonoise.live.live_page.encode_image", lambda *_: pytest.fail("nobody looks"))
+    monkeypatch.setattr("isonoise.live.live_page.Picture", lambda *_: pytest.fail("nobody looks"))
     with running_render(Stops(spp=128), strategy="pooled") as (client, _, outcomes):
         status_of(client)
         wait_for(lambda: outcomes)

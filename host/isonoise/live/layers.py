@@ -1,8 +1,13 @@
-"""The layers of the live page as bytes: float16 in units of their own, and what the page has to know to show them."""
+"""The layers of the live page as bytes: float16 in units of their own, and what the page has to know to show them.
+
+The thread that renders makes a `Picture`; a thread of the server encodes it, while the device goes on.
+"""
 
 import json
 import math
-from dataclasses import dataclass
+import threading
+import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,27 +23,39 @@ _SHARES = (0.01, 0.99)
 """Quantiles of the pixels at the ends of the scales of maps."""
 
 
-@dataclass(frozen=True)
 class Picture:
-    """A layer at a moment of the render.
+    """A layer at a moment of the render, as bytes once somebody asks for them.
 
-    Attributes
+    Parameters
     ----------
     version : int
         Samples of the render. A later picture has more.
-    data : bytes
-        Four bytes with the length of the JSON object that follows, padded with spaces to a multiple of 4; then float16
-        values, all of a channel one after the other. All numbers are little-endian. The object has `width`, `height`,
-        `channels`, `reduction` (pixels of the image that a pixel stands for, in either direction), `unit` (what a value
-        of 1 stands for), `version`; `exposure` of the image, and `range` (ends of the scale) of a map.
+    encode : callable
+        Returns the bytes, as `encode_image` does.
     """
 
-    version: int
-    data: bytes
+    def __init__(self, version: int, encode: Callable[[], bytes]):
+        self.version = version
+        self._encode, self._data, self._lock = encode, None, threading.Lock()
+        self.cpu_s = 0.0
+
+    def data(self) -> bytes:
+        """The bytes. The first call takes `cpu_s` seconds of CPU time."""
+        with self._lock:
+            if self._data is None:
+                start = time.thread_time()
+                self._data, self._encode = self._encode(), None
+                self.cpu_s = time.thread_time() - start
+            return self._data
 
 
-def encode_image(rgb: np.ndarray, version: int, reduction: int = 1, exposure: float | None = None) -> Picture:
-    """The image as a picture.
+def encode_image(rgb: np.ndarray, version: int, reduction: int = 1, exposure: float | None = None) -> bytes:
+    """The image as bytes.
+
+    Four bytes hold the length of the JSON object that follows, which is padded with spaces to a multiple of 4; then
+    come float16 values, all of a channel one after the other. All numbers are little-endian. The object has `width`,
+    `height`, `channels`, `reduction` (pixels of the image that a pixel stands for, in either direction), `unit` (what a
+    value of 1 stands for), `version`; `exposure` of the image, and `range` (ends of the scale) of a map.
 
     Parameters
     ----------
@@ -57,11 +74,11 @@ def encode_image(rgb: np.ndarray, version: int, reduction: int = 1, exposure: fl
     few = planes[:, ::step, ::step].transpose(1, 2, 0).clip(0)
     exposure = automatic_exposure(np.where(np.isfinite(few), few, 0)) if exposure is None else exposure
     unit = 2.0 ** -round(math.log2(exposure)) if 0 < exposure < math.inf else 1.0  # visible values are around 1
-    return _picture(planes, reduction, unit, version, exposure=exposure)
+    return _bytes(planes, reduction, unit, version, exposure=exposure)
 
 
-def encode_map(values: np.ndarray, version: int, reduction: int = 1) -> Picture:
-    """A map as a picture; as `encode_image`. `values`: (height, width), 0 or more, infinite where unknown."""
+def encode_map(values: np.ndarray, version: int, reduction: int = 1) -> bytes:
+    """A map as bytes; as `encode_image`. `values`: (height, width), 0 or more, infinite where unknown."""
     reduction = min(reduction, *values.shape)
     plane = _reduce(values[np.newaxis].astype(np.float32, copy=False), reduction)
     step = _step(plane.size)
@@ -69,7 +86,7 @@ def encode_map(values: np.ndarray, version: int, reduction: int = 1) -> Picture:
     few = few[np.isfinite(few) & (few > 0)]
     low, high = np.quantile(few, _SHARES).tolist() if few.size else (1.0, 1.0)
     unit = 2.0 ** round(math.log2(math.sqrt(low * high)))
-    return _picture(plane, reduction, unit, version, range=[low, high])
+    return _bytes(plane, reduction, unit, version, range=[low, high])
 
 
 def _step(pixels: int) -> int:
@@ -92,7 +109,7 @@ def _reduce(planes: np.ndarray, reduction: int) -> np.ndarray:
     return result
 
 
-def _picture(planes: np.ndarray, reduction: int, unit: float, version: int, **facts) -> Picture:
+def _bytes(planes: np.ndarray, reduction: int, unit: float, version: int, **facts) -> bytes:
     channels, height, width = planes.shape
     facts |= {"width": width, "height": height, "channels": channels, "reduction": reduction, "unit": unit}
     text = json.dumps(facts | {"version": version}).encode()
@@ -100,4 +117,4 @@ def _picture(planes: np.ndarray, reduction: int, unit: float, version: int, **fa
     values = planes * np.float32(1 / unit) if unit != 1 else planes
     with np.errstate(over="ignore", invalid="ignore"):
         half = np.clip(values, -_MAX_HALF, _MAX_HALF).astype("<f2") if channels == 3 else values.astype("<f2")
-    return Picture(version, b"".join((len(text).to_bytes(4, "little"), text, half.tobytes())))
+    return b"".join((len(text).to_bytes(4, "little"), text, half.tobytes()))

@@ -4,6 +4,9 @@ import os
 import time
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
+from isonoise.error.stated_error import relative_standard_error
 from isonoise.live.budget import Budget
 from isonoise.live.layers import LAYERS, Picture, encode_image, encode_map
 from isonoise.live.page_state import PageState, View
@@ -15,6 +18,8 @@ PROGRESS_INTERVAL_S = 0.2
 """Shortest time between two updates of the numbers."""
 PAUSE_POLL_S = 0.05
 """How often a paused render looks whether it goes on."""
+IDLE_SHARE = {False: 0.1, True: 0.5}
+"""Share of the device that is idle while the last paths finish before a picture; True: with several workers."""
 
 
 class LivePage:
@@ -56,6 +61,8 @@ class LivePage:
         self._server_cpu_s = 0.0
         self._loop: RenderLoop | None = None
         self._updated_at = 0.0
+        self._cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self._due_since: float | None = None  # when the wave began to stop for a picture
 
     def __enter__(self) -> "LivePage":
         return self
@@ -102,10 +109,13 @@ class LivePage:
         wanted = self._state.wanted(renderer.samples)
         if not wanted:
             return False
-        server_cpu_s = self._state.server_cpu_s
-        self._budget.spend(server_cpu_s - self._server_cpu_s)
-        self._server_cpu_s = server_cpu_s
-        return self._budget.allows(self._seconds[renderer.wave_kind is None], any(wanted.values()))
+        cpu_s = self._state.cpu_s()
+        self._budget.spend((cpu_s - self._server_cpu_s) / self._cores)
+        self._server_cpu_s = cpu_s
+        is_due = self._budget.allows(self._seconds[renderer.wave_kind is None], any(wanted.values()))
+        if is_due and self._due_since is None:
+            self._due_since = time.perf_counter()
+        return is_due
 
     def _act(self, loop: RenderLoop) -> None:
         if self._loop is None:
@@ -136,22 +146,32 @@ class LivePage:
         if wanted:
             start = time.perf_counter()
             self._state.publish({view: self._picture(loop, view) for view in wanted})
-            seconds = self._seconds[renderer.wave_kind is None] = time.perf_counter() - start
+            seconds = time.perf_counter() - start
+            if renderer.wave_kind is not None and self._due_since is not None:
+                seconds += IDLE_SHARE[renderer.waiting_s is not None] * (start - self._due_since)
             if not self._state.is_paused:
+                self._seconds[renderer.wave_kind is None] = seconds
                 self._budget.spend(seconds)
+        self._due_since = None
 
     def _picture(self, loop: RenderLoop, view: View) -> Picture:
         if view.layer == "image":
-            return encode_image(loop.renderer.image(), loop.renderer.samples, view.reduction, self._exposure)
+            return _picture_of_image(loop.renderer.image(), loop.renderer.samples, view, self._exposure)
         return _picture_of_outcome(loop.outcome_so_far("unfinished"), view, self._exposure)
 
 
+def _picture_of_image(rgb: np.ndarray, version: int, view: View, exposure: float | None) -> Picture:
+    return Picture(version, lambda: encode_image(rgb, version, view.reduction, exposure))
+
+
 def _picture_of_outcome(outcome: Outcome, view: View, exposure: float | None) -> Picture:
-    statistics = outcome.statistics
+    statistics, floor = outcome.statistics, outcome.floor
     version = statistics.samples + int(statistics.rejected.sum(dtype=int))
     if view.layer == "image":
-        return encode_image(outcome.rgb, version, view.reduction, exposure)
-    return encode_map(outcome.error if view.layer == "error" else statistics.count, version, view.reduction)
+        return _picture_of_image(outcome.rgb, version, view, exposure)
+    if view.layer == "samples":
+        return Picture(version, lambda: encode_map(statistics.count, version, view.reduction))
+    return Picture(version, lambda: encode_map(relative_standard_error(statistics, floor), version, view.reduction))
 
 
 def _saved(paths: Sequence[str]) -> str:

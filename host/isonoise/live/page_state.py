@@ -40,7 +40,7 @@ class PageState:
     on_change : callable
         Called by the thread that renders when there is something new.
     server_cpu_s : float
-        Seconds of CPU time that the server's thread has taken.
+        Seconds of CPU time that the server's thread has taken, without encoding pictures.
     """
 
     def __init__(self, title: str, stops: float):
@@ -52,6 +52,7 @@ class PageState:
         self._lock = threading.Lock()
         self._looks: dict[View, tuple[float, int]] = {}  # until when a view is wanted, and above which version
         self._pictures: dict[View, Picture] = {}
+        self._encoding_s = 0.0  # of earlier pictures
         self._messages: list[str] = []
         self._rows: list[LogRow] = []
         self._settings: dict[str, object] | None = None
@@ -141,11 +142,16 @@ class PageState:
         """Whether somebody has looked at a picture."""
         return bool(self._pictures)
 
+    def cpu_s(self) -> float:
+        """Seconds of CPU time that the page has taken in other threads."""
+        return self.server_cpu_s + self._encoding_s + sum(picture.cpu_s for picture in self._pictures.values())
+
     def publish(self, pictures: dict[View, Picture]) -> None:
         """These pictures take the place of all others."""
         with self._lock:
             for view in pictures:
                 self._looks.pop(view, None)
+        self._encoding_s += sum(picture.cpu_s for picture in self._pictures.values())
         self._pictures = pictures
         self.on_change()
 

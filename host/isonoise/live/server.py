@@ -183,7 +183,8 @@ class LiveServer:
             self._state.look(view, after)
             if not await self._wait(request):
                 return web.Response(status=204)
-        return web.Response(body=picture.data, content_type="application/octet-stream")
+        data = await asyncio.get_running_loop().run_in_executor(None, picture.data)
+        return web.Response(body=data, content_type="application/octet-stream")
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         with self._open_page():
