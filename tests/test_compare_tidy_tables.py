@@ -75,7 +75,7 @@ def test_unknown_metrics_are_messages(names, message):
 
 
 def test_the_documents_have_every_column_and_metric():
-    page = (Path(__file__).parent.parent / "host/docs/comparison-files.md").read_text("utf-8").replace("\\|", "|")
+    page = (Path(__file__).parent.parent / "host/docs/comparison-tables.md").read_text("utf-8").replace("\\|", "|")
     for name, columns in SCHEMA.items():
         for column in columns:
             tables = ", ".join(f"`{other}`" for other in SCHEMA if column in SCHEMA[other])

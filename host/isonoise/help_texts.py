@@ -59,7 +59,7 @@ files in DIR:
   report.html              tables and plots in one file
   summary.json             the tables' numbers
   tables.md                the tables as Markdown
-  runs.csv, runs.parquet   one row per run; Parquet with the extra `tables`. Columns: host/docs/experiments.md
+  runs.csv, runs.parquet   one row per run; Parquet with the extra `tables`. Columns: host/docs/comparison-tables.md
   waves.csv, waves.parquet one row per wave of every run
   images/SCENE/STRATEGY/SEED.exr   with --keep-images the final image of a run: R, G, B as 16-bit floats
   flip.json                with the metric flip its values, so that they are computed once
