@@ -162,7 +162,7 @@ def test_progress_is_reported():
 
 @pytest.mark.parametrize(
     "name",
-    ["isonoise", "isonoise.render_scene", "isonoise.renderer", "isonoise.scene.load", "isonoise.strategies.base"],
+    ["isonoise", "isonoise.render_scene", "isonoise.renderer", "isonoise.scene.scene", "isonoise.strategies.base"],
 )
 def test_examples_in_docstrings(name):
     result = doctest.testmod(importlib.import_module(name), extraglobs={"isonoise": isonoise})

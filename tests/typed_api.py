@@ -88,6 +88,18 @@ def strategies() -> list[isonoise.Outcome]:
     return [isonoise.render("cornell", strategy=strategy) for strategy in choices]
 
 
+def custom_pieces(renderer: isonoise.Renderer) -> isonoise.Strategy:
+    def measure(statistics: isonoise.Statistics, floor: float) -> np.ndarray:
+        return isonoise.measures.relative_mean(statistics, floor)
+
+    def rule(count: np.ndarray, variance: np.ndarray, budget: int) -> np.ndarray:
+        return isonoise.allocation.distribute_in_proportion(variance, budget, 0)
+
+    for wave in isonoise.watch(renderer, spp=8):
+        assert_type(wave, isonoise.WaveRecord)
+    return isonoise.Adaptive(measure=measure, rule=rule)
+
+
 def errors() -> str:
     try:
         isonoise.render("missing.xml")
