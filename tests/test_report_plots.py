@@ -1,6 +1,7 @@
 """Plots of a comparison's report: what they show, their ticks and labels, their files."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ pytest.importorskip("jinja2", reason="jinja2 is in the extra 'compare'")
 
 from isonoise.comparison.report import figure_files
 from isonoise.comparison.report.axes import set_log_scale, tick_number, tick_percent
+from isonoise.comparison.report.calibration import calibration_plot
 from isonoise.comparison.report.plots import ABSCISSAE, QUANTITIES, break_name, curve_lines, spread_apart
 from isonoise.comparison.report.scene_section import figures as figures_of
 from isonoise.comparison.report.wave_series import QUANTILES, read_wave_series
@@ -96,6 +98,15 @@ def test_axes_begin_after_the_warm_up(figures):
             assert last < high < 1.2 * last
     below = figures["a-calibration"].axes[3]
     assert below.get_xlim()[0] > 3
+
+
+def test_strategies_without_stated_errors_are_not_calibrated(summary, series):
+    """As Mitsuba's."""
+    scene = summary["scenes"][0]
+    silent = {slug: replace(waves, stated={q: np.full(6, np.nan) for q in QUANTILES}) for slug, waves in series.items()}
+    assert not [name for name, _ in figures_of(summary, scene, silent) if "calibration" in name]
+    figure = calibration_plot(summary, scene, {**silent, "uniform": series["uniform"]})
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["uniform"]
 
 
 def test_no_label_is_clipped(figures):

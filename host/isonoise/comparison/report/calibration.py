@@ -22,11 +22,11 @@ def calibration_plot(summary: Mapping, scene: Mapping, series: Mapping[str, Wave
     """Stated against true errors (above) and their ratio against the samples (below), a column per quantile.
 
     Each point is a wave after the warm-up, geometric mean over the seeds. Where the stated error is right the lines lie
-    on the dashed line. `series` maps slugs to the waves of the strategies.
+    on the dashed line. `series` maps slugs to the waves of the strategies. Those without stated errors are left out.
     """
     from matplotlib.figure import Figure
 
-    shown = [row["strategy"] for row in scene["rows"]]
+    shown = [row["strategy"] for row in scene["rows"] if series[row["strategy"]].has_stated_errors]
     figure = Figure(figsize=(WIDTH, 5.6), dpi=150, layout="constrained")
     panels = figure.subplots(2, len(QUANTILES), squeeze=False)
     styles, bold = line_styles(summary), {summary["baseline"], summary["default"]}

@@ -82,7 +82,8 @@ def figures(summary: Mapping, scene: Mapping, series: Mapping[str, WaveSeries]) 
         for abscissa in plots.ABSCISSAE:
             name = f"{slug}-{quantity.name}" + ("" if abscissa == "time" else f"-{abscissa}")
             yield name, plots.curve_plot(summary, scene, series, quantity, abscissa)
-    yield f"{slug}-calibration", calibration_plot(summary, scene, series)
+    if any(waves.has_stated_errors for waves in series.values()):
+        yield f"{slug}-calibration", calibration_plot(summary, scene, series)
 
 
 def _series(results: Results, scene: Mapping) -> dict[str, WaveSeries]:

@@ -34,6 +34,11 @@ class WaveSeries:
     true: Mapping[str, np.ndarray]
     first: int
 
+    @property
+    def has_stated_errors(self) -> bool:
+        """False for other renderers, such as Mitsuba."""
+        return any(np.isfinite(errors).any() for errors in self.stated.values())
+
     def spp_at(self, seconds: Sequence[float]) -> np.ndarray:
         """Samples per pixel at these times: interpolated log-log between the waves of a run, mean over the seeds."""
         found = [np.exp(np.interp(np.log(seconds), np.log(elapsed), np.log(spp))) for spp, elapsed in self.runs]
