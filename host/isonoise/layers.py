@@ -48,7 +48,7 @@ GUIDES = ("albedo", "normal")
 """Layers from which the denoiser learns where edges and textures are."""
 
 
-def check_layers(names: Iterable[str]) -> tuple[str, ...]:
+def check_layers(names: object) -> tuple[str, ...]:
     """The names in the order of `LAYERS`, each once. Raises UserError for an unknown one."""
     if isinstance(names, str) or not isinstance(names, Iterable):
         raise UserError(f"layers = {names!r} must be a list of names, such as ['albedo', 'depth']")

@@ -62,7 +62,8 @@ class WaveRecord:
         return self._read()
 
     def _repr_html_(self) -> str:
-        from isonoise.notebook.render_html import page, render_html  # only notebooks call this
+        from isonoise.notebook.figures import page  # only notebooks call this
+        from isonoise.notebook.render_html import render_html
         from isonoise.strategies.measures import image_floor
 
         facts = f"wave {self.number}, {self.kind}: {format_count(self.samples)} samples"

@@ -129,7 +129,7 @@ class Adaptive(AdaptiveBase):
         self.measure = find_measure(self.measure)
 
     @property
-    def needs(self) -> Needs:
+    def needs(self) -> Needs:  # type: ignore[override]
         return getattr(self.measure, "needs", BASIC_NEEDS)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
@@ -182,7 +182,7 @@ class RelativeMedian(AdaptiveBase):
         check_odd("chunk", self.chunk)
 
     @property
-    def needs(self) -> Needs:
+    def needs(self) -> Needs:  # type: ignore[override]
         return Needs(median=True, chunk=self.chunk, batch=self.batch)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
@@ -226,7 +226,7 @@ class Tsallis(AdaptiveBase):
     q: float = ranged(2.0, 0.1, 8)
 
     @property
-    def needs(self) -> Needs:
+    def needs(self) -> Needs:  # type: ignore[override]
         return Needs(power=None if self.q == 2 else self.q)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
@@ -273,7 +273,7 @@ class Pooled(AdaptiveBase):
         check_odd("window", self.window)
 
     @property
-    def needs(self) -> Needs:
+    def needs(self) -> Needs:  # type: ignore[override]
         return Needs(uniform=True) if self.unbiased else Needs(neighbours=self.window)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
