@@ -12,7 +12,8 @@ import small_files
 import isonoise
 
 HEAVY = {"trimesh", "PIL", "matplotlib", "jinja2", "rich", "scipy", "mitsuba", "embreex", "dask", "distributed"} | {
-    "aiohttp"
+    "aiohttp",
+    "pyoidn",
 }
 SHARED = {
     f"isonoise.strategies.{name}"
@@ -32,6 +33,7 @@ SHARED = {
 UNUSED = (
     *("benchmark", "comparison", "convert", "selftest", "integrator.feature_superset", "integrator.feature_costs"),
     *("distributed", "live", "notebook", "scene.formats", "scene.other_files", "scene.volume."),
+    *("film.layers", "film.denoise"),
 )
 """Beginnings of the names of modules that a render of `cornell` does not use."""
 MAX_START_CPU_S = 1.0

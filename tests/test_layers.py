@@ -278,3 +278,17 @@ def test_layers_agree_with_those_of_mitsuba():
     for name in ("normal", "geometric_normal"):
         toward = np.sign(np.sum(theirs[name] * (EYE - theirs["position"]), axis=-1, keepdims=True))
         assert np.abs(ours[name] - toward * theirs[name])[filled].max() < 0.05, name
+
+
+def test_a_denoiser_that_fails_costs_no_other_layer():
+    from isonoise.commands.render import _made_layers
+
+    def fail() -> np.ndarray:
+        raise UserError("it has failed")
+
+    depth = np.ones((2, 3), np.float32)
+    layers = ImageLayers({"depth": depth, "denoised": fail})
+    for has_ended in (True, False):
+        made = _made_layers(layers, has_ended)
+        assert list(made) == ["depth"]
+        assert made["depth"] is depth

@@ -2,8 +2,11 @@
 
 import argparse
 import traceback
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+
+import numpy as np
 
 from isonoise.command_output import logger, print_json
 from isonoise.commands import EXIT_BAD_INPUT, EXIT_DONE, EXIT_ERROR_NOT_MET
@@ -121,11 +124,13 @@ class _Render:
         return [image.path for image in images if image.path]
 
     def _write_images(self, outcome: Outcome, has_ended: bool) -> list[WrittenFile]:
-        header = image_header(result_fields(self._options, self._renderer, self._stops, outcome))
+        result = result_fields(self._options, self._renderer, self._stops, outcome)
+        layers = _made_layers(outcome.layers, has_ended)
+        header = image_header(result | {"denoiser": result["denoiser"] if "denoised" in layers else None})
         header |= film_windows(*self._renderer.scene.film_window)
         may_be_partial = outcome.reason not in ("unfinished", "interrupted", "failed")
         exposure = self._renderer.scene.exposure
-        views = {"exposure": exposure, "layers": outcome.layers, "stops": self._options.exposure}
+        views = {"exposure": exposure, "layers": layers, "stops": self._options.exposure}
         return self._images.write(outcome.statistics, outcome.floor, header, has_ended, may_be_partial, **views)
 
     def _end(self, outcome: Outcome, failure: BaseException | None) -> int:
@@ -164,6 +169,17 @@ class _Render:
         if failures or log or (checkpoint and checkpoint.failure):
             return EXIT_BAD_INPUT
         return EXIT_ERROR_NOT_MET if options.error and outcome.reason != "error" else EXIT_DONE
+
+
+def _made_layers(layers: Mapping[str, np.ndarray], has_ended: bool) -> dict[str, np.ndarray]:
+    """The layers; during the render, and if the denoiser fails, without the denoised image. That takes seconds."""
+    made = {name: layers[name] for name in layers if name != "denoised"}
+    if has_ended and "denoised" in layers:
+        try:
+            made["denoised"] = layers["denoised"]
+        except (UserError, MemoryError) as error:
+            logger.error(f"{str(error) or type(error).__name__}; there is no denoised image")
+    return made
 
 
 def _outcome_or_none(loop: RenderLoop) -> Outcome | None:
