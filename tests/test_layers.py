@@ -145,6 +145,7 @@ def test_a_layer_is_made_once_and_when_it_is_read():
     layers = ImageLayers({"depth": lambda: made.append(1) or np.zeros((2, 3), np.float32)})
     assert list(layers) == ["depth"]
     assert len(layers) == 1
+    assert "depth" in layers
     assert made == []
     assert layers["depth"] is layers["depth"]
     assert made == [1]

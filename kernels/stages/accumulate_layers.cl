@@ -12,22 +12,23 @@
 #if FEATURE_ALBEDO_LAYER
 #define ALBEDO_SAMPLES 4u
 
-// Coordinate of the n-th point of an additive recurrence, in [0, 1); `step` is 2^32 times its step.
+// Coordinate of the n-th point of an additive recurrence from 1/2 on, in [0, 1); `step` is 2^32 times its step.
 INLINE float recurrence(uint n, uint step)
 {
-    return (float)((n * step) >> 8) * 0x1p-24f;
+    return (float)((n * step + 0x80000000u) >> 8) * 0x1p-24f;
 }
 
 // Share of the light that the surface scatters to any direction, for the direction of the path: the mean of the BSDF
 // samples' weights, as pbrt-v4's GBufferFilm computes it. The samples of a pixel take consecutive points of the
 // sequence R3 (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"), the same ones in every pixel,
-// so that equal surfaces have equal albedos. One point is exact for diffuse surfaces.
+// so that equal surfaces have equal albedos. For diffuse surfaces the first point is exact.
 INLINE Vec3 albedo_of(const BsdfContext* ctx, uint sample_index)
 {
-    const uint count = material(ctx).kind & BSDF_DIFFUSE ? 1u : ALBEDO_SAMPLES;
+    const bool is_diffuse = material(ctx).kind & BSDF_DIFFUSE;
+    const uint count = is_diffuse ? 1u : ALBEDO_SAMPLES, first = is_diffuse ? 0u : sample_index * ALBEDO_SAMPLES;
     Vec3 sum = splat3(0.0f);
     for (uint k = 0u; k < count; ++k) {
-        const uint n = sample_index * ALBEDO_SAMPLES + k;
+        const uint n = first + k;
         const BsdfSample sample =
             bsdf_sample(ctx, vec3(recurrence(n, 3518319155u), recurrence(n, 2882110345u), recurrence(n, 2360945575u)));
         // transmitted radiance is that of a cone of another solid angle: eta^2 gives the light itself

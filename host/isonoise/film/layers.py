@@ -29,6 +29,9 @@ class ImageLayers(Mapping[str, np.ndarray]):
             image = self._images[name] = image()
         return image
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._images  # that of Mapping would make the image
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._images)
 
