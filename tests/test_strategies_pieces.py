@@ -41,6 +41,9 @@ def darkest(count, variance, budget):
 def unknown(statistics):
     return np.full(statistics.shape, np.nan)
 
+def broken(statistics):
+    return statistics.no_such_array
+
 class Pieces:
     @staticmethod
     def ones(statistics):
@@ -222,14 +225,31 @@ def test_a_render_with_a_rule_of_the_user():
     assert count.sum() == sum(record.samples for record in records)
 
 
+def render_with(measure, image):
+    """The exit code of a command with this measure of the user's module."""
+    strategy = f"adaptive:measure=my_pieces:{measure}"
+    return main(["render", "cornell", "--size", "8x6", "--spp", "32", "--strategy", strategy, "-o", str(image)])
+
+
 @pytest.mark.usefixtures("user_module", "one_lane")
 def test_a_wrong_measure_ends_the_command_with_a_message(tmp_path, capfd):
     """Without a traceback, and the image so far is written."""
-    strategy = "adaptive:measure=my_pieces:unknown"
     image = tmp_path / "image.exr"
-    code = main(["render", "cornell", "--size", "8x6", "--spp", "32", "--strategy", strategy, "-o", str(image)])
+    assert render_with("unknown", image) == 2
     message = capfd.readouterr().err
-    assert code == 2
     assert "measure 'my_pieces:unknown' returned nan in 48 pixels, first at x = 0, y = 0" in message
     assert "Traceback" not in message
     assert image.exists()
+
+
+@pytest.mark.usefixtures("user_module", "one_lane")
+def test_an_exception_of_a_measure_is_not_to_be_reported(tmp_path, capfd):
+    """Its author finds the traceback and the line."""
+    import my_pieces
+
+    assert render_with("broken", tmp_path / "image.exr") == 70
+    message = capfd.readouterr().err
+    number = PIECES.splitlines().index("    return statistics.no_such_array") + 1
+    assert f"{my_pieces.__file__}', line {number}, which is no part of isonoise" in message
+    assert "Traceback" in message
+    assert "please report" not in message

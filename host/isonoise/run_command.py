@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import signal
 import sys
 import traceback
@@ -67,9 +68,24 @@ def _report(error: BaseException) -> int:
         print("isonoise: there is not enough memory for this input", file=sys.stderr)
         return EXIT_BAD_INPUT
     traceback.print_exception(error)
-    name = type(error).__name__
-    print(f"isonoise: internal error ({name}); please report it with the lines above", file=sys.stderr)
+    name, place = type(error).__name__, _place_in_code_of_user(error)
+    if place:
+        print(f"isonoise: error ({name}) in {place}, which is no part of isonoise", file=sys.stderr)
+    else:
+        print(f"isonoise: internal error ({name}); please report it with the lines above", file=sys.stderr)
     return EXIT_INTERNAL_ERROR
+
+
+def _place_in_code_of_user(error: BaseException) -> str | None:
+    """File and line of a strategy, measure or rule of the user in which the error arose; None if it was in none."""
+    import sysconfig  # not needed by commands that end well
+
+    others = (os.path.dirname(__file__), *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")))
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = os.path.abspath(frame.filename)
+        if os.path.exists(path) and not path.startswith(tuple(f"{folder}{os.sep}" for folder in others)):
+            return f"'{frame.filename}', line {frame.lineno}"
+    return None
 
 
 def _code_of_output(command: str, failure: OSError | None, code: int) -> int:
