@@ -13,7 +13,6 @@ from compare_command import assert_same_runs, compare, run_files, write_flat_ref
 from isonoise.comparison import runner
 from isonoise.comparison.experiment_file import read_experiment
 from isonoise.comparison.planning import make_plan
-from isonoise.comparison.results import Results
 from isonoise.comparison.session import EXPERIMENT_FILE
 from isonoise.comparison.sweep import variants
 from isonoise.comparison.tidy_tables import write_tables
@@ -226,7 +225,7 @@ def assert_same_results(directory, other):
 
 
 def test_a_sweep_that_is_stopped_twice_gives_the_same_tables(monkeypatch):
-    monkeypatch.setattr("isonoise.commands.compare._report", lambda directory: write_tables(Results(directory)))
+    monkeypatch.setattr("isonoise.commands.compare._report", lambda directory: write_tables(directory))
     write_flat_reference("a.exr")
     write(
         SMALL.replace(

@@ -12,6 +12,8 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what type checkers see of `_PUBLIC_NAMES`
+    from isonoise.comparison.compare import Comparison, compare
+    from isonoise.comparison.result_table import ResultTable
     from isonoise.distributed.cluster import Cluster
     from isonoise.error.true_error import TrueError
     from isonoise.errors import DeviceError, SceneError, UserError
@@ -41,6 +43,7 @@ __version__ = "0.1.0"
 _PUBLIC_NAMES = {
     "Adaptive": "isonoise.strategies.adaptive",
     "Cluster": "isonoise.distributed.cluster",
+    "Comparison": "isonoise.comparison.compare",
     "CompiledScene": "isonoise.scene.compiled_scene",
     "DeviceError": "isonoise.errors",
     "LogRow": "isonoise.film.log",
@@ -49,6 +52,7 @@ _PUBLIC_NAMES = {
     "Periodic": "isonoise.loop",
     "RenderLoop": "isonoise.loop",
     "Renderer": "isonoise.renderer",
+    "ResultTable": "isonoise.comparison.result_table",
     "Scene": "isonoise.scene.scene",
     "SceneError": "isonoise.errors",
     "State": "isonoise.state.state",
@@ -61,6 +65,7 @@ _PUBLIC_NAMES = {
     "Wave": "isonoise.strategies.base",
     "WaveRecord": "isonoise.wave",
     "allocation": "isonoise.strategies.allocation",
+    "compare": "isonoise.comparison.compare",
     "compile_scene": "isonoise.scene.compile",
     "load": "isonoise.scene.scene",
     "measures": "isonoise.strategies.measures",
@@ -79,6 +84,7 @@ _PUBLIC_NAMES = {
 __all__ = [
     "Adaptive",
     "Cluster",
+    "Comparison",
     "CompiledScene",
     "DeviceError",
     "LogRow",
@@ -87,6 +93,7 @@ __all__ = [
     "Periodic",
     "RenderLoop",
     "Renderer",
+    "ResultTable",
     "Scene",
     "SceneError",
     "State",
@@ -99,6 +106,7 @@ __all__ = [
     "Wave",
     "WaveRecord",
     "allocation",
+    "compare",
     "compile_scene",
     "load",
     "measures",

@@ -1,7 +1,6 @@
 """`isonoise compare`: checks the plan, renders the missing runs, writes tables, plots and the report."""
 
 import argparse
-import importlib.util
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +11,11 @@ from isonoise.commands.shared_options import cluster_of
 from isonoise.comparison.experiment import Member, make_members
 from isonoise.comparison.experiment_file import DEFAULT_SEEDS, is_experiment, read_experiment
 from isonoise.comparison.folder_lock import FolderLock, lock_folder
-from isonoise.comparison.plan import PLAN_FILE
 from isonoise.comparison.presets import PRESETS, Preset
+from isonoise.comparison.report_packages import check_packages
 from isonoise.comparison.request import Request, SceneRequest, StrategyRequest
-from isonoise.comparison.session import KEPT, has_runs, render_comparison
-from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, split_specs
+from isonoise.comparison.session import KEPT, check_is_series, has_runs, render_comparison
+from isonoise.comparison.strategy_specs import split_specs
 from isonoise.errors import UserError
 from isonoise.signals import exit_code
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
 DEFAULT_TIME = 10.0
 """Seconds of a run."""
-REPORT_PACKAGES = ("matplotlib", "jinja2")
 EXPERIMENT_OPTIONS = (
     *("strategies", "preset", "seeds", "seed", "time", "spp", "size", "max_depth", "device", "allow_outside"),
     *("reference", "reference_time", "metrics", "keep_images"),
@@ -38,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     directory = Path(options.output)
     members = _members(options)
-    _check_packages(members[0].request)
+    check_packages(members[0].request)
     with lock_folder(directory) as lock, cluster_of(options) as cluster:
         workers = _workers_of(cluster)
         if len(members) > 1:
@@ -85,8 +83,7 @@ def _compare_series(
     """The comparisons of an experiment with several budgets or devices, and tables over all of them."""
     from isonoise.comparison.series import write_series
 
-    if (directory / PLAN_FILE).exists():
-        raise UserError(f"'{directory}' holds a comparison with one budget and device: choose another folder with -o")
+    check_is_series(directory)
     code, summaries = EXIT_DONE, {}
     for member in members:
         shared = directory / member.shares_with
@@ -169,15 +166,6 @@ def _request(options: argparse.Namespace, preset: Preset | None) -> Request:
         metrics=[name.strip() for name in options.metrics.split(",")] if options.metrics else (),
         keep_images=options.keep_images,
     )
-
-
-def _check_packages(request: Request) -> None:
-    missing = [name for name in REPORT_PACKAGES if importlib.util.find_spec(name) is None]
-    if missing:
-        raise UserError(f"the report needs {' and '.join(missing)}: pip install 'isonoise[compare]'")
-    specs = {strategy.spec for strategy in request.strategies}
-    if specs & set(MITSUBA_SAMPLERS) and importlib.util.find_spec("mitsuba") is None:
-        raise UserError(f"{' and '.join(MITSUBA_SAMPLERS)} need Mitsuba 3: pip install 'isonoise[peers]'")
 
 
 def _print(text: str) -> None:

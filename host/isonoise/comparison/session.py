@@ -77,6 +77,12 @@ def render_comparison(
         raise
 
 
+def check_is_series(directory: Path) -> None:
+    """Raises UserError if the folder of an experiment with several budgets or devices holds a single comparison."""
+    if (directory / PLAN_FILE).exists():
+        raise UserError(f"'{directory}' holds a comparison with one budget and device: choose another folder with -o")
+
+
 def has_runs(directory: Path) -> bool:
     """Whether a run of the comparison is finished."""
     return any((directory / "runs").glob("*/*/[0-9]*.npz"))

@@ -86,15 +86,17 @@ def csv_text(table: Mapping[str, np.ndarray]) -> str:
     return text.getvalue()
 
 
-def arrow_table(name: str, table: Mapping[str, np.ndarray]) -> "pyarrow.Table":
+def arrow_table(
+    name: str, table: Mapping[str, np.ndarray], columns: Sequence[TableColumn] | None = None
+) -> "pyarrow.Table":
     """A table for pyarrow; every field has `unit` and `meaning` as metadata. Missing numbers are null.
 
-    `name` is a key of `SCHEMA`. Needs pyarrow.
+    `columns` describe those of the table; None: they are those of `SCHEMA`, of which `name` is a key. Needs pyarrow.
     """
     import pyarrow
 
     arrays, fields = [], []
-    for column in columns_of(name, table):
+    for column in columns or columns_of(name, table):
         arrow_type = pyarrow.type_for_alias(column.dtype)
         arrays.append(pyarrow.array(table[column.name].tolist(), arrow_type, from_pandas=True))
         metadata = {"unit": column.unit, "meaning": column.meaning}
