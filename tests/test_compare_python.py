@@ -83,6 +83,7 @@ def test_a_table_shows_its_first_rows_and_escapes_text():
     ("changes", "message"),
     [
         ({"spp": None}, "there is no budget"),
+        ({"sead": 1}, "there is no argument 'sead' (did you mean 'seeds'?)"),
         ({"spp": "8"}, "spp has to be a number above 0, not '8'"),
         ({"time": 1}, "time and spp are both given"),
         ({"seeds": 0}, "seeds = 0 is out of range"),

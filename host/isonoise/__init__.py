@@ -12,7 +12,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what type checkers see of `_PUBLIC_NAMES`
-    from isonoise.comparison.compare import Comparison, compare
+    from isonoise.comparison.compare_scenes import Comparison, compare
     from isonoise.comparison.result_table import ResultTable
     from isonoise.distributed.cluster import Cluster
     from isonoise.error.true_error import TrueError
@@ -43,7 +43,7 @@ __version__ = "0.1.0"
 _PUBLIC_NAMES = {
     "Adaptive": "isonoise.strategies.adaptive",
     "Cluster": "isonoise.distributed.cluster",
-    "Comparison": "isonoise.comparison.compare",
+    "Comparison": "isonoise.comparison.compare_scenes",
     "CompiledScene": "isonoise.scene.compiled_scene",
     "DeviceError": "isonoise.errors",
     "LogRow": "isonoise.film.log",
@@ -65,7 +65,7 @@ _PUBLIC_NAMES = {
     "Wave": "isonoise.strategies.base",
     "WaveRecord": "isonoise.wave",
     "allocation": "isonoise.strategies.allocation",
-    "compare": "isonoise.comparison.compare",
+    "compare": "isonoise.comparison.compare_scenes",
     "compile_scene": "isonoise.scene.compile",
     "load": "isonoise.scene.scene",
     "measures": "isonoise.strategies.measures",

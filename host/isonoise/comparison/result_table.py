@@ -1,4 +1,4 @@
-"""ResultTable: a table of a comparison in Python, with conversions and a view for notebooks; made by `compare`."""
+"""ResultTable: a table of a comparison in Python, with conversions and a view for notebooks."""
 
 import html
 from collections.abc import Iterator, Mapping, Sequence

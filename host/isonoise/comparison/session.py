@@ -28,8 +28,8 @@ KEPT = "finished runs are kept: rerun the same command to resume"
 def render_comparison(
     request: Request,
     lock: FolderLock,
-    log: Callable[[str], None],
-    warn: Callable[[str], None],
+    log: Callable[[str], object],
+    warn: Callable[[str], object],
     workers: "ClusterWorkers | None" = None,
     rerun_changed: bool = False,
     shared: Path | None = None,
@@ -92,8 +92,8 @@ def _begin(
     directory: Path,
     stored: Plan | None,
     plan: Plan,
-    log: Callable[[str], None],
-    warn: Callable[[str], None],
+    log: Callable[[str], object],
+    warn: Callable[[str], object],
     rerun_changed: bool,
 ) -> None:
     """Write the plan, unless the folder holds another comparison."""

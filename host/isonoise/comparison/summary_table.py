@@ -1,6 +1,7 @@
-"""The main figures of summary.json as a table, one row per scene and strategy; for `compare`."""
+"""The main figures of summary.json as a table, one row per scene and strategy; for `compare_scenes`."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ _FIGURES = (
 """Name, unit and meaning of a column; its keys in a row of summary.json, see `summary.summarise`."""
 
 
-def summary_table(summaries: Mapping[str, Mapping]) -> ResultTable:
+def summary_table(summaries: Mapping[str, Mapping[str, Any]]) -> ResultTable:
     """The table of one or several comparisons; `summaries` are those of `summarise` by folder."""
     rows = [
         (scene, row, folder)
@@ -54,7 +55,7 @@ def summary_table(summaries: Mapping[str, Mapping]) -> ResultTable:
     return ResultTable("summary", arrays, columns)
 
 
-def _lookup(row: Mapping, keys: Sequence[str]) -> float:
+def _lookup(row: Mapping[str, Any], keys: Sequence[str]) -> float:
     value: object = row
     for key in keys:
         value = value.get(key) if isinstance(value, Mapping) else None
