@@ -153,3 +153,14 @@ def test_wrong_arguments(arguments, message):
 def test_numbers_of_numpy_are_numbers(outcome):
     options = {"spp": np.float32(12), "seed": np.int64(9), "size": np.array([WIDTH, HEIGHT]), "max_depth": np.int8(4)}
     assert_same_bits(render(lamp_over_floor(), strategy=STRATEGY, **options).statistics, outcome.statistics)
+
+
+def test_outcomes_and_statistics_show_themselves_in_a_line(outcome):
+    """Without the values of their arrays, which fill a terminal."""
+    line = repr(outcome)
+    assert line.startswith(f"<isonoise.Outcome: {WIDTH}x{HEIGHT} pixels, 12 samples per pixel in ")
+    assert line.endswith("ended by: spp>")
+    names = "count, rejected, rgb, mean, variance, median, design_effect"
+    assert (
+        repr(outcome.statistics) == f"<isonoise.Statistics: {WIDTH}x{HEIGHT} pixels, {12 * PIXELS:,} samples; {names}>"
+    )

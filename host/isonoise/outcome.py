@@ -12,7 +12,7 @@ from isonoise.statistics import Statistics
 from isonoise.stops import Stops
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Outcome:
     """A finished render.
 
@@ -64,15 +64,21 @@ class Outcome:
         """Relative standard error of every pixel's luminance, (height, width) float32."""
         return relative_standard_error(self.statistics, self.floor)
 
+    def __repr__(self) -> str:
+        return f"<isonoise.Outcome: {self._facts()}>"
+
     def _repr_html_(self) -> str:
         from isonoise.notebook.render_html import render_html  # only notebooks call this
 
+        target = None if self.stops is None else self.stops.error
+        return render_html(self._facts(), self.statistics, self.floor, self.rows, target, self.layers)
+
+    def _facts(self) -> str:
+        """Size, samples, time, error and reason in one line."""
         height, width = self.statistics.shape
         spp = format_number(self.statistics.samples / (width * height), 4)
         facts = f"{width}x{height} pixels, {spp} samples per pixel in {format_duration(self.elapsed_s)}"
-        target = None
         if self.stops is not None:
-            target = self.stops.error
             facts += f"; stated error {format_percent(self.stated_error)} at quantile {self.stops.quantile:g}"
             facts += f"; ended by: {self.reason}"
-        return render_html(facts, self.statistics, self.floor, self.rows, target, self.layers)
+        return facts

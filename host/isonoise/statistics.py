@@ -102,7 +102,7 @@ class _ReadWhenUsed:
         return value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Statistics:
     """Statistics of the samples of every pixel, in the scene's units.
 
@@ -155,6 +155,12 @@ class Statistics:
     neighbour_mean: np.ndarray | None = None
     neighbour_variance: np.ndarray | None = None
     uniform: "Statistics | None" = None
+
+    def __repr__(self) -> str:
+        """Size, samples and the names of the arrays that are there; reads nothing from the device."""
+        height, width = self.shape
+        names = [field.name for field in fields(self) if vars(self).get(field.name) is not None]
+        return f"<isonoise.Statistics: {width}x{height} pixels, {self.samples:,} samples; {', '.join(names)}>"
 
     def variance_of_mean(self, rows: slice = slice(None)) -> np.ndarray:
         """d s^2 / n, d the design effect: the squared standard error of the mean of x, a new array; inf where n < 2.
