@@ -219,7 +219,7 @@ def test_the_viewer_in_chromium(report, tmp_path):
         page.choose("layer", "samples")
         assert len(np.unique(page.drawn()[:, 10:100].reshape(-1, 3), axis=0)) == 1  # uniform
         driver.save_screenshot(str(tmp_path / "viewer.png"))
-        assert driver.get_log("browser") == []
+        assert [entry for entry in driver.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
 @pytest.mark.long
