@@ -66,7 +66,9 @@ files in DIR:
   plots/                   the plots as PNG, SVG and PDF files, the maps as PNG files
   references/SCENE.exr     rendered references: R, G, B and standard errors stderr.R, .G, .B
   runs/SCENE/STRATEGY/SEED.npz   one finished run; delete it to render it again
-  plan.json                the comparison's settings
+  plan.json                the comparison's settings, and hashes of what determines the images
+  environment.json         versions of packages, system, device and driver that have rendered
+  experiment.toml          copy of the experiment's file; its keys: host/docs/experiments.md
   .lock                    the process that is writing, until it ends; a second one is refused
 
 Runs and references have a SHA-256 and say what they are. Those that are damaged, of something else, or measured against

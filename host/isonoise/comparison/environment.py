@@ -24,8 +24,12 @@ from isonoise.input_files import read_json
 ENVIRONMENT_FILE = "environment.json"
 _PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "OpenEXR", "trimesh", "pillow", "mitsuba", "distributed")
 """Their versions are recorded."""
-_NOT_RENDERING = ("benchmark", "commands", "comparison", "convert", "film", "live", "notebook", "selftest")
-"""Packages of isonoise that do not take part in a render; files of runs have a format number of their own."""
+_NOT_RENDERING = (
+    *("benchmark", "commands", "comparison", "convert", "film", "live", "notebook", "selftest"),
+    *("__main__.py", "argument_types.py", "cli.py", "command_output.py", "command_parser.py", "help_texts.py"),
+    *("progress.py", "run_command.py", "tables.py"),
+)
+"""Packages and modules that do not take part in a render; files of runs have a format number of their own."""
 _DIGITS = 12
 
 
