@@ -50,6 +50,8 @@ def test_maps_show_counts_beyond_float16_and_unknown_errors():
     facts, values = decode(encode_map(count, 1))
     np.testing.assert_allclose(values[0], count, rtol=HALF_PRECISION)
     assert facts["range"] == [1_000_000, 3_000_000]
+    count[1:] = 1
+    assert decode(encode_map(count, 1))[0]["range"] == [1_000, 1_000_000]
     error = np.full((4, 5), np.inf, np.float32)
     facts, values = decode(encode_map(error, 1))
     assert np.isinf(values).all()

@@ -18,6 +18,8 @@ MAX_REDUCTION = 16
 """Most pixels, in either direction, whose mean is a pixel of a reduced layer."""
 SAMPLED_PIXELS = 2**16
 """About so many pixels decide exposures and the ends of scales."""
+MAX_RATIO = 1000.0
+"""Most that the ends of a map's scale differ: pixels that are nearly exact share a colour."""
 _MAX_HALF = np.float32(65504)
 _SHARES = (0.01, 0.99)
 """Quantiles of the pixels at the ends of the scales of maps."""
@@ -85,6 +87,7 @@ def encode_map(values: np.ndarray, version: int, reduction: int = 1) -> bytes:
     few = plane[0, ::step, ::step]
     few = few[np.isfinite(few) & (few > 0)]
     low, high = np.quantile(few, _SHARES).tolist() if few.size else (1.0, 1.0)
+    low = max(low, high / MAX_RATIO)
     unit = 2.0 ** round(math.log2(math.sqrt(low * high)))
     return _bytes(plane, reduction, unit, version, range=[low, high])
 

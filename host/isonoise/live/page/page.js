@@ -156,7 +156,7 @@ function showStatus() {
 function showSettings() {
   byId("title").textContent = document.title = settings.title;
   viewer.setSize(settings.width, settings.height);
-  fill(byId("settings"), [["Size", `${settings.width}×${settings.height}`], ["Strategy", settings.strategy],
+  fill(byId("settings"), [["Size", `${settings.width}×${settings.height}`], ["Strategy", settings.strategy.replaceAll(",", ",\u200b")],
     ["Device", settings.device], ["Time limit", settings.time_s ? formatDuration(settings.time_s) : ""]]);
 }
 
