@@ -152,6 +152,8 @@ class Renderer(RenderDevices):
             from isonoise.film.layers import check_host_layers  # a render without layers does not need it
 
             check_host_layers(self.layer_names, self.strategy)
+        self.device_name: str  # set with the device
+        self.driver: str
         self.setup_times: dict[str, float] = {}
         with self._measured("load"), record_files() as files:
             keep_uvs = "uv" in self.layer_names

@@ -38,13 +38,15 @@ class Picture:
 
     def __init__(self, version: int, encode: Callable[[], bytes]):
         self.version = version
-        self._encode, self._data, self._lock = encode, None, threading.Lock()
+        self._encode: Callable[[], bytes] | None = encode  # until it has been called
+        self._data = b""
+        self._lock = threading.Lock()
         self.cpu_s = 0.0
 
     def data(self) -> bytes:
         """The bytes. The first call takes `cpu_s` seconds of CPU time."""
         with self._lock:
-            if self._data is None:
+            if self._encode is not None:
                 start = time.thread_time()
                 self._data, self._encode = self._encode(), None
                 self.cpu_s = time.thread_time() - start
@@ -105,14 +107,14 @@ def _reduce(planes: np.ndarray, reduction: int) -> np.ndarray:
     rows = planes[:, :bottom:reduction, :right].copy()
     for row in range(1, reduction):
         rows += planes[:, row:bottom:reduction, :right]
-    result = rows[:, :, ::reduction].copy()
+    result: np.ndarray = rows[:, :, ::reduction].copy()
     for column in range(1, reduction):
         result += rows[:, :, column::reduction]
     result /= reduction * reduction
     return result
 
 
-def _bytes(planes: np.ndarray, reduction: int, unit: float, version: int, **facts) -> bytes:
+def _bytes(planes: np.ndarray, reduction: int, unit: float, version: int, **facts: object) -> bytes:
     channels, height, width = planes.shape
     facts |= {"width": width, "height": height, "channels": channels, "reduction": reduction, "unit": unit}
     text = json.dumps(facts | {"version": version}).encode()

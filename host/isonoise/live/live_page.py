@@ -56,7 +56,7 @@ class LivePage:
         self._state = PageState(title, stops)
         self._server = LiveServer(self._state, port)
         self.url = self._server.url
-        self._budget: Budget | None = None  # from the beginning of the render on
+        self._budget = Budget()
         self._seconds = {True: 0.0, False: 0.0}  # that pictures took last, between waves (True) and within one
         self._server_cpu_s = 0.0
         self._loop: RenderLoop | None = None
@@ -67,7 +67,7 @@ class LivePage:
     def __enter__(self) -> "LivePage":
         return self
 
-    def __exit__(self, *exception) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def periodic(self) -> Periodic:
@@ -102,10 +102,10 @@ class LivePage:
         if now - self._updated_at >= PROGRESS_INTERVAL_S:
             self._updated_at = now
             state.update(loop.progress(), loop.renderer.wave_kind)
-        return self._is_picture_due()
+        return self._is_picture_due(loop)
 
-    def _is_picture_due(self) -> bool:
-        renderer = self._loop.renderer
+    def _is_picture_due(self, loop: RenderLoop) -> bool:
+        renderer = loop.renderer
         wanted = self._state.wanted(renderer.samples)
         if not wanted:
             return False
@@ -138,7 +138,7 @@ class LivePage:
 
     def _do_once(self, loop: RenderLoop) -> None:
         """Save, and make the pictures that are wanted."""
-        if self._state.wants_save:
+        if self._state.wants_save and self.save is not None:
             self._state.wants_save = False
             self._state.say(_saved(self.save(loop)))
         renderer = loop.renderer

@@ -24,6 +24,7 @@ from collections.abc import Iterator
 from importlib.resources import files
 
 from aiohttp import web
+from aiohttp.typedefs import Handler
 
 from isonoise.errors import UserError
 from isonoise.live.layers import LAYERS, MAX_REDUCTION
@@ -75,7 +76,9 @@ class LiveServer:
         self._socket = _listen(port)
         self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}/{self._token}/"
         self._pages = 0  # open streams of events
-        self._loop = self._changed = self._closing = None
+        self._loop: asyncio.AbstractEventLoop  # set by the thread, as the events
+        self._changed: asyncio.Event
+        self._closing: asyncio.Event
         self._has_started = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="live page", daemon=True)
         self._thread.start()
@@ -128,7 +131,7 @@ class LiveServer:
         return request.transport is not None and not request.transport.is_closing()
 
     @web.middleware
-    async def _check(self, request: web.Request, handler) -> web.StreamResponse:
+    async def _check(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Answer only requests to this host, from its own pages, with the token."""
         host = request.headers.get("Host", "")
         origin = request.headers.get("Origin")
@@ -192,7 +195,8 @@ class LiveServer:
             await response.prepare(request)
             state, has_settings, rows, messages = self._state, False, 0, 0
             while True:
-                has_ended, events = state.has_ended, []
+                has_ended = state.has_ended
+                events: list[tuple[str, object]] = []
                 if not has_settings and state.settings():
                     has_settings = True
                     events.append(("settings", state.settings()))

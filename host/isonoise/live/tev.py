@@ -100,7 +100,8 @@ class TevViewer:
     """
 
     def __init__(self, image: str, address: tuple[str, int]):
-        self._image, self._channels = image, ()
+        self._image = image
+        self._channels: tuple[str, ...] = ()
         self._next_at = 0.0
         try:
             self._socket: socket.socket | None = socket.create_connection(address, TIMEOUT_S)
