@@ -142,7 +142,7 @@ def test_long_names_are_broken_after_commas():
     assert lines[0][-1] in ":,"
 
 
-@pytest.mark.parametrize(("low", "high"), [(1e-7, 3e5), (0.5, 60), (0.98, 1.06), (1.0, 1.0001), (2, 2)])
+@pytest.mark.parametrize(("low", "high"), [(1e-7, 3e5), (0.5, 60), (0.21, 1.4), (0.98, 1.06), (1.0, 1.0001), (2, 2)])
 def test_axes_have_distinct_ticks(low, high):
     from matplotlib.figure import Figure
 

@@ -11,6 +11,9 @@ from isonoise.comparison.report.map_grids import nice_ticks
 MARGIN = 0.04
 """Empty part of an axis at each end, as a share of the values' range."""
 
+DIGITS = (1, 1.5, 2, 3, 4, 5, 6, 8)
+"""First digits of the ticks of axes that span less than about a power of ten."""
+
 
 def set_log_scale(axes, which: str, low: float, high: float, form: Callable[[float], str]) -> None:
     """Give the axis `which`, "x" or "y", a logarithmic scale that shows the values from `low` to `high`."""
@@ -48,10 +51,13 @@ def tick_percent(value: float) -> str:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Ticks of a logarithmic axis; evenly spaced ones if it has fewer than three powers of ten and their parts."""
+    """Ticks of a logarithmic axis: 1, 2, 5 times powers of ten, or more of them if these are fewer than three."""
     from matplotlib.ticker import MaxNLocator
 
-    ticks = nice_ticks(low, high)
-    if len(ticks) < 3:
-        ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(low, high)
-    return [float(tick) for tick in ticks if low <= tick <= high and np.isfinite(tick)]
+    powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
+    candidates = (nice_ticks(low, high), np.outer(powers, DIGITS).ravel(), MaxNLocator(5).tick_values(low, high))
+    for ticks in candidates:
+        inside = [float(tick) for tick in ticks if low <= tick <= high]
+        if len(inside) >= 3:
+            break
+    return inside
