@@ -71,7 +71,7 @@ def test_a_limit_makes_the_pool_smaller_and_changes_no_bit():
 def test_too_little_memory_is_an_error_with_numbers():
     with pytest.raises(DeviceError, match=r"7x5 pixels and a pool of 1,024 paths need .* MiB .*100 KiB.*smaller image"):
         Renderer(lamp_over_floor(), memory=100 * 2**10)
-    with pytest.raises(UserError, match="1 byte or more"):
+    with pytest.raises(UserError, match="goes from 1 to"):
         Renderer(lamp_over_floor(), memory=0)
 
 

@@ -49,7 +49,7 @@ def denoise(rgb: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarr
     color, albedo, normal = (np.ascontiguousarray(image, np.float32) for image in (rgb, albedo, normal))
     try:
         albedo, normal = _filtered("albedo", albedo), _filtered("normal", normal)
-        return pyoidn.denoise(color, albedo=albedo, normal=normal, hdr=True, clean_aux=True)
+        return np.asarray(pyoidn.denoise(color, albedo=albedo, normal=normal, hdr=True, clean_aux=True))
     except (RuntimeError, OSError) as error:
         raise UserError(f"Open Image Denoise has failed: {error}") from error
 

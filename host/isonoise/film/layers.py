@@ -1,14 +1,25 @@
 """The layers of an image beside its colour, those that the host makes included, and their channels in files."""
 
 from collections.abc import Callable, Iterator, Mapping
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.layers import GUIDES, LAYERS
-from isonoise.statistics import Statistics
+from isonoise.statistics import Needs, Statistics
 from isonoise.strategies.base import Strategy
 from isonoise.strategies.measures import image_floor
+
+
+@runtime_checkable
+class HasMeasure(Protocol):
+    """A strategy with a measure, such as `isonoise.strategies.adaptive.Adaptive`."""
+
+    needs: Needs
+
+    def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
+        """Variance of one sample that the strategy acts on, (height, width)."""
 
 
 class ImageLayers(Mapping[str, np.ndarray]):
@@ -41,7 +52,7 @@ class ImageLayers(Mapping[str, np.ndarray]):
 
 def check_host_layers(names: tuple[str, ...], strategy: Strategy) -> None:
     """Raise UserError unless the host can make the layers of these names."""
-    if "measure" in names and not hasattr(strategy, "variance"):
+    if "measure" in names and not isinstance(strategy, HasMeasure):
         raise UserError(f"the strategy {strategy.name} has no measure, so there is no layer 'measure'")
     if "denoised" in names:
         from isonoise.film.denoise import check_denoiser
@@ -67,14 +78,14 @@ def make_layers(
     """
     images: dict[str, np.ndarray | Callable[[], np.ndarray]] = dict(from_device)
     images["variance"] = lambda: statistics.variance.astype(np.float32)
-    if strategy is not None:
+    if isinstance(strategy, HasMeasure):
         images["measure"] = lambda: measure_image(strategy, statistics)
     if all(name in from_device for name in GUIDES):
         images["denoised"] = lambda: _denoised(statistics.rgb, from_device)
     return ImageLayers({name: images[name] for name in names if name in images})
 
 
-def measure_image(strategy: Strategy, statistics: Statistics) -> np.ndarray:
+def measure_image(strategy: HasMeasure, statistics: Statistics) -> np.ndarray:
     """The strategy's measure of every pixel, (height, width) float32; inf below two samples and while it is unknown.
 
     It is sqrt(V / n): V is the variance of a sample that the strategy acts on, n the sample count.
@@ -85,12 +96,12 @@ def measure_image(strategy: Strategy, statistics: Statistics) -> np.ndarray:
     measure = np.full(statistics.shape, np.inf)
     np.divide(variance, statistics.count, out=measure, where=statistics.count > 0)
     with np.errstate(over="ignore"):
-        return np.sqrt(measure).astype(np.float32)
+        return np.asarray(np.sqrt(measure), np.float32)
 
 
 def layer_channels(layers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Channel name -> (height, width): `NAME.CHANNEL`, as Blender, Nuke and other programs split them."""
-    channels = {}
+    channels: dict[str, np.ndarray] = {}
     for name, image in layers.items():
         planes = image[..., None] if image.ndim == 2 else image
         channels |= {f"{name}.{channel}": planes[..., k] for k, channel in enumerate(LAYERS[name].channels)}

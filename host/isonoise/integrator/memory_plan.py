@@ -12,6 +12,7 @@ from isonoise.integrator.error_stage import error_scratch_bytes
 from isonoise.integrator.image_scratch import scratch_bytes
 from isonoise.integrator.kernel_table import path_bytes
 from isonoise.integrator.reduction_state import state_planes
+from isonoise.layers import first_values, mean_components
 from isonoise.statistics import Needs
 from isonoise.strips import LARGE_IMAGE_PIXELS
 
@@ -27,6 +28,9 @@ MAX_TASK_PIXELS = 2**20
 
 ALLOCATION_BYTES = 32
 """Bytes a pixel of the temporary arrays with which the built-in strategies compute an allocation map in float32."""
+
+LAYER_SCRATCH_BYTES = 48
+"""Bytes a pixel of the temporary arrays with which a layer is made: float64 sums, means and weights."""
 
 
 def path_buffers(features: Mapping[str, bool], pool_size: int, path_block_size: int) -> dict[str, int]:
@@ -141,10 +145,12 @@ class MemoryPlan:
         read += 8 * needs.median + 8 * (needs.power is not None) + 12 * needs.half + 20 * needs.uniform
         kept = 16 * self.is_adaptive + 24 * needs.uniform  # sums over the uniform waves
         image, allocation, error = read + 12, 4, 4
+        layers = 4 * (mean_components(needs.layers) + first_values(needs.layers))
+        layers += LAYER_SCRATCH_BYTES * bool(layers)
         phases = {
             "trace": (allocation + kept + (0 if is_large else image), not is_large),
             "statistics": (read + kept + (0 if is_large else image), True),
-            "output": (image + error + kept, not is_large),
+            "output": (image + error + layers + kept, not is_large),
         }
         if self.is_adaptive:
             phases["allocate"] = (read + kept + ALLOCATION_BYTES, not is_large)
