@@ -1,8 +1,12 @@
 """The live page over HTTP: who may see it, what it shows and what its buttons do."""
 
 import json
+import signal
 import socket
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -227,3 +231,49 @@ def test_the_budget():
     assert budget.allows(9.0)  # never more than the reserve has to be there
     budget.spend(RESERVE_S + 0.01)
     assert not budget.allows(0.0)
+
+
+def test_pictures_take_about_a_hundredth_of_the_time():
+    """A page that always waits, for a minute: less than 2 %, whatever a picture takes."""
+    for seconds in (0.001, 0.05, 0.15, 0.4):
+        now, spent = [0.0], 0.0
+        budget = Budget(lambda now=now: now[0])
+        while now[0] < 60:
+            if budget.allows(seconds, is_urgent=spent == 0):
+                budget.spend(seconds)
+                spent += seconds
+                now[0] += seconds
+            now[0] += 0.003
+        assert 0.4 * SHARE * 60 < spent < 0.02 * 60
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("options", [(), ("--device", "0/2"), ("--save-every", "0.5", "--checkpoint", "a.npz")])
+def test_ctrl_c_ends_a_watched_render(in_tmp_path, options):
+    """Also one that is paused; its image is written, and nothing but the address is said."""
+    command = ("render", "cornell", "-o", "a.exr", "--size", "64x48", "--time", "300", "--serve", *options)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "isonoise", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    client = LiveClient(process.stderr.readline().split()[-1])
+    with client.events() as events:
+        wait_for(lambda: next(value for name, value in events if name == "status")["state"] == "rendering", 100)
+        assert client.layer("samples")
+        client.request("POST", "pause")
+        wait_for(lambda: status_of(client)["state"] == "paused")
+        process.send_signal(signal.SIGINT)
+        last = [value for name, value in events if name == "status"][-1]
+    output, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "")
+    assert "by a signal" in output
+    assert (last["state"], last["reason"]) == ("ended", "interrupted")
+    assert Path("a.exr").is_file()
+
+
+@pytest.mark.long
+def test_a_watched_render_goes_on_from_a_checkpoint(in_tmp_path, capsys):
+    first = ("render", "cornell", "-o", "a.exr", "--size", "16x12", "--serve", "--json")
+    assert main([*first, "--spp", "40", "--checkpoint", "a.npz"]) == 0
+    assert main([*first, "--spp", "80", "--resume", "a.npz"]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert result["samples"] == 80 * 16 * 12
