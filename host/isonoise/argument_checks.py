@@ -5,8 +5,11 @@ import difflib
 import inspect
 import math
 import operator
+import os
 from collections.abc import Callable, Iterable, Mapping
-from typing import SupportsFloat, SupportsIndex, cast
+from typing import Any, SupportsFloat, SupportsIndex, cast
+
+import numpy as np
 
 from isonoise.errors import UserError
 from isonoise.limits import MAX_DEPTH, MAX_PIXELS
@@ -27,6 +30,20 @@ def check_keywords(names: Iterable[str], *functions: Callable[..., object]) -> N
     for name in names:
         if name not in known:
             raise UserError(f"there is no argument '{name}'{nearest(name, known)}; known are {', '.join(known)}")
+
+
+def check_arguments(
+    arguments: Mapping[str, Any], checks: Mapping[str, Callable[[str, object], object]], never_none: Iterable[str] = ()
+) -> dict[str, Any]:
+    """The arguments by name, with what their checks return, such as Python's own numbers in place of NumPy's.
+
+    None stays None, but for `never_none`; arguments without a check are left alone. Raises UserError as the checks do.
+    """
+    checked = dict(arguments)
+    for name, check in checks.items():
+        if name in checked and (checked[name] is not None or name in never_none):
+            checked[name] = check(name, checked[name])
+    return checked
 
 
 def check_integer(name: str, value: object, low: int, high: int, high_text: str | None = None) -> int:
@@ -53,6 +70,27 @@ def check_number(name: str, value: object, is_valid: Callable[[float], bool], ac
     if number is None or math.isnan(number) or not is_valid(number):
         raise UserError(f"{name} has to be {accepted}, not {value!r}")
     return number
+
+
+def check_path(name: str, value: object) -> str:
+    """The path as text. Raises UserError unless it is a path."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise UserError(f"{name} = {value!r} is not a path")
+    return str(os.fspath(value))
+
+
+def check_rgb(name: str, value: object) -> np.ndarray:
+    """The linear RGB image as an array. Raises UserError unless it is numbers of shape (height, width, 3)."""
+    try:
+        pixels = np.asarray(value)
+    except ValueError:  # of ragged lists
+        pixels = np.empty(0, object)
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or not pixels.size or pixels.dtype.kind not in "fiu":
+        raise UserError(
+            f"{name}: {type(value).__name__} of shape {pixels.shape} and type {pixels.dtype} is no linear RGB image; "
+            "it has to be an array of numbers of shape (height, width, 3)"
+        )
+    return pixels
 
 
 def check_flag(name: str, value: object) -> bool:

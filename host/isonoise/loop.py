@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from isonoise.argument_checks import check_callable, check_keywords
 from isonoise.error.energy_loss import EnergyLoss
 from isonoise.error.stopping import ErrorStop
 from isonoise.error.true_error import true_error
@@ -43,6 +44,7 @@ MIN_WAVE_SHARE = 1 / 16
 
 def render_loop(renderer: Renderer, stops: Stops, **options: Any) -> Outcome:
     """Run waves until a limit is reached: `RenderLoop(renderer, stops, **options).run()`, with its parameters."""
+    check_keywords(options, RenderLoop)
     return RenderLoop(renderer, stops, **options).run()
 
 
@@ -120,6 +122,12 @@ class RenderLoop:
         on_end: "Callable[[RenderLoop], None] | None" = None,
         state: State | None = None,
     ):
+        for name, value, kind in (("renderer", renderer, Renderer), ("stops", stops, Stops)):
+            if not isinstance(value, kind):
+                raise UserError(f"{name} = {value!r} is not an isonoise.{kind.__name__}")
+        for name, function in (("on_wave", on_wave), ("on_progress", on_progress), ("should_stop", should_stop)):
+            if function is not None:
+                check_callable(name, function)
         self.renderer, self.stops = renderer, stops
         self._on_wave = on_wave or (lambda row, statistics: None)
         self._on_progress = on_progress or (lambda *progress: None)

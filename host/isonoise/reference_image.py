@@ -5,6 +5,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from isonoise.argument_checks import check_rgb
 from isonoise.errors import UserError
 from isonoise.film.exr import read_reference
 from isonoise.outcome import Outcome
@@ -42,6 +43,11 @@ def reference_image(reference: Reference) -> tuple[np.ndarray, np.ndarray | None
             raise UserError("reference: the render has pixels with fewer than 2 samples, so their errors are unknown")
         error = np.sqrt(reference.variance_of_mean())
         reference = reference.rgb, np.repeat(error[..., None], 3, axis=2)
+    if not isinstance(reference, (np.ndarray, tuple)):
+        raise UserError(
+            f"reference = {reference!r} is none: it has to be the path of an .exr file, an array (height, width, 3), "
+            "a pair (RGB, standard error), or an outcome of isonoise.render"
+        )
     rgb, error = reference if isinstance(reference, tuple) and len(reference) == 2 else (reference, None)
     pixels = _pixels("reference", rgb)
     if error is None:
@@ -67,16 +73,7 @@ def check_reference_size(reference: tuple[np.ndarray, np.ndarray | None], shape:
 
 def _pixels(name: str, value: object) -> np.ndarray:
     """The value as (height, width, 3) float32. Raises UserError if it is something else."""
-    try:
-        pixels = np.asarray(value)
-    except ValueError:  # of ragged lists
-        pixels = np.empty(0, object)
-    if pixels.ndim != 3 or pixels.shape[2] != 3 or not pixels.size or pixels.dtype.kind not in "fiu":
-        raise UserError(
-            f"{name}: {type(value).__name__} with shape {pixels.shape} and type {pixels.dtype} is no linear RGB image; "
-            "it has to be the path of an .exr file, an array (height, width, 3), a pair (RGB, standard error), "
-            "or an outcome of isonoise.render"
-        )
+    pixels = check_rgb(name, value)
     if not np.isfinite(pixels).all():
         raise UserError(f"{name}: {np.count_nonzero(~np.isfinite(pixels))} values are not finite")
     return pixels.astype(np.float32, copy=False)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from isonoise.argument_checks import check_seed
+from isonoise.argument_checks import check_integer, check_seed
 from isonoise.device.opencl import Device
 from isonoise.device.selection import select_devices
 from isonoise.error.distribution import ErrorDistribution
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from isonoise.distributed.distributed_wavefront import DistributedWavefront
     from isonoise.integrator.wavefront import Wavefront
 
+MAX_WAVE_SAMPLES = 2**62
 MIN_REMAINING_PIXEL_SAMPLES = 2**20
 """A render ends when a pixel can take fewer samples than this: its 32-bit count is nearly full."""
 
@@ -288,7 +289,8 @@ class Renderer(RenderDevices):
 
     def begin_wave(self, samples: int | None = None) -> None:
         """Plan the strategy's next wave, of at most `samples`, for `continue_wave`. Raises UserError as `step` does."""
-        self._waves.begin_wave(samples)
+        limit = None if samples is None else check_integer("samples", samples, 0, MAX_WAVE_SAMPLES)
+        self._waves.begin_wave(limit)
 
     def continue_wave(self, should_continue: Callable[[int], bool] | None = None) -> bool:
         """Trace samples of the wave until `should_continue`, as in `step`, returns False; whether all are traced."""

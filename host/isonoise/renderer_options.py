@@ -3,21 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from isonoise.argument_checks import (
-    check_callable,
-    check_choice,
-    check_depth,
-    check_flag,
-    check_integer,
-    check_mapping,
-    check_seed,
-    check_size,
-)
+from isonoise.argument_checks import check_arguments, check_callable, check_flag, check_integer, check_seed
 from isonoise.device.pool_size import MAX_POOL_SIZE
 from isonoise.device.selection import SelectedDevice
 from isonoise.errors import UserError
 from isonoise.layers import check_layers
-from isonoise.samplers import SAMPLERS
+from isonoise.scene.arguments import SCENE_CHECKS
 from isonoise.scene.view import View
 from isonoise.strategies import Strategy
 
@@ -48,15 +39,8 @@ class RendererOptions(TypedDict, total=False):
 
 
 def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options with numbers of Python's own types. Raises UserError if one has another type or is out of range.
-
-    None stays None where it is accepted, and what is no option is left alone.
-    """
-    checked = dict(options)
-    for name, check in _CHECKS.items():
-        if name in checked and (checked[name] is not None or name in _NEVER_NONE):
-            checked[name] = check(name, checked[name])
-    return checked
+    """The options as `check_arguments` returns them. Raises UserError if one has another type or is out of range."""
+    return check_arguments(options, _CHECKS, never_none=("strategy", "seed", "profile", "allow_outside"))
 
 
 def _check_device(name: str, value: object) -> str | int | SelectedDevice:
@@ -70,26 +54,20 @@ def _check_strategy(name: str, value: object) -> object:
     raise UserError(f"{name} = {value!r} is neither a strategy's name nor an object of a subclass of Strategy{hint}")
 
 
-def _check_view(name: str, value: object) -> object:
-    if not isinstance(value, View):
-        raise UserError(f"{name} = {value!r} is not an isonoise.View")
+def _check_cluster(name: str, value: object) -> object:
+    if not hasattr(value, "pool"):
+        raise UserError(f"{name} = {value!r} is not an isonoise.Cluster")
     return value
 
 
-_NEVER_NONE = ("strategy", "seed", "profile", "allow_outside")
-_CHECKS: dict[str, Callable[[str, object], object]] = {
+_CHECKS: dict[str, Callable[[str, object], object]] = SCENE_CHECKS | {
     "device": _check_device,
     "strategy": _check_strategy,
     "seed": lambda name, value: check_seed(value),
-    "size": lambda name, value: check_size(value),
-    "max_depth": lambda name, value: check_depth(value),
-    "parameters": check_mapping,
-    "sampler": lambda name, value: check_choice(name, value, SAMPLERS),
     "pool_size": lambda name, value: check_integer(name, value, 1, MAX_POOL_SIZE),
     "profile": check_flag,
-    "allow_outside": check_flag,
     "memory": lambda name, value: check_integer(f"{name} (in bytes)", value, 1, MAX_MEMORY_BYTES),
-    "view": _check_view,
+    "cluster": _check_cluster,
     "layers": lambda name, value: check_layers(value),
     "on_compile": check_callable,
 }

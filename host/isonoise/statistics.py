@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,7 +67,7 @@ class Needs:
             raise UserError(f"Needs: chunk = {self.chunk} must be an odd number from 1 to 31, so that it has a median")
         if self.batch not in range(1, 65537):
             raise UserError(f"Needs: batch = {self.batch} must be a whole number from 1 to 65536")
-        if self.power is not None and not 0 < self.power < math.inf:
+        if self.power is not None and not (isinstance(self.power, Real) and 0 < self.power < math.inf):
             raise UserError(f"Needs: power = {self.power} must be a finite number above 0")
         if self.neighbours is not None and self.neighbours not in range(3, 32, 2):
             raise UserError(f"Needs: neighbours = {self.neighbours} must be an odd number from 3 to 31")

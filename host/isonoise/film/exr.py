@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from isonoise.argument_checks import check_path
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 from isonoise.input_files import open_regular_file
@@ -39,7 +40,8 @@ def write_exr(path: str | os.PathLike, layers: Mapping[str, np.ndarray], header:
     """
     import OpenEXR
 
-    channels = image_channels(layers)
+    check_path("path", path)
+    channels = image_channels(check_image_layers(layers))
     attributes = {key: value if key in _WINDOWS else _encodable(str(value)) for key, value in header.items()}
     attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 
@@ -68,6 +70,26 @@ def film_windows(
     low = np.array(offset, np.int32)
     whole = (np.zeros(2, np.int32), np.array(film, np.int32) - 1)
     return {"dataWindow": (low, low + np.array(size, np.int32) - 1), "displayWindow": whole}
+
+
+def check_image_layers(layers: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """The layers. Raises UserError unless they are arrays of numbers of one size, (height, width) or with RGB."""
+    if not isinstance(layers, Mapping) or not layers:
+        raise UserError(f"layers = {layers!r} is not a dict with at least one array")
+    sizes = set()
+    for name, pixels in layers.items():
+        array = isinstance(pixels, np.ndarray) and pixels.dtype.kind in "fiub" and pixels.size > 0
+        if not array or not (pixels.shape[2:] == (3,) or (pixels.ndim == 2 and name)):
+            shape = "(height, width, 3)" + (" or (height, width)" if name else "")
+            raise UserError(f"layer '{name}' is {_kind(pixels)}; it has to be an array of numbers of shape {shape}")
+        sizes.add(pixels.shape[:2])
+    if len(sizes) > 1:
+        raise UserError(f"the layers have different sizes: {', '.join(map(str, sorted(sizes)))}")
+    return layers
+
+
+def _kind(value: object) -> str:
+    return f"of shape {value.shape}, type {value.dtype}" if isinstance(value, np.ndarray) else f"{value!r:.100}"
 
 
 def image_channels(layers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -105,7 +127,7 @@ def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, 
     UserError
         If the file is missing or not a readable OpenEXR file.
     """
-    file = _open(path, header_only=False)
+    file = _open(check_path("path", path), header_only=False)
     return {name: channel.pixels for name, channel in file.channels().items()}, _render_attributes(file, path)
 
 

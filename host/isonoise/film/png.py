@@ -1,9 +1,11 @@
 """8-bit sRGB previews: automatic exposure, and a soft shoulder for the highlights."""
 
+import math
 import os
 
 import numpy as np
 
+from isonoise.argument_checks import check_number, check_path, check_rgb
 from isonoise.film.files import write_atomically
 from isonoise.luminance import luminance
 from isonoise.strategies.measures import image_floor
@@ -72,6 +74,11 @@ def write_png(path: str | os.PathLike, rgb: np.ndarray, exposure: float | None =
     """
     from PIL import Image
 
+    check_path("path", path)
+    rgb = check_rgb("rgb", rgb)
+    for name, value in (("exposure", exposure), ("stops", stops)):
+        if value is not None:
+            check_number(name, value, math.isfinite, "a finite number")
     picture = Image.fromarray(tone_map(rgb, exposure, stops))
     write_atomically(path, lambda temporary: picture.save(temporary, format="PNG"))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.camera import check_size
+from isonoise.scene.arguments import check_scene_arguments
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import note_files, record_files
@@ -67,6 +67,7 @@ def load(
     >>> scene["integrator.max_depth"], scene["film.size"]
     (8, (256, 256))
     """
+    check_scene_arguments(parameters=parameters, allow_outside=allow_outside, view=view, size=size)
     if isinstance(source, Scene):
         if parameters:
             raise SceneError(
@@ -281,8 +282,7 @@ class Scene(SceneObject):
         SceneError
             If a mesh or an image cannot be read, or numbers exceed the range of the device.
         """
-        if size is not None:
-            check_size(size)
+        check_scene_arguments(size=size, max_depth=max_depth, sampler=sampler, view=view)
         with record_files() as files:
             description = apply_view(self.description, view or NO_VIEW, size)
             compiled = compile_scene(description, None, max_depth, sampler, keep_uvs)

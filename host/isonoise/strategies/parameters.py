@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import field, fields
+from numbers import Real
 from typing import Any
 
 from isonoise.errors import UserError
@@ -18,6 +19,8 @@ def check_ranges(strategy: Any) -> None:
         if "range" in parameter.metadata:
             name, value = parameter.name, getattr(strategy, parameter.name)
             low, high = parameter.metadata["range"]
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise UserError(f"strategy parameter {name} = {value!r} is not a number")
             if not low <= value <= high:
                 upper = f"to {high:g}" if high < math.inf else "upwards"
                 raise UserError(f"strategy parameter {name} = {value!r} is out of range: it goes from {low:g} {upper}")
