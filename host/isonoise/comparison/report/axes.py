@@ -55,7 +55,8 @@ def _ticks(low: float, high: float) -> list[float]:
     from matplotlib.ticker import MaxNLocator
 
     powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
-    candidates = (nice_ticks(low, high), np.outer(powers, DIGITS).ravel(), MaxNLocator(5).tick_values(low, high))
+    even = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(low, high)
+    candidates = (nice_ticks(low, high), np.outer(powers, DIGITS).ravel(), even)
     for ticks in candidates:
         inside = [float(tick) for tick in ticks if low <= tick <= high]
         if len(inside) >= 3:
