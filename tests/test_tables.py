@@ -1,5 +1,7 @@
 """The table renderer: alignment, wrapping, Markdown."""
 
+import xml.etree.ElementTree as ElementTree
+
 from isonoise.tables import LEFT, Cell, Column, Table, columns, html_table, label_lines, markdown_table, text_table
 
 TABLE = Table(columns("name", "count", "note", left=(0, 2)), [("a", Cell("1", "(0\u20132)"), "one"), ("bc", "30", "")])
@@ -42,7 +44,16 @@ def test_markdown():
     ]
 
 
-def test_html_tables_escape_their_cells():
-    html = html_table(Table(columns("name", "a < b"), [("x & y", Cell("1", "[0, 2]"))]))
-    assert '<th style="text-align:right">a &lt; b</th>' in html
-    assert '<td style="text-align:left">x &amp; y</td><td style="text-align:right">1 [0, 2]</td>' in html
+def test_html_tables_escape_their_cells_and_cut_long_ones():
+    text = "x & y" * 20
+    heads = [Column("name", LEFT, meaning='a "name"'), Column("a < b")]
+    html = html_table(Table(heads, [(text, Cell("1", "[0, 2]"))]))
+    (table,) = ElementTree.fromstring(f"<div>{html}</div>")
+    name, number = table.findall("./thead/tr/th")
+    assert (name.text, name.get("title"), number.text, number.get("title")) == ("name", 'a "name"', "a < b", None)
+    long, short = table.findall("./tbody/tr/td")
+    assert long.text == long.get("title") == text
+    assert "ellipsis" in long.get("style")
+    assert (short.text, short.get("title")) == ("1 [0, 2]", None)
+    assert "text-align:left" in long.get("style")
+    assert "text-align:right" in short.get("style")

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 LEFT, RIGHT = "<", ">"
 GAP = "  "
 """Between two columns."""
+MAX_HTML_CHARS = 48
+"""Longer texts are cut off in HTML tables."""
 
 
 @dataclass(frozen=True)
@@ -103,13 +105,24 @@ def markdown_table(table: Table) -> str:
 
 
 def html_table(table: Table) -> str:
-    """The rows as an HTML table with styles of its own, without title and notes."""
+    """The rows as an HTML table with styles of its own, without title and notes.
+
+    The meaning of a column is a tooltip of its head; a cell with a long text ends with an ellipsis and has the whole
+    text as its tooltip.
+    """
     sides = ["left" if column.align == LEFT else "right" for column in table.columns]
-    heads = zip([html.escape(column.head) for column in table.columns], sides, strict=True)
-    head = "".join(f'<th style="text-align:{side}">{text}</th>' for text, side in heads)
-    rows = []
-    for row in table.rows:
-        cells = zip([html.escape(str(cell)) for cell in row], sides, strict=True)
-        rows.append("".join(f'<td style="text-align:{side}">{text}</td>' for text, side in cells))
+    heads = []
+    for column, side in zip(table.columns, sides, strict=True):
+        meaning = f' title="{html.escape(column.meaning)}"' if column.meaning else ""
+        heads.append(f'<th style="text-align:{side}"{meaning}>{html.escape(column.head)}</th>')
+    rows = ["".join(map(_html_cell, row, sides)) for row in table.rows]
     body = "".join(f"<tr>{row}</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f"<table><thead><tr>{''.join(heads)}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _html_cell(cell: Cell | str, side: str) -> str:
+    text, style = html.escape(str(cell)), f"text-align:{side};white-space:nowrap"
+    if len(str(cell)) <= MAX_HTML_CHARS:
+        return f'<td style="{style}">{text}</td>'
+    style += f";max-width:{MAX_HTML_CHARS // 2}em;overflow:hidden;text-overflow:ellipsis"
+    return f'<td style="{style}" title="{text}">{text}</td>'

@@ -1,6 +1,5 @@
 """ResultTable: a table of a comparison in Python, with conversions and a view for notebooks."""
 
-import html
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -9,7 +8,7 @@ import numpy as np
 from isonoise.comparison.table_columns import TableColumn
 from isonoise.comparison.tidy_tables import arrow_table, csv_text
 from isonoise.errors import UserError
-from isonoise.tables import Column, Table, text_table
+from isonoise.tables import LEFT, RIGHT, Column, Table, html_table, text_table
 
 if TYPE_CHECKING:
     import pandas
@@ -88,13 +87,11 @@ class ResultTable(Mapping[str, np.ndarray]):
     def _repr_html_(self) -> str:
         """For notebooks: the first rows, with the meanings of columns as tooltips."""
         meanings = {column.name: f"{column.meaning} [{column.unit}]" for column in self.columns}
-        head = "".join(
-            f'<th title="{html.escape(meanings.get(name, ""), quote=True)}">{html.escape(name)}</th>' for name in self
-        )
-        body = "".join(
-            f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in self._shown_rows()
-        )
-        table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        columns = [
+            Column(name, LEFT if values.dtype.kind in "UO" else RIGHT, meaning=meanings.get(name, ""))
+            for name, values in self.items()
+        ]
+        table = html_table(Table(columns, self._shown_rows()))
         return f'<div style="overflow-x:auto">{table}<p>{self._size()}</p></div>'
 
     def _shown_rows(self) -> list[list[str]]:
