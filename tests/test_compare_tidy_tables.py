@@ -12,14 +12,20 @@ import pytest
 from simulated_comparison import SNAPSHOTS, make_comparison
 
 from isonoise.comparison.plan import read_plan, write_plan
-from isonoise.comparison.table_columns import DEFAULT_METRICS, METRICS, SCHEMA, checked_metrics
+from isonoise.comparison.summary import summarise, write_summary
+from isonoise.comparison.summary_table import summary_table
+from isonoise.comparison.table_columns import DEFAULT_METRICS, METRICS, SCHEMA, SUMMARY_KEYS, checked_metrics
 from isonoise.comparison.tidy_tables import arrow_table, csv_text, runs_table, waves_table, write_tables
 from isonoise.errors import UserError
 
 SCENES = ("bright", "dim")
 STRATEGIES = {"uniform": np.ones_like, "relative-median": lambda v: v}
 SEEDS = (1, 2, 3)
-TABLES = {"runs": runs_table, "waves": waves_table}
+TABLES = {
+    "runs": runs_table,
+    "waves": waves_table,
+    "summary": lambda directory: summary_table(directory, {"": summarise(directory)}),
+}
 
 
 def set_metrics(directory, names):
@@ -31,7 +37,9 @@ def folder(tmp_path_factory):
     """Folder of a comparison with the columns of all metrics."""
     directory = make_comparison(tmp_path_factory.mktemp("tidy") / "out", SCENES, STRATEGIES, seeds=SEEDS)
     set_metrics(directory, METRICS)
-    write_tables(directory)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr("isonoise.comparison.flip_values.flip", lambda image, _: float(image.mean()))
+        write_summary(directory, summarise(directory))
     return directory
 
 
@@ -55,9 +63,9 @@ def test_the_metrics_of_the_plan_choose_the_columns(tmp_path):
     every = {column.name for column in SCHEMA["waves"] if column.metric in ("", *DEFAULT_METRICS)}
     assert set(waves_table(directory)) == every
     set_metrics(directory, ["coverage", "mse"])
-    for name, read in TABLES.items():
+    for name in ("runs", "waves"):
         common = [column.name for column in SCHEMA[name] if not column.metric]
-        assert sorted(read(directory)) == sorted([*common, "true_mse", "true_coverage"])
+        assert sorted(TABLES[name](directory)) == sorted([*common, "true_mse", "true_coverage"])
 
 
 def test_every_metric_has_columns():
@@ -76,14 +84,18 @@ def test_unknown_metrics_are_messages(names, message):
 
 def test_the_documents_have_every_column_and_metric():
     page = (Path(__file__).parent.parent / "host/docs/comparison-tables.md").read_text("utf-8").replace("\\|", "|")
-    for name, columns in SCHEMA.items():
-        for column in columns:
-            tables = ", ".join(f"`{other}`" for other in SCHEMA if column in SCHEMA[other])
+    lines = page.splitlines()
+    for name in ("runs", "waves"):
+        for column in SCHEMA[name]:
+            tables = ", ".join(f"`{other}`" for other in ("runs", "waves") if column in SCHEMA[other])
             assert f"`{name}`" in tables
-            row = f"| `{column.name}` | {tables} | {column.dtype} | {column.unit} | {column.meaning} |"
-            assert row in page.splitlines()
+            assert f"| `{column.name}` | {tables} | {column.dtype} | {column.unit} | {column.meaning} |" in lines
+    for column in SCHEMA["summary"]:
+        if not column.name.endswith(("_low", "_high")) and column not in SCHEMA["runs"]:
+            interval = ", interval" if f"{column.name}_low" in SUMMARY_KEYS else ""
+            assert f"| `{column.name}`{interval} | {column.dtype} | {column.unit} | {column.meaning} |" in lines
     for metric, meaning in METRICS.items():
-        assert f"| `{metric}` | {meaning} |" in page.splitlines()
+        assert f"| `{metric}` | {meaning} |" in lines
 
 
 def test_rows_are_the_runs_and_their_waves_in_the_order_of_the_plan(tables):
@@ -112,6 +124,20 @@ def test_values_are_those_of_the_runs_files(folder, tables):
     assert set(runs["width"]) == {32}
     assert set(runs["height"]) == {24}
     assert np.isnan(runs["warm_up_spp"]).all()
+
+
+def test_the_summary_is_that_of_the_report(folder, tables):
+    summary, table = json.loads((folder / "summary.json").read_text()), tables["summary"]
+    keys = [(scene["slug"], row["strategy"]) for scene in summary["scenes"] for row in scene["rows"]]
+    assert list(zip(table["scene"], table["strategy"], strict=True)) == keys
+    rows = [row for scene in summary["scenes"] for row in scene["rows"]]
+    assert table["seeds"].tolist() == [len(SEEDS)] * len(keys)
+    assert table["rms_p99_low"].tolist() == [row["rms_p99"]["low"] for row in rows]
+    assert table["flip"].tolist() == [row["flip"]["value"] for row in rows]
+    assert table["bias_z"].tolist() == [row["bias"]["z"] for row in rows]
+    missing = {name for name, values in table.items() if values.dtype.kind == "f" and np.isnan(values).any()}
+    assert missing == {"budget_spp", "warm_up_spp"}  # so the keys of all figures are right
+    assert (table["rms_p99"] > table["rms_p50"]).all()
 
 
 def test_mse_and_bias_of_simulated_errors(tmp_path):
@@ -200,8 +226,8 @@ def test_settings_of_an_experiment_have_columns(tmp_path):
     assert list(table)[-2:] == ["scene.box.bsdf", "strategy.warmup"]
     assert table["scene.box.bsdf"].tolist() == ["0.5,1", "0.5,1", "white", "white"]
     np.testing.assert_array_equal(table["strategy.warmup"], [np.nan, 8, np.nan, 8])
-    waves = waves_table(directory)
-    assert waves["strategy.warmup"].size == 4 * SNAPSHOTS
+    assert waves_table(directory)["strategy.warmup"].size == 4 * SNAPSHOTS
+    np.testing.assert_array_equal(TABLES["summary"](directory)["strategy.warmup"], [np.nan, 8, np.nan, 8])
     if "pyarrow" in sys.modules:
         schema = arrow_table("runs", table).schema
         assert [str(schema.field(name).type) for name in list(table)[-2:]] == ["string", "double"]
@@ -232,10 +258,10 @@ def test_a_table_without_rows_keeps_its_types(tmp_path):
     for name, read in TABLES.items():
         table = read(folder)
         assert {column.size for column in table.values()} == {0}
-        assert table["seed"].dtype == np.int64
+        assert table["budget_s"].dtype == np.float64
         assert csv_text(table).count("\n") == 1
         if "pyarrow" in sys.modules:
-            assert str(arrow_table(name, table).schema.field("seed").type) == "int64"
+            assert str(arrow_table(name, table).schema.field("budget_s").type) == "double"
 
 
 def test_parquet_files_of_earlier_runs_are_removed_without_pyarrow(tmp_path, monkeypatch):

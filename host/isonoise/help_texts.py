@@ -61,6 +61,7 @@ files in DIR:
   tables.md                the tables as Markdown
   runs.csv, runs.parquet   one row per run; Parquet with the extra `tables`. Columns: host/docs/comparison-tables.md
   waves.csv, waves.parquet one row per wave of every run
+  summary.csv, .parquet    one row per scene and strategy
   images/SCENE/STRATEGY/SEED.exr   with --keep-images the final image of a run: R, G, B as 16-bit floats
   flip.json                with the metric flip its values, so that they are computed once
   plots/                   the plots as PNG, SVG and PDF files, the maps as PNG files

@@ -129,13 +129,15 @@ def _compare(
             from isonoise.comparison.series import write_series
 
             write_series(directory, members, {member: summaries[member.folder] for member in members}, lambda _: None)
-        runs, waves = runs_table(directory), waves_table(directory)
+        tables = {
+            "runs": runs_table(directory),
+            "waves": waves_table(directory),
+            "summary": summary_table(directory, summaries),
+        }
     return Comparison(
-        ResultTable("runs", runs, columns_of("runs", runs)),
-        ResultTable("waves", waves, columns_of("waves", waves)),
-        summary_table(summaries),
-        summaries,
-        directory if is_kept else None,
+        **{name: ResultTable(name, table, columns_of(name, table)) for name, table in tables.items()},
+        summaries=summaries,
+        directory=directory if is_kept else None,
     )
 
 

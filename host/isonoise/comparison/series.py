@@ -14,7 +14,8 @@ from isonoise.comparison.metric_columns import EMPTY, ratio_cell
 from isonoise.comparison.plan import PLAN_FILE, Plan, variance_path
 from isonoise.comparison.report_tables import strategy_titles
 from isonoise.comparison.summary import summarise
-from isonoise.comparison.tidy_tables import write_tables
+from isonoise.comparison.summary_table import summary_table
+from isonoise.comparison.tidy_tables import write_table, write_tables
 from isonoise.errors import UserError
 from isonoise.film.files import write_atomically
 from isonoise.tables import LEFT, Cell, Column, Table, markdown_table, text_table
@@ -69,6 +70,8 @@ def write_series(
     write_atomically(directory / "tables.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
     if summaries:
         write_tables(directory)
+        by_folder = {member.folder: summary for member, summary in summaries.items()}
+        write_table(directory, "summary", summary_table(directory, by_folder))
     for table in tables:
         log(f"{table.title}\n{text_table(table)}\n")
 

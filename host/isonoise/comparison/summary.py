@@ -15,7 +15,8 @@ from isonoise.comparison.plan import SceneEntry
 from isonoise.comparison.report_tables import markdown_tables, text_tables
 from isonoise.comparison.results import Reference, Results, Run, common_seeds
 from isonoise.comparison.strategy_specs import MITSUBA_SAMPLERS, independent_counterpart
-from isonoise.comparison.tidy_tables import write_tables
+from isonoise.comparison.summary_table import summary_table
+from isonoise.comparison.tidy_tables import write_table, write_tables
 from isonoise.comparison.timing import timing_rows
 from isonoise.film.files import write_atomically
 from isonoise.strategies.registry import DEFAULT_STRATEGY
@@ -96,6 +97,7 @@ def write_summary(directory: Path, summary: dict) -> None:
     """Write summary.json, tables.md and the tidy tables (`tidy_tables`) to `directory`, each file atomically."""
     directory = Path(directory)
     write_tables(directory)
+    write_table(directory, "summary", summary_table(directory, {"": summary}))
     _write_text(directory / "summary.json", json.dumps(summary, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     _write_text(directory / "tables.md", markdown_tables(summary))
 

@@ -1,4 +1,4 @@
-"""The columns of a comparison's tidy tables `runs` and `waves`: type, unit, meaning. For `tidy_tables`."""
+"""The columns of a comparison's tidy tables: type, unit, meaning. For `tidy_tables` and `summary_table`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -156,6 +156,78 @@ _FILES = (_text("run_file", "path of the run's file below the folder"),)
 SCENE_SETTING, STRATEGY_SETTING = "scene.", "strategy."
 """Beginnings of the names of columns with the settings of an experiment; the parameter's name follows."""
 
+_ENDS = {"": "value", "_low": "low", "_high": "high"}
+"""End of a column's name -> key of an interval in summary.json."""
+_INTERVALS = {
+    "rms_p99": (
+        ("rms_p99",),
+        "1",
+        "quantile 0.99 over the pixels of the RMS over the seeds of (x - r) / max(r, floor)",
+    ),
+    "rms_p99_ratio": (("rms_ratio", "p99"), "1", "rms_p99 over that of the baseline"),
+    "rel_mse": (("rel_mse",), "1", f"{_REL_MSE}, mean over the seeds, without the reference's own error"),
+    "rel_mse_ratio": (("rel_mse_ratio",), "1", "rel_mse over that of the baseline, paired by seed"),
+    "image_mean_ratio": (("image_mean_ratio",), "1", "mean luminance over that of the reference"),
+    "bias": (("bias",), "1", "mean over pixels and seeds of (x - r) / max(m, floor), as true_bias"),
+    "stated_over_true_p50": (("stated_over_true", "p50"), "1", "stated over true error at quantile 0.5"),
+    "stated_over_true_p95": (("stated_over_true", "p95"), "1", "stated over true error at quantile 0.95"),
+    "stated_over_true_p99": (("stated_over_true", "p99"), "1", "stated over true error at quantile 0.99"),
+    "time_to_equal_rms_p99": (
+        ("time_to_equal_error", "rms_p99", "at_common_error"),
+        "1",
+        "time to the larger of the two final rms_p99 over the baseline's time to it",
+    ),
+    "time_to_equal_rel_mse": (
+        ("time_to_equal_error", "rel_mse", "at_common_error"),
+        "1",
+        "time to the larger of the two final rel_mse over the baseline's time to it",
+    ),
+    "flip": (("flip",), "1", "mean LDR-FLIP of single images, mean over the seeds"),
+}
+"""Figures with 95 % intervals: name -> keys in a row of summary.json, unit, meaning."""
+_MEANS = {
+    "spp": (("spp",), "samples/pixel", "mean over the seeds"),
+    "elapsed_s": (("elapsed_s",), "s", "time of rendering, mean over the seeds"),
+    "device_s": (("device_s",), "s", "part of elapsed_s in which the device was busy; missing if it cannot measure it"),
+    "setup_s": (("setup_s",), "s", "time before the first sample, mean over the seeds"),
+    "warm_up_spp": (("warm_up_spp",), "samples/pixel", "samples per pixel before the first adaptive wave, if any"),
+    "rms_p50": (("rms", "p50"), "1", "as rms_p99, quantile 0.5"),
+    "rms_p95": (("rms", "p95"), "1", "as rms_p99, quantile 0.95"),
+    "uniformity": (("uniformity",), "1", "rms_p99 / rms_p50"),
+    "rel_mse_trimmed": (("rel_mse_trimmed",), "1", f"{_REL_MSE}{_TRIMMED}, mean over the seeds"),
+    "mse": (("mse",), f"{_RADIANCE}^2", "mean over pixels, RGB and seeds of (x - r)^2"),
+    "bias_z": (("bias", "z"), "1", "bias / its standard error"),
+    "bias_z_critical": (("bias", "critical"), "1", "bias_z beyond which the bias is significant at 5 %"),
+    "coverage": (("coverage",), "1", "true_coverage, mean over the seeds"),
+    "stated_p50": (("stated", "p50"), "1", "stated error at quantile 0.5, mean over the seeds"),
+    "stated_p95": (("stated", "p95"), "1", "stated error at quantile 0.95, mean over the seeds"),
+    "stated_p99": (("stated", "p99"), "1", "stated error at quantile 0.99, mean over the seeds"),
+    "true_p50": (("true", "p50"), "1", "true_p50_corrected, mean over the seeds"),
+    "true_p95": (("true", "p95"), "1", "true_p95_corrected, mean over the seeds"),
+    "true_p99": (("true", "p99"), "1", "true_p99_corrected, mean over the seeds"),
+    "true_max": (("true", "max"), "1", "true_max, mean over the seeds"),
+}
+
+SUMMARY_KEYS: dict[str, tuple[str, ...]] = {
+    "seeds": ("seeds",),
+    **{name: keys for name, (keys, _, _) in _MEANS.items()},
+    **{f"{name}{end}": (*keys, key) for name, (keys, _, _) in _INTERVALS.items() for end, key in _ENDS.items()},
+}
+"""Column of the table `summary` -> keys in a row of summary.json."""
+
+
+def _interval_columns() -> list[TableColumn]:
+    columns = []
+    for name, (_, unit, meaning) in _INTERVALS.items():
+        metric = "flip" if name == "flip" else ""
+        columns += [
+            _number(name, unit, meaning, metric),
+            _number(f"{name}_low", unit, f"lower bound of the 95 % interval of {name}", metric),
+            _number(f"{name}_high", unit, f"upper bound of the 95 % interval of {name}", metric),
+        ]
+    return columns
+
+
 SCHEMA: dict[str, tuple[TableColumn, ...]] = {
     "runs": (
         *_KEYS,
@@ -172,6 +244,15 @@ SCHEMA: dict[str, tuple[TableColumn, ...]] = {
         *_FILES,
     ),
     "waves": (*_KEYS, _integer("wave"), _text("kind", _LOG["kind"]), *_PROGRESS, *_METRICS),
+    "summary": (
+        *(column for column in _KEYS if column.name != "seed"),
+        _text("spec", "the strategy as it was given"),
+        _text("folder", "of the comparison below that of an experiment with several; empty if there is one"),
+        _integer("seeds", "number of finished runs"),
+        *(_number(name, unit, meaning) for name, (_, unit, meaning) in _MEANS.items()),
+        *_interval_columns(),
+        _number("reference_p99", "1", "quantile 0.99 of the reference's standard error over max(r, floor)"),
+    ),
 }
 """The columns of each table with all metrics, in their order. Those of `runs` have the values after the last wave.
 

@@ -1,4 +1,4 @@
-"""The tidy tables of a comparison, one row per run (`runs`) or per run and wave (`waves`), as CSV and Parquet files.
+"""The tidy tables of a comparison, one row per run (`runs`) or per run and wave (`waves`); tables as files.
 
 `summary` writes them to the folder of a comparison, `series` to that of an experiment with several; `runs_table` and
 `waves_table` read them from the finished runs. `table_columns` documents every column.
@@ -16,7 +16,7 @@ import numpy as np
 
 from isonoise.comparison.checked_files import read_npz
 from isonoise.comparison.flip_values import FlipValues
-from isonoise.comparison.plan import PLAN_FILE, SceneEntry, StrategyEntry
+from isonoise.comparison.plan import PLAN_FILE, Plan, SceneEntry, StrategyEntry
 from isonoise.comparison.request import text_of
 from isonoise.comparison.results import Results, Run
 from isonoise.comparison.table_columns import (
@@ -55,26 +55,44 @@ def runs_table(directory: Path | str) -> dict[str, np.ndarray]:
     UserError
         If the folder has no readable plan, or a reference cannot be read.
     """
-    return _table("runs", Path(directory))
+    directory = Path(directory)
+    comparisons = _comparisons(directory)
+    rows = [run[-1] for results in comparisons for run in _runs(results, directory)]
+    return _table("runs", rows, comparisons)
 
 
 def waves_table(directory: Path | str) -> dict[str, np.ndarray]:
     """A row per wave of every finished run: the columns `SCHEMA["waves"]`, as `runs_table`."""
-    return _table("waves", Path(directory))
+    directory = Path(directory)
+    comparisons = _comparisons(directory)
+    rows = [row for results in comparisons for run in _runs(results, directory) for row in run]
+    return _table("waves", rows, comparisons)
 
 
 def write_tables(directory: Path) -> None:
-    """Write waves.csv and runs.csv to the folder, and waves.parquet and runs.parquet if pyarrow is installed.
+    """Write the tables `runs` and `waves` to the folder with `write_table`. Raises UserError as they do."""
+    comparisons = _comparisons(directory)
+    runs = [run for results in comparisons for run in _runs(results, directory)]
+    write_table(directory, "runs", _table("runs", [run[-1] for run in runs], comparisons))
+    write_table(directory, "waves", _table("waves", [row for run in runs for row in run], comparisons))
 
-    Without pyarrow, Parquet files of earlier runs are removed: they would not agree with the CSV files. Raises
+
+def write_table(directory: Path, name: str, table: Mapping[str, np.ndarray]) -> None:
+    """Write NAME.csv and, if pyarrow is installed, NAME.parquet to the folder, each file atomically.
+
+    Without pyarrow, a Parquet file of an earlier call is removed: it would not agree with the CSV file. Raises
     UserError if a file cannot be written.
     """
-    for name in SCHEMA:
-        table = _table(name, directory)
-        text = csv_text(table)
-        path = directory / f"{name}.csv"
-        write_atomically(path, lambda file, text=text: file.write_text(text, encoding="utf-8", newline="\n"))
-        _write_parquet(directory / f"{name}.parquet", name, table)
+    text = csv_text(table)
+    path = directory / f"{name}.csv"
+    write_atomically(path, lambda file: file.write_text(text, encoding="utf-8", newline="\n"))
+    path = directory / f"{name}.parquet"
+    try:
+        from pyarrow import parquet
+    except ImportError:
+        path.unlink(missing_ok=True)
+        return
+    write_atomically(path, lambda file: parquet.write_table(arrow_table(name, table), file))
 
 
 def csv_text(table: Mapping[str, np.ndarray]) -> str:
@@ -111,12 +129,14 @@ def columns_of(name: str, table: Mapping[str, np.ndarray]) -> list[TableColumn]:
     return [known.get(key) or setting_column(key, values.dtype.kind == "f") for key, values in table.items()]
 
 
-def _table(name: str, directory: Path) -> dict[str, np.ndarray]:
-    comparisons = _comparisons(directory)
-    runs = [run for results in comparisons for run in _runs(results, directory)]
-    rows = [row for run in runs for row in (run if name == "waves" else [run[-1]])]
-    chosen = {"", *(metric for results in comparisons for metric in results.plan.metrics)}
-    columns = [column for column in SCHEMA[name] if column.metric in chosen] + _setting_columns(comparisons)
+def _table(name: str, rows: Sequence[Mapping], comparisons: Sequence[Results]) -> dict[str, np.ndarray]:
+    return table_of_rows(name, rows, [results.plan for results in comparisons])
+
+
+def table_of_rows(name: str, rows: Sequence[Mapping], plans: Sequence[Plan]) -> dict[str, np.ndarray]:
+    """The columns of the table `name`, from rows that are mappings, for the metrics and settings of the plans."""
+    chosen = {"", *(metric for plan in plans for metric in plan.metrics)}
+    columns = [column for column in SCHEMA[name] if column.metric in chosen] + _setting_columns(plans)
     return {column.name: _array(column, rows) for column in columns}
 
 
@@ -130,10 +150,10 @@ def _comparisons(directory: Path) -> list[Results]:
     return sorted(found, key=lambda each: (each.directory.parent, each.plan.time or 0, each.plan.spp or 0))
 
 
-def _setting_columns(comparisons: Sequence[Results]) -> list[TableColumn]:
+def _setting_columns(plans: Sequence[Plan]) -> list[TableColumn]:
     values: dict[str, list] = {}
-    for results in comparisons:
-        for entry in (*results.plan.scenes, *results.plan.strategies):
+    for plan in plans:
+        for entry in (*plan.scenes, *plan.strategies):
             for key, value in _settings(entry).items():
                 values.setdefault(key, []).append(value)
     return [setting_column(key, all(map(_is_number, found))) for key, found in values.items()]
@@ -166,7 +186,7 @@ def _runs(results: Results, directory: Path) -> Iterator[list[dict]]:
         for slug, runs in results.runs(scene).items():
             for run in runs.values():
                 strategy = strategies[slug]
-                common = _about_plan(results, scene, strategy) | {
+                common = about_plan(results.plan, scene, strategy) | {
                     "seed": run.seed,
                     "flip": flip_values.get(run),
                     "run_file": run.path.relative_to(directory).as_posix(),
@@ -174,14 +194,14 @@ def _runs(results: Results, directory: Path) -> Iterator[list[dict]]:
                 yield _rows(run, common)
 
 
-def _about_plan(results: Results, scene: SceneEntry, strategy: StrategyEntry) -> dict:
-    """Columns that the plan has the values of."""
+def about_plan(plan: Plan, scene: SceneEntry, strategy: StrategyEntry) -> dict:
+    """The columns that the plan has the values of."""
     settings = _settings(scene) | _settings(strategy)
     return settings | {
         "scene": scene.slug,
         "strategy": strategy.slug,
-        "budget_s": results.plan.time,
-        "budget_spp": results.plan.spp,
+        "budget_s": plan.time,
+        "budget_spp": plan.spp,
         "spec": strategy.spec,
         "width": scene.width,
         "height": scene.height,
@@ -216,12 +236,3 @@ def _csv_field(value: float | int | str) -> str:
     if isinstance(value, float):
         return "" if math.isnan(value) else repr(value)
     return str(value)
-
-
-def _write_parquet(path: Path, name: str, table: Mapping[str, np.ndarray]) -> None:
-    try:
-        from pyarrow import parquet
-    except ImportError:
-        path.unlink(missing_ok=True)
-        return
-    write_atomically(path, lambda file: parquet.write_table(arrow_table(name, table), file))
