@@ -5,19 +5,24 @@ import pytest
 from small_scene import HEIGHT, PIXELS, WIDTH, assert_same_bits, lamp_over_floor
 
 from isonoise import Renderer
+from isonoise.device.opencl import Device
 from isonoise.errors import UserError
 from isonoise.film.exr import read_exr
 from isonoise.film.layers import ImageLayers, layer_channels
 from isonoise.film.output import ImageFiles
 from isonoise.layers import HOST, LAYERS, NO_HIT_DEPTH, check_layers, device_layers, first_components
-from isonoise.state.merge_layers import merge_layers
+from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
+from isonoise.state.merge import merge_states
+from isonoise.state.merge_layers import merge_layers, state_layers
 
 DEVICE_LAYERS = tuple(name for name, layer in LAYERS.items() if layer.made != HOST)
 EYE, AHEAD = np.array([0.0, 2.4, 3.0]), np.array([0.0, -2.4, -3.0]) / np.hypot(2.4, 3.0)
 
 
-def render(spp: int = 8, layers=DEVICE_LAYERS, steps: int = 1, seed: int = 1, **options) -> Renderer:
-    renderer = Renderer(lamp_over_floor(), strategy="uniform", layers=layers, seed=seed, **options)
+def render(
+    spp: int = 8, layers=DEVICE_LAYERS, steps: int = 1, seed: int = 1, strategy="uniform", **options
+) -> Renderer:
+    renderer = Renderer(lamp_over_floor(), strategy=strategy, layers=layers, seed=seed, **options)
     while renderer.samples < spp * PIXELS:
         renderer.step(min(spp * PIXELS - renderer.samples, -(-spp * PIXELS // steps)))
     return renderer
@@ -104,6 +109,21 @@ def test_merged_layers_are_means_over_the_samples_of_both(rendered):
     sums = [hits[k] * each[0]["depth"] for k, each in enumerate((a, b))]
     np.testing.assert_allclose(merged["depth"][both], (sum(sums) / sum(hits).clip(1e-9))[both], rtol=1e-6)
     np.testing.assert_array_equal(merged["shape_index"], a[0]["shape_index"])
+
+
+def test_checkpoints_keep_layers_for_merging(rendered, tmp_path):
+    paths = [str(tmp_path / name) for name in ("a.npz", "b.npz", "merged.npz")]
+    with render(layers=("depth", "normal", "coverage", "measure"), seed=2, strategy="relative-mean") as other:
+        for renderer, path in ((rendered, paths[0]), (other, paths[1])):
+            write_checkpoint(path, renderer.state())
+        expected = merge_layers(rendered.layers(), rendered.statistics(), other.layers(), other.statistics())
+    merged = merge_states(map(read_checkpoint, paths[:2]), paths[:2], Device())
+    assert merged.settings["layers"] == ["normal", "depth", "coverage"]
+    write_checkpoint(paths[2], merged)
+    layers = state_layers(read_checkpoint(paths[2]))
+    assert list(layers) == ["normal", "depth", "coverage"]
+    for name in layers:
+        np.testing.assert_array_equal(layers[name], expected[name])
 
 
 def test_variance_and_measure_come_from_statistics_and_strategy(one_lane):

@@ -13,7 +13,7 @@ from isonoise.error.stated_error import stated_error
 from isonoise.errors import UserError
 from isonoise.film.exr import film_windows
 from isonoise.film.files import check_writable
-from isonoise.film.layers import make_layers
+from isonoise.film.layers import check_host_layers, make_layers
 from isonoise.film.output import ImageFiles
 from isonoise.progress import format_duration, format_number, format_percent
 from isonoise.state.checkpoint import read_checkpoint, write_checkpoint
@@ -42,7 +42,9 @@ def run(options: argparse.Namespace) -> int:
         "isonoise.floor": floor,
         **film_windows(*map(tuple, merged.settings["film_window"])),
     }
-    layers = make_layers(tuple(merged.settings["layers"]), state_layers(merged), statistics, strategy=None)
+    names = tuple(merged.settings["layers"])
+    check_host_layers(names)
+    layers = make_layers(names, state_layers(merged), statistics, strategy=None)
     views = {"exposure": merged.settings["exposure"], "layers": layers, "stops": options.exposure}
     written = images.write(statistics, floor, header | denoiser_header(denoiser(layers)), may_be_partial=True, **views)
     if options.checkpoint:

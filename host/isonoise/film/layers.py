@@ -50,9 +50,9 @@ class ImageLayers(Mapping[str, np.ndarray]):
         return len(self._images)
 
 
-def check_host_layers(names: tuple[str, ...], strategy: Strategy) -> None:
-    """Raise UserError unless the host can make the layers of these names."""
-    if "measure" in names and not isinstance(strategy, HasMeasure):
+def check_host_layers(names: tuple[str, ...], strategy: Strategy | None = None) -> None:
+    """Raise UserError unless the host can make the layers of these names, of merged renders without a strategy."""
+    if "measure" in names and strategy is not None and not isinstance(strategy, HasMeasure):
         raise UserError(f"the strategy {strategy.name} has no measure, so there is no layer 'measure'")
     if "denoised" in names:
         from isonoise.film.denoise import check_denoiser
