@@ -1,5 +1,6 @@
 """A comparison that goes on with other code, another driver or another version: noticed, refused or rendered again."""
 
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -147,3 +148,45 @@ def test_an_edited_scene_or_reference_is_a_change_and_another_size_a_setting():
     assert (larger.settings, larger.changes) == (["size of 'cornell' was 16x12 and is 32x12"], [])
     write_plan(Path("out"), plan)
     assert read_plan(Path("out")) == plan
+
+
+SCRIPT = """
+from isonoise.comparison.strategy_code import code_of
+from isonoise.strategies.uniform import Uniform
+
+WARMUP = 4
+
+def warmup():
+    return WARMUP
+
+class Mine(Uniform):
+    name = "mine"
+
+    def __init__(self):
+        super().__init__(warmup=warmup())
+
+print(code_of("__main__:Mine"))
+"""
+
+
+def test_code_of_a_script_is_the_class_and_what_it_uses():
+    """The rest of a script may change."""
+
+    def code(text):
+        Path("script.py").write_text(text)
+        done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    first = code(SCRIPT)
+    assert first.startswith("Mine, WARMUP, warmup: sha256 ")
+    assert code(SCRIPT + "print()").strip() == first.strip()
+    assert code(SCRIPT.replace("WARMUP = 4", "WARMUP = 8")) != first
+    assert code(SCRIPT.replace("return WARMUP", "return WARMUP + 1")) != first
+
+
+def test_the_code_of_a_measure_is_that_of_its_strategy(monkeypatch, tmp_path):
+    Path("measure_of_this_test.py").write_text("def of(statistics, floor):\n    return statistics.mean\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    start_again(monkeypatch)
+    assert code_of("adaptive:measure=measure_of_this_test:of").startswith("measure_of_this_test.py: sha256 ")

@@ -10,6 +10,7 @@ import inspect
 import os
 import sys
 import sysconfig
+import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from importlib.metadata import packages_distributions, version
@@ -21,6 +22,8 @@ from isonoise.errors import UserError
 
 _INSTALLED = tuple(os.path.realpath(sysconfig.get_path(name)) for name in ("purelib", "platlib"))
 _STANDARD_LIBRARY = os.path.realpath(sysconfig.get_path("stdlib"))
+_MAIN = "__main__"
+"""The module of a script or notebook."""
 _first_seen: dict[str, str] = {}
 """File of a module -> SHA-256 of its content when this process looked at it for the first time."""
 
@@ -37,8 +40,9 @@ def code_of(spec: str) -> str | None:
     -------
     str or None
         Names of the files and a SHA-256 of their content: those of the strategy's class, its base classes, the
-        callables and objects that are its attributes, and the modules in the same folder that these import. For an
-        installed package name and version come first; for Mitsuba 3 they are all. None: it is part of isonoise.
+        callables and objects that are its attributes, and the modules in the same folder that these import. Of a script
+        or notebook only the classes and functions that it uses. For an installed package name and version come first;
+        for Mitsuba 3 they are all. None: it is part of isonoise.
 
     Raises
     ------
@@ -47,15 +51,16 @@ def code_of(spec: str) -> str | None:
     """
     if spec in MITSUBA_SAMPLERS:
         return f"mitsuba {version('mitsuba')}"
-    modules = {name for part in _parts(make_spec(spec)) if not _is_known(name := part.__module__)}
-    if not modules:
+    parts = {part for part in _parts(make_spec(spec)) if not _is_known(part.__module__)}
+    if not parts:
         return None
-    files = {path for name in modules for path in _files_of(name)}
+    texts, others = _texts_of_main([part for part in parts if part.__module__ == _MAIN])
+    modules = {part.__module__ for part in (*parts, *others)} - {_MAIN}
+    texts |= {os.path.basename(path): _read_unchanged(path) for name in modules for path in _files_of(name)}
     digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(Path(path).name.encode() + b"\0" + _read_unchanged(path).encode())
-    names = ", ".join(sorted(Path(path).name for path in files))
-    return ", ".join([*_packages(modules), f"{names}: sha256 {digest.hexdigest()}"])
+    for name in sorted(texts):
+        digest.update(name.encode() + b"\0" + texts[name].encode() + b"\0")
+    return ", ".join([*_packages(modules), f"{', '.join(sorted(texts))}: sha256 {digest.hexdigest()}"])
 
 
 def _parts(strategy: object) -> Iterator[type]:
@@ -68,6 +73,36 @@ def _parts(strategy: object) -> Iterator[type]:
             yield from type(value).__mro__
 
 
+def _texts_of_main(parts: Iterable[object]) -> tuple[dict[str, str], list[object]]:
+    """The text of classes and functions of a script or notebook, and of what they use there, by name.
+
+    The rest of a script, such as its call of `compare`, may change. Also returns what they use of other modules.
+    """
+    texts: dict[str, str] = {}
+    waiting, others = list(parts), []
+    while waiting:
+        part = waiting.pop()
+        if part.__qualname__ in texts:
+            continue
+        try:
+            text = textwrap.dedent(inspect.getsource(part))
+        except (OSError, TypeError) as error:
+            raise UserError(
+                f"the source of '{part.__qualname__}' cannot be read and recorded: put it into a module"
+            ) from error
+        texts[part.__qualname__] = text
+        for node in ast.walk(ast.parse(text)):
+            value = vars(sys.modules[_MAIN]).get(node.id) if isinstance(node, ast.Name) else None
+            if not (inspect.isclass(value) or inspect.isfunction(value)):
+                if isinstance(value, bool | int | float | str | tuple):
+                    texts[node.id] = repr(value)
+            elif value.__module__ == _MAIN:
+                waiting.append(value)
+            elif not _is_known(value.__module__):
+                others.append(value)
+    return texts, others
+
+
 def _is_known(module: str) -> bool:
     """Whether a module is isonoise's, NumPy's or the standard library's."""
     return module.partition(".")[0] in {"isonoise", "builtins", "numpy", *sys.stdlib_module_names}
@@ -77,9 +112,7 @@ def _files_of(name: str) -> set[str]:
     """Files of a module, and of those in its folder that it imports."""
     module = sys.modules[name]
     if not getattr(module, "__file__", None):
-        raise UserError(
-            f"a strategy is defined in '{name}', which is no file: its code cannot be recorded; put it into a module"
-        )
+        raise UserError(f"'{name}' is no file, so that the code of a strategy in it cannot be recorded")
     first = os.path.realpath(module.__file__)
     folder, found, waiting = _root(module, first), set(), [(name, first)]
     while waiting:
@@ -99,8 +132,7 @@ def _files_of(name: str) -> set[str]:
 
 def _root(module: ModuleType, path: str) -> str:
     """The folder whose modules belong to the same program: that of the outermost package, or of the module."""
-    depth = module.__name__.count(".") if module.__name__ != "__main__" else 0
-    depth += os.path.basename(path) == "__init__.py"
+    depth = module.__name__.count(".") + (os.path.basename(path) == "__init__.py")
     folder = os.path.dirname(path)
     for _ in range(depth):
         folder = os.path.dirname(folder)
