@@ -1,12 +1,16 @@
 """Scene: values by path, new objects, copies, errors."""
 
+import pickle
+
 import numpy as np
 import pytest
+from PIL import Image
 from small_scene import lamp_over_floor
 
 import isonoise
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load_description
+from isonoise.scene.accel.build import build_scene_bvh
 from isonoise.scene.scene import load
 
 
@@ -94,6 +98,78 @@ def test_a_copy_changes_on_its_own():
     copied["teal"] = scene["ochre"]
     copied["teal.reflectance"] = 0.125
     assert scene["ochre.reflectance"] == (0.66, 0.3, 0.06)
+
+
+def test_only_what_changed_is_compiled_again(tmp_path, monkeypatch):
+    """Files are read once, and every result equals that of a new scene with the same values."""
+    from isonoise.scene import files
+
+    Image.fromarray(np.arange(48, dtype=np.uint8).reshape(4, 4, 3)).save(tmp_path / "a.png")
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    picture = {"type": "bitmap", "filename": str(tmp_path / "a.png")}
+    source = {
+        **lamp_over_floor(),
+        "sky": {"type": "envmap", "filename": str(tmp_path / "a.png")},
+        "paint": {"type": "diffuse", "reflectance": picture},
+        "mesh": {"type": "obj", "filename": str(tmp_path / "a.obj"), "bsdf": {"type": "ref", "id": "paint"}},
+    }
+    scene, read = load(source), []
+    for module, name in (("image.image", "open_regular_file"), ("mesh.obj", "read_bytes")):
+        original = getattr(files, name)
+        monkeypatch.setattr(
+            f"isonoise.scene.{module}.{name}", lambda path, original=original: read.append(path) or original(path)
+        )
+    changes = {
+        "film.size": (9, 7),
+        "sensor.fov": 33.0,
+        "lamp.radiance": (1, 2, 3),
+        "mesh.bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": picture}},
+        "sky.scale": 2.0,
+        "mesh.flip_normals": True,
+        "mesh": {"type": "rectangle"},
+    }
+    expected_reads = {"film.size": 3, "sky.scale": 1, "mesh.flip_normals": 1}
+    fresh, bvh = dict(changes), None
+    for number, (path, value) in enumerate(changes.items()):
+        read.clear()
+        scene[path] = value
+        compiled = scene.compile()
+        assert len(read) == expected_reads.get(path, 0), path
+        other = load(source)
+        for name in list(fresh)[: number + 1]:
+            other[name] = fresh[name]
+        assert compiled.hash == other.compile().hash, path
+        previous, bvh = bvh, scene.build_bvh(compiled)
+        assert (bvh is previous) == (path not in ("film.size", "mesh.flip_normals", "mesh")), path
+        assert bvh.nodes.tobytes() == build_scene_bvh(compiled).nodes.tobytes()
+    copied = scene.copy()
+    copied["sensor.fov"] = 20.0
+    assert copied.build_bvh(copied.compile()) is bvh
+    copied["mesh.to_world"] = np.diag([2.0, 2.0, 2.0, 1.0])
+    assert copied.build_bvh(copied.compile()) is not bvh
+    assert scene.build_bvh(scene.compile()) is bvh
+    assert pickle.loads(pickle.dumps(scene)).compile().hash == scene.compile().hash
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+def test_placed_scenes_are_compiled_again(offset):
+    """Instances and shapes far from the origin, whose descriptions are moved to it."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = offset
+    camera = matrix + np.eye(4)[:, [3, 3, 3, 2]] * (0, 0, 0, -4)
+    source = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "to_world": camera},
+        "group": {"type": "shapegroup", "ball": {"type": "sphere"}, "box": {"type": "cube"}},
+        "one": {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": matrix},
+        "light": {"type": "point", "to_world": matrix + np.eye(4)[:, [3, 3, 3, 1]] * (0, 0, 0, 3)},
+    }
+    scene = load(source)
+    scene.compile()
+    scene["group.box.bsdf"] = {"type": "conductor"}
+    other = load(source)
+    other["group.box.bsdf"] = {"type": "conductor"}
+    assert scene.compile().hash == other.compile().hash
 
 
 def test_params_lists_what_can_be_read():

@@ -20,7 +20,7 @@ from isonoise.render_devices import RenderDevices
 from isonoise.renderer_options import check_options
 from isonoise.renderer_set_up import Hooks, set_up_device, set_up_workers
 from isonoise.scene.files import record_files
-from isonoise.scene.load_compiled import SceneSource, load_compiled, source_name
+from isonoise.scene.load_compiled import SceneSource, bvh_builder, load_compiled, source_name
 from isonoise.scene.view import NO_VIEW, View
 from isonoise.signals import raise_if_received
 from isonoise.state.settings import check_settings, render_settings
@@ -176,7 +176,7 @@ class Renderer(RenderDevices):
         self._distributed = None
         wavefront: Wavefront | DistributedWavefront
         if len(selected) == 1:
-            wavefront = set_up_device(Device(selected[0], profile), *settings, **hooks)
+            wavefront = set_up_device(Device(selected[0], profile), *settings, build_bvh=bvh_builder(scene), **hooks)
         else:
             wavefront = self._distributed = set_up_workers(selected, cluster, *settings, **hooks)
         self._strategy_reset = StrategyReset(self.strategy)

@@ -9,7 +9,7 @@ from isonoise.device.opencl import Device
 from isonoise.device.precompile import OnCompile
 from isonoise.device.selection import SelectedDevice
 from isonoise.integrator.set_up import make_wavefront
-from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.statistics import Needs
 
@@ -41,13 +41,14 @@ def set_up_device(
     memory: int | None,
     is_adaptive: bool,
     *,
+    build_bvh: Callable[[CompiledScene], Bvh],
     measured: Measured,
     on_device: OnDevice,
     on_compile: OnCompile,
 ) -> "Wavefront":
     """A wavefront on one device. Other arguments as for `Wavefront`; `on_device` is called before the first program."""
     with measured("build"):
-        bvh = build_scene_bvh(scene)
+        bvh = build_bvh(scene)
     with measured("compile"):
         on_device(device.name, describe_driver(device.device))
         settings = scene, bvh, needs, seed, pool_size

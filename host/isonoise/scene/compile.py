@@ -12,6 +12,7 @@ from isonoise.limits import MAX_DEPTH
 from isonoise.scene import structs, vocabulary
 from isonoise.scene.accel.bounds import instance_extents
 from isonoise.scene.camera import compile_camera, warn_if_clipped
+from isonoise.scene.compile_cache import CompileCache
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.geometry import (
     Boxes,
@@ -22,7 +23,7 @@ from isonoise.scene.geometry import (
     merge_uvs,
     shape_boxes,
 )
-from isonoise.scene.image.image import read_image
+from isonoise.scene.image.image import Image, read_image
 from isonoise.scene.instances import Space, Spaces, instance_records, split_instances
 from isonoise.scene.light.compile_lights import (
     ANALYTIC_LIGHTS,
@@ -56,6 +57,7 @@ def compile_scene(
     max_depth: int | None = None,
     sampler: str | None = None,
     keep_uvs: bool = False,
+    cache: CompileCache | None = None,
 ) -> CompiledScene:
     """Compile a scene for the device.
 
@@ -71,17 +73,17 @@ def compile_scene(
         One of `SAMPLERS`, in place of the sensor's.
     keep_uvs
         Keep texture coordinates that no material reads.
-
-    Returns
-    -------
-    CompiledScene
+    cache
+        Results of earlier compilations of the scene, which are used again; gets those of this one.
 
     Raises
     ------
     SceneError
         If a mesh or an image cannot be read, or numbers exceed the range of the device.
     """
-    description, geometry, placement = _place_geometry(description)
+    cache = cache or CompileCache()
+    cache.begin()
+    description, geometry, placement = _place_geometry(description, cache)
     sensor = next(iter(_objects_of_kind(description, "sensor").values()))
     camera, filter_name = compile_camera(sensor, size)
     world = geometry.boxes[0]
@@ -89,13 +91,12 @@ def compile_scene(
     warn_if_clipped(camera, world.union())
     integrator = _integrator_settings(description, max_depth)
     emitters = _objects_of_kind(description, "emitter")
-    materials = _compile_materials(geometry, emitters, sensor.get("medium"), integrator["volumetric"], keep_uvs)
-    environment = _environment_map(emitters)
+    volumetric = integrator["volumetric"]
+    materials = _compile_materials(geometry, emitters, sensor.get("medium"), Textures(cache), volumetric, keep_uvs)
+    environment = _environment_map(emitters, cache)
     projecting = list(zip(emitters.values(), materials.projected_textures, strict=True))
     lights = compile_lights(materials.area_lights, projecting, environment, materials.textures, world.union())
-    is_analytic = lights.records["kind"] & ANALYTIC_LIGHTS != 0
-    shape_of_light = geometry.arrays["analytics"]["shape"][lights.records["primitive"][is_analytic]]
-    materials.arrays["shapes"]["light"][shape_of_light] = np.flatnonzero(is_analytic)
+    _set_analytic_lights(materials.arrays["shapes"], geometry.arrays["analytics"], lights.records)
     if environment is not None:
         environment = _scaled(environment, lights.radiance_scale)
     arrays = {"camera": camera, **geometry.arrays, **materials.arrays}
@@ -118,6 +119,12 @@ def compile_scene(
         exposure=sensor.get("film", {}).get("exposure"),
         hash=_hash(arrays, settings, lights.projections, environment, materials.heterogeneous),
     )
+
+
+def _set_analytic_lights(shapes: np.ndarray, analytics: np.ndarray, lights: np.ndarray) -> None:
+    """Store in the records of analytic shapes which light they are."""
+    is_analytic = lights["kind"] & ANALYTIC_LIGHTS != 0
+    shapes["light"][analytics["shape"][lights["primitive"][is_analytic]]] = np.flatnonzero(is_analytic)
 
 
 def _sampler(sensor: dict) -> str:
@@ -165,8 +172,10 @@ class _Geometry:
         return [MeshAttributes(*count, values.get(i, {})) for i, count in enumerate(counts) if count[1]]
 
 
-def _place_geometry(description: dict) -> tuple[dict, _Geometry, Placement]:
+def _place_geometry(description: dict, cache: CompileCache) -> tuple[dict, _Geometry, Placement]:
     """The description, near the origin and of a size near 1 if it was far from that, its geometry and its placement."""
+    if cache.geometry is not None:
+        return _placed_again(description, *cache.geometry)
     placed, geometry = description, _compile_geometry(_objects_of_kind(description, "shape"))
     group_ids, placements = geometry.group_ids, [UNPLACED] * len(geometry.boxes)
     for _ in range(_MAX_PLACEMENTS):
@@ -178,7 +187,23 @@ def _place_geometry(description: dict) -> tuple[dict, _Geometry, Placement]:
         geometry = _compile_geometry(_objects_of_kind(placed, "shape"))
     for space in geometry.boxes:
         space.check()
+    cache.geometry = geometry, placements
     return placed, geometry, placements[0]
+
+
+def _placed_again(
+    description: dict, geometry: _Geometry, placements: list[Placement]
+) -> tuple[dict, _Geometry, Placement]:
+    """What `_place_geometry` returns for a description with the same shapes, of which only materials may differ."""
+    if not all(placement.is_identity for placement in placements):
+        group_ids = split_instances(_objects_of_kind(description, "shape")).group_ids
+        description = place_scene(description, placements[0], dict(zip(group_ids, placements[1:], strict=True)))
+    spaces = split_instances(_objects_of_kind(description, "shape"))
+    shapes: list[dict] = []
+    for space in (spaces.world, *spaces.groups):
+        _check_mesh_attributes(space, geometry.surfaces, len(shapes))
+        shapes += space.shapes
+    return description, replace(geometry, shapes=shapes, group_ids=spaces.group_ids), placements[0]
 
 
 def _compile_geometry(description: Mapping[str, dict]) -> _Geometry:
@@ -255,10 +280,14 @@ class _Materials:
 
 
 def _compile_materials(
-    geometry: _Geometry, emitters: dict[str, dict], sensor_medium: dict | None, volumetric: bool, keep_uvs: bool
+    geometry: _Geometry,
+    emitters: dict[str, dict],
+    sensor_medium: dict | None,
+    textures: Textures,
+    volumetric: bool,
+    keep_uvs: bool,
 ) -> _Materials:
     """Compile bsdfs, media and textures. Media are left out unless the integrator is volumetric."""
-    textures = Textures()
     bsdfs = Bsdfs(textures.index)
     media = Media(bsdfs)
     sensor_medium_index = media.index(sensor_medium if volumetric else None)
@@ -311,14 +340,20 @@ def _area_lights(geometry: _Geometry, radiance_textures: dict[int, int]) -> list
     return [lights[index] for index in sorted(lights)]
 
 
-def _environment_map(emitters: dict[str, dict]) -> EnvironmentMap | None:
+def _environment_map(emitters: dict[str, dict], cache: CompileCache) -> EnvironmentMap | None:
     """The environment map among the emitters; a scene has at most one."""
-    for name, emitter in emitters.items():
-        if emitter["type"] == "envmap":
-            to_world = emitter.get("to_world", np.eye(4))
-            image = emitter["bitmap"] if "bitmap" in emitter else read_image(emitter["filename"])
-            return build_environment_map(image, to_world, emitter["scale"], f"emitter '{name}'")
-    return None
+    name = next((name for name, emitter in emitters.items() if emitter["type"] == "envmap"), None)
+    if name is None:
+        return None
+    emitter = emitters[name]
+    to_world, scale = emitter.get("to_world", np.eye(4)), emitter["scale"]
+    source = emitter.get("bitmap", emitter.get("filename"))
+    key = ("environment", source, to_world.tobytes(), scale)
+    return cache.get(key, lambda: build_environment_map(_image(source), to_world, scale, f"emitter '{name}'"))
+
+
+def _image(source: str | Image) -> Image:
+    return source if isinstance(source, Image) else read_image(source)
 
 
 def _scaled(environment: EnvironmentMap, radiance_scale: float) -> EnvironmentMap:

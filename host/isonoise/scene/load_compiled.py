@@ -1,11 +1,13 @@
 """Loads and compiles a scene in one call, for `Renderer`; a scene that is compiled already stays as it is."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TypeAlias
 
 from isonoise.errors import SceneError
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.compile import compile_scene
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.load import load_description
@@ -41,6 +43,11 @@ def load_compiled(
     if parameters or view or size or max_depth is not None:
         raise SceneError("a compiled scene has its size, depth, view and parameters already: give none")
     return replace(source, sampler=sampler or source.sampler)
+
+
+def bvh_builder(source: SceneSource) -> Callable[[CompiledScene], Bvh]:
+    """What builds the BVH of a scene that comes from `source`: a Scene keeps its own."""
+    return source.build_bvh if isinstance(source, Scene) else build_scene_bvh
 
 
 def source_name(source: SceneSource) -> str:

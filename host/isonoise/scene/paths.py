@@ -87,9 +87,12 @@ def find_place(inside: Place, elements: Mapping[str, Element], path: str) -> Pla
     """
     if not isinstance(path, str):
         raise ScenePathError(f"a path is a text such as 'film.width', got {path!r}")
-    start, rest = _walk(inside, path.split("."))
-    if rest and not start.names:
-        start, rest = _walk(*_find_id(start, elements, rest))
+    segments = path.split(".")
+    start, rest = _walk(inside, segments)
+    if rest and not inside.names:
+        by_id, rest_of_id = _find_id(inside, elements, segments)
+        if len(rest_of_id) < len(rest):
+            start, rest = _walk(by_id, rest_of_id)
     if not rest:
         return start
     found = list(_search(start, rest))

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.scene.accel.build import build_scene_bvh
+from isonoise.scene.accel.bvh import Bvh
 from isonoise.scene.arguments import check_scene_arguments
 from isonoise.scene.compile import compile_scene
+from isonoise.scene.compile_cache import CompileCache
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import note_files, record_files
 from isonoise.scene.load import LoadedScene, load_scene
@@ -214,7 +217,8 @@ class Scene(SceneObject):
     def __init__(self, loaded: LoadedScene, name: str, files: tuple[Path, ...] = ()):
         self.name, self.files, self.cameras = name, files, loaded.cameras
         self.report, self.format = loaded.report, loaded.format
-        self._editor = SceneEditor(loaded.description, loaded.element_by_id, self)
+        self._cache = CompileCache()
+        self._editor = SceneEditor(loaded.description, loaded.element_by_id, self, self._forget_shapes)
         super().__init__(self, (loaded.description,), ())
         self._complete()
 
@@ -228,6 +232,9 @@ class Scene(SceneObject):
                 for kind, default in _DEFAULTS.items():
                     if kind not in part:
                         self._editor.assign([self.description, part], kind, default, f"{name}.{kind}")
+
+    def _forget_shapes(self) -> None:
+        self._cache.forget_shapes()
 
     @property
     def description(self) -> dict:
@@ -252,7 +259,9 @@ class Scene(SceneObject):
             elements[name] = Element(element.location, element.kind, element.type, element.id, normalised=part)
         description = apply_view(description, view or NO_VIEW, size)
         loaded = LoadedScene(description, self.report, elements, self.cameras, self.format)
-        return Scene(loaded, self.name, self.files)
+        copied = Scene(loaded, self.name, self.files)
+        copied._cache = self._cache.copy()
+        return copied
 
     def compile(
         self,
@@ -285,10 +294,14 @@ class Scene(SceneObject):
         check_scene_arguments(size=size, max_depth=max_depth, sampler=sampler, view=view)
         with record_files() as files:
             description = apply_view(self.description, view or NO_VIEW, size)
-            compiled = compile_scene(description, None, max_depth, sampler, keep_uvs)
+            compiled = compile_scene(description, None, max_depth, sampler, keep_uvs, self._cache)
         self.files = tuple(dict.fromkeys((*self.files, *files)))
         note_files(self.files)
         return compiled
+
+    def build_bvh(self, compiled: CompiledScene) -> Bvh:
+        """The BVH of what `compile` has returned last; built again only if shapes have changed since the last one."""
+        return self._cache.bvh(compiled.vertices, lambda: build_scene_bvh(compiled))
 
     def __repr__(self) -> str:
         kinds = [find_plugin(part["type"]).kind for part in self.description.values() if is_object(part)]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isonoise.errors import SceneError
+from isonoise.scene.compile_cache import CompileCache
 from isonoise.scene.image.image import Image, read_image
 from isonoise.scene.spectra import colour_to_rgb, srgb_to_linear
 
@@ -74,9 +75,10 @@ class TextureArrays:
 
 
 class Textures:
-    """Collects textures; equal ones are stored once."""
+    """Collects textures; equal ones are stored once. Images are those of the cache, which gets new ones."""
 
-    def __init__(self):
+    def __init__(self, cache: CompileCache | None = None):
+        self._cache = cache or CompileCache()
         self._records: list[np.ndarray] = []
         self._means: list[np.ndarray] = []
         self._index_by_record: dict[bytes, int] = {}
@@ -161,24 +163,12 @@ class Textures:
         return bitmap.mean
 
     def _store_image(self, source: str | Image, raw: bool) -> "_Bitmap":
-        """Store an image, which is read first if `source` is a path.
-
-        8-bit texels are stored as they are; the RAW flag decides how they are read.
-        """
-        image = source if isinstance(source, Image) else read_image(source)
-        height, width, channels = image.pixels.shape
-        store = 0 if image.pixels.dtype == np.uint8 else TEXTURE_FLOATS
-        values = image.linear(raw) if store else image.pixels
-        if store and not (np.isfinite(values.min()) and np.isfinite(values.max())):
-            name = "bitmap" if isinstance(source, Image) else source
-            raise SceneError(f"{name}: the image has pixels that are not finite numbers")
-        texels = np.zeros((height * width, 4), values.dtype)
-        texels[:, :3] = values.reshape(-1, channels)
-        first = sum(len(other) for other in self._texels[store])
-        self._texels[store].append(texels)
-        for is_raw in (raw,) if image.pixels.dtype == np.uint16 else (False, True):
-            mean = _mean(texels) if store else _mean_of_bytes(texels, is_raw)
-            self._bitmaps[_key(source), is_raw] = _Bitmap(store, (width, height), first, mean)
+        """Store an image, which is read first if `source` is a path."""
+        image = self._cache.get(("texels", source, raw), lambda: _read_texels(source, raw))
+        first = sum(len(other) for other in self._texels[image.store])
+        self._texels[image.store].append(image.texels)
+        for is_raw, mean in image.means.items():
+            self._bitmaps[_key(source), is_raw] = _Bitmap(image.store, image.size, first, mean)
         self._images.append(source)
         return self._bitmaps[_key(source), raw]
 
@@ -213,6 +203,35 @@ class Textures:
                 value_count += count
         stacked = np.concatenate(values) if values else np.zeros((0, 3), np.float32)
         return stacked, np.array(first_values, np.uint32)
+
+
+@dataclass(frozen=True)
+class _Texels:
+    """An image as it is stored."""
+
+    store: int  # 0: texel_bytes, TEXTURE_FLOATS: texel_floats
+    size: tuple[int, int]  # width, height
+    texels: np.ndarray  # (width * height, 4)
+    means: dict[bool, np.ndarray]  # linear mean (3,) float64, by whether the image is read raw
+
+
+def _read_texels(source: str | Image, raw: bool) -> _Texels:
+    """The texels of an image, which is read first if `source` is a path.
+
+    8-bit texels are stored as they are; the RAW flag decides how they are read.
+    """
+    image = source if isinstance(source, Image) else read_image(source)
+    height, width, channels = image.pixels.shape
+    store = 0 if image.pixels.dtype == np.uint8 else TEXTURE_FLOATS
+    values = image.linear(raw) if store else image.pixels
+    if store and not (np.isfinite(values.min()) and np.isfinite(values.max())):
+        name = "bitmap" if isinstance(source, Image) else source
+        raise SceneError(f"{name}: the image has pixels that are not finite numbers")
+    texels = np.zeros((height * width, 4), values.dtype)
+    texels[:, :3] = values.reshape(-1, channels)
+    kinds = (raw,) if image.pixels.dtype == np.uint16 else (False, True)
+    means = {is_raw: _mean(texels) if store else _mean_of_bytes(texels, is_raw) for is_raw in kinds}
+    return _Texels(store, (width, height), texels, means)
 
 
 @dataclass(frozen=True)

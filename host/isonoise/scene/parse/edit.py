@@ -1,6 +1,6 @@
 """Changes a normalised scene: a new value or object gets the same checks as in a file. Called by `Scene`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from isonoise.errors import SceneError
 from isonoise.scene.parse.constraints import check_constraints
@@ -10,6 +10,8 @@ from isonoise.scene.parse.validate import SceneNormaliser
 from isonoise.scene.parse.xml_tags import MAX_DEPTH
 from isonoise.scene.vocabulary import find_plugin
 
+_OF_MATERIALS = ("bsdf", "emitter", "interior", "exterior")
+"""Names of what a shape has besides its surface."""
 Chain = list[dict]
 """The objects on a path, from the scene down to the one that is changed."""
 
@@ -25,10 +27,12 @@ class SceneEditor:
         Its objects by id.
     scene : object
         The scene to which the description belongs: objects of it are shared, those of others are copied.
+    on_shapes : callable
+        Called when a change has another effect on shapes than on their materials, lights and media.
     """
 
-    def __init__(self, description: dict, elements: dict[str, Element], scene: object):
-        self.description, self.elements, self._scene = description, elements, scene
+    def __init__(self, description: dict, elements: dict[str, Element], scene: object, on_shapes: Callable[[], None]):
+        self.description, self.elements, self._scene, self._on_shapes = description, elements, scene, on_shapes
 
     def assign(self, chain: Chain, key: str, value: object, path: str) -> None:
         """Give the last object of the chain a value, or an object as a dict, by its name.
@@ -55,9 +59,10 @@ class SceneEditor:
         """Let all objects that use an object of the scene use another one."""
         kind = find_plugin(new["type"]).kind
         inside = {id(part) for part in _objects_in(new)}  # a new object may wrap the old one
+        inside.add(id(self.description))
         parts = (part for part in _objects_in(self.description) if id(part) not in inside)
         holders = [part for part in parts if any(value is old for value in part.values())]
-        for part in holders[1:]:  # without the scene itself
+        for part in holders:
             plugin = find_plugin(part["type"])
             child = plugin.child(kind)
             if kind != find_plugin(old["type"]).kind or (child and child.types and new["type"] not in child.types):
@@ -117,6 +122,17 @@ class SceneEditor:
         except SceneError:
             _replace(owner, before)
             raise
+        if _changes_shapes(before, owner):
+            self._on_shapes()
+
+
+def _changes_shapes(before: dict, after: dict) -> bool:
+    """Whether an object's change is one of shapes, apart from their materials, lights and media."""
+    names = [name for name in {*before, *after} if before.get(name) is not after.get(name)]
+    if find_plugin(after["type"]).kind == "shape":
+        return any(name not in _OF_MATERIALS for name in names)
+    parts = (part.get(name) for name in names for part in (before, after))
+    return any(is_object(part) and find_plugin(part["type"]).kind == "shape" for part in parts)
 
 
 def _replace(part: dict, content: dict) -> None:
