@@ -35,6 +35,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
         ("a,b:k=v,c:l=w,m=x,d", ["a", "b:k=v", "c:l=w,m=x", "d"]),
         ("oracle:rule=sqrt,file=C:/a.exr,uniform", ["oracle:rule=sqrt,file=C:/a.exr", "uniform"]),
         ("module:Class,module:Class:k=v", ["module:Class", "module:Class:k=v"]),
+        ("adaptive:measure=m:f,rule=n:g,uniform", ["adaptive:measure=m:f,rule=n:g", "uniform"]),
         (" a , b:k=v , c,", ["a", "b:k=v ", "c"]),
     ],
 )
@@ -65,6 +66,9 @@ def test_an_oracle_without_a_file_needs_the_variance():
         ("uniform:sampler=sobol,warmup=4", ("uniform:warmup=4", "sobol")),
         ("module:Class:sampler=independent", ("module:Class", "independent")),
         ("module:Class", ("module:Class", "sobol")),
+        ("adaptive:measure=m:f,sampler=independent", ("adaptive:measure=m:f", "independent")),
+        ("adaptive:sampler=independent,measure=m:f", ("adaptive:measure=m:f", "independent")),
+        ("adaptive:measure=m:f", ("adaptive:measure=m:f", "sobol")),
     ],
 )
 def test_a_spec_may_name_its_sampler(spec, expected):
