@@ -16,8 +16,9 @@ from isonoise.renderer_options import RendererOptions
 
 MADE_BY_FUNCTIONS = ("Cluster", "CompiledScene", "Outcome", "Scene", "State", "WaveRecord")
 """Classes whose constructor is not for users."""
-STARTS_PROCESSES = "isonoise.distributed.cluster"
-MODULES = sorted({"isonoise", *isonoise._PUBLIC_NAMES.values()} - {STARTS_PROCESSES})
+SLOW_EXAMPLES = ("isonoise.comparison.compare_scenes", "isonoise.distributed.cluster")
+"""Modules whose examples start processes or render many images."""
+MODULES = sorted({"isonoise", *isonoise._PUBLIC_NAMES.values()} - {*SLOW_EXAMPLES})
 
 
 def members(cls: type) -> dict[str, object]:
@@ -111,7 +112,7 @@ def test_the_options_that_are_passed_on_are_those_of_the_renderer():
     assert list(RendererOptions.__annotations__) == [name for name in parameters if name != "scene"]
 
 
-@pytest.mark.parametrize("module", [*MODULES, pytest.param(STARTS_PROCESSES, marks=pytest.mark.long)])
+@pytest.mark.parametrize("module", [*MODULES, *(pytest.param(name, marks=pytest.mark.long) for name in SLOW_EXAMPLES)])
 def test_examples_in_docstrings(module, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert doctest.testmod(importlib.import_module(module), extraglobs={"isonoise": isonoise}).failed == 0

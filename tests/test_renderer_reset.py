@@ -82,6 +82,20 @@ def test_a_renderer_begins_anew(strategy, device):
         assert np.array_equal(kept.mean, before)
 
 
+@pytest.mark.parametrize("device", [None, "0/2"])
+def test_layers_begin_anew(device):
+    options = {"strategy": STRATEGY, "device": device, "layers": ("depth", "albedo")}
+    with Renderer(lamp_over_floor(), seed=1, **options) as renderer:
+        renderer.step()
+        renderer.reset(2)
+        renderer.step()
+        with Renderer(lamp_over_floor(), seed=2, **options) as other:
+            other.step()
+            for name, layer in other.layers().items():
+                assert layer.any()
+                assert renderer.layers()[name].tobytes() == layer.tobytes()
+
+
 def test_a_strategy_forgets_what_it_has_learned():
     strategy = Learning()
     with Renderer(lamp_over_floor(), strategy=strategy) as renderer:

@@ -12,6 +12,7 @@ def document_fields(cls: Class) -> Class:
     entries = []
     for field in fields(cls):
         meaning = textwrap.fill(field.metadata["doc"], 108, initial_indent=" " * 8, subsequent_indent=" " * 8)
-        entries.append(f"    {field.name} : {getattr(field.type, '__name__', field.type)}\n{meaning}")
+        kind = field.type.__name__ if isinstance(field.type, type) else str(field.type).removeprefix("typing.")
+        entries.append(f"    {field.name} : {kind}\n{meaning}")
     cls.__doc__ = "\n".join([f"{(cls.__doc__ or '').rstrip()}\n", "    Attributes", "    ----------", *entries, "    "])
     return cls
