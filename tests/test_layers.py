@@ -113,15 +113,15 @@ def test_merged_layers_are_means_over_the_samples_of_both(rendered):
 
 def test_checkpoints_keep_layers_for_merging(rendered, tmp_path):
     paths = [str(tmp_path / name) for name in ("a.npz", "b.npz", "merged.npz")]
-    with render(layers=("depth", "normal", "coverage", "measure"), seed=2, strategy="relative-mean") as other:
+    with render(layers=("depth", "normal", "uv", "coverage", "measure"), seed=2, strategy="relative-mean") as other:
         for renderer, path in ((rendered, paths[0]), (other, paths[1])):
             write_checkpoint(path, renderer.state())
         expected = merge_layers(rendered.layers(), rendered.statistics(), other.layers(), other.statistics())
     merged = merge_states(map(read_checkpoint, paths[:2]), paths[:2], Device())
-    assert merged.settings["layers"] == ["normal", "depth", "coverage"]
+    assert merged.settings["layers"] == ["normal", "depth", "uv", "coverage"]
     write_checkpoint(paths[2], merged)
     layers = state_layers(read_checkpoint(paths[2]))
-    assert list(layers) == ["normal", "depth", "coverage"]
+    assert list(layers) == ["normal", "depth", "uv", "coverage"]
     for name in layers:
         np.testing.assert_array_equal(layers[name], expected[name])
 
