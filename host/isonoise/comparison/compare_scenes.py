@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """The results of `isonoise.compare`.
 
@@ -45,6 +45,9 @@ class Comparison:
     summary: ResultTable
     summaries: dict[str, dict[str, Any]]
     directory: Path | None
+
+    def __repr__(self) -> str:
+        return repr(self.summary)
 
     def _repr_html_(self) -> str:
         """For notebooks: the summary."""

@@ -84,12 +84,7 @@ def _texts_of_main(parts: Iterable[object]) -> tuple[dict[str, str], list[object
         part = waiting.pop()
         if part.__qualname__ in texts:
             continue
-        try:
-            text = textwrap.dedent(inspect.getsource(part))
-        except (OSError, TypeError) as error:
-            raise UserError(
-                f"the source of '{part.__qualname__}' cannot be read and recorded: put it into a module"
-            ) from error
+        text = _source(part)
         texts[part.__qualname__] = text
         for node in ast.walk(ast.parse(text)):
             value = vars(sys.modules[_MAIN]).get(node.id) if isinstance(node, ast.Name) else None
@@ -101,6 +96,21 @@ def _texts_of_main(parts: Iterable[object]) -> tuple[dict[str, str], list[object
             elif not _is_known(value.__module__):
                 others.append(value)
     return texts, others
+
+
+def _source(part: object) -> str:
+    """The text of a class or function. A class of a notebook has no file: it is the text of its methods and values."""
+    with suppress(OSError, TypeError):
+        return textwrap.dedent(inspect.getsource(part))
+    try:
+        members = vars(part) if inspect.isclass(part) else {}
+        texts = [textwrap.dedent(inspect.getsource(each)) for each in members.values() if inspect.isfunction(each)]
+    except (OSError, TypeError) as error:
+        raise UserError(
+            f"the source of '{part.__qualname__}' cannot be read and recorded: put it into a module"
+        ) from error
+    values = {name: each for name, each in members.items() if isinstance(each, bool | int | float | str | tuple)}
+    return "\n".join([*texts, repr({name: each for name, each in values.items() if not name.startswith("__")})])
 
 
 def _is_known(module: str) -> bool:
