@@ -106,18 +106,23 @@ class Adaptive(AdaptiveBase):
         `module:function`, or a function: the error of every pixel's mean, from `Statistics` and, if the function has
         such a parameter, the `floor` of relative errors. It returns (height, width) numbers from 0 to inf; inf is
         unknown. What it needs beyond the basic statistics is in its attribute `needs`, a `Needs`.
-
-    Further parameters: those of `AdaptiveBase`.
+    rule : str or callable
+        `deficit` (equal errors), `sqrt` (least mean squared error), `proportional`, an entry point of the group
+        `isonoise.allocation_rules`, `module:function`, or a function of count, variance of one sample, both (height,
+        width), and the budget in samples. It returns (height, width) uint32 that sums to the budget.
+    exponent, warmup, ratio, growth, clip, cap
+        Schedule and limits, as for `pooled` and the other strategies: `isonoise.strategies.adaptive.AdaptiveBase`.
 
     Examples
     --------
     The relative error, but at most 1:
 
     >>> import numpy as np
-    >>> from isonoise.strategies import measures
     >>> def limited(statistics, floor):
-    ...     return np.minimum(measures.relative_mean(statistics, floor), 1)
-    >>> outcome = isonoise.render("cornell", spp=32, size=(16, 12), strategy=Adaptive(measure=limited, rule="sqrt"))
+    ...     return np.minimum(isonoise.measures.relative_mean(statistics, floor), 1)
+    >>> strategy = isonoise.Adaptive(measure=limited, rule="sqrt")
+    >>> isonoise.render("cornell", spp=32, size=(16, 12), strategy=strategy).statistics.samples
+    6144
     """
 
     name = "adaptive"
@@ -130,6 +135,7 @@ class Adaptive(AdaptiveBase):
 
     @property
     def needs(self) -> Needs:  # type: ignore[override]
+        """The statistics that the measure reads."""
         return getattr(self.measure, "needs", BASIC_NEEDS)
 
     def variance(self, statistics: Statistics, floor: float) -> np.ndarray:
