@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from isonoise.comparison.table_columns import SUMMARY_KEYS
 from isonoise.comparison.tidy_tables import about_plan, table_of_rows
 
 
-def summary_table(directory: Path, summaries: Mapping[str, Mapping]) -> dict[str, np.ndarray]:
+def summary_table(directory: Path, summaries: Mapping[str, Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """The table of one or several comparisons: the columns `SCHEMA["summary"]`, and those of settings.
 
     Parameters
@@ -34,7 +35,7 @@ def summary_table(directory: Path, summaries: Mapping[str, Mapping]) -> dict[str
     return table_of_rows("summary", rows, plans)
 
 
-def _rows(plan: Plan, summary: Mapping) -> Iterator[dict]:
+def _rows(plan: Plan, summary: Mapping[str, Any]) -> Iterator[dict[str, object]]:
     strategies = {strategy.slug: strategy for strategy in plan.strategies}
     for scene in summary["scenes"]:
         of_scene = {"device": "; ".join(scene["devices"]), "reference_p99": scene["reference"]["p99"]}
@@ -43,7 +44,7 @@ def _rows(plan: Plan, summary: Mapping) -> Iterator[dict]:
             yield about_plan(plan, plan.scene(scene["slug"]), strategies[row["strategy"]]) | of_scene | figures
 
 
-def _lookup(row: Mapping, *keys: str) -> object:
+def _lookup(row: Mapping[str, object], *keys: str) -> object:
     value: object = row
     for key in keys:
         value = value.get(key) if isinstance(value, Mapping) else None
