@@ -7,12 +7,13 @@ import math
 import operator
 import os
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, SupportsFloat, SupportsIndex, cast
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex, cast
 
 from isonoise.errors import UserError
 from isonoise.limits import MAX_DEPTH, MAX_PIXELS
+
+if TYPE_CHECKING:
+    import numpy as np
 
 MAX_SEED = 2**64 - 1
 
@@ -79,8 +80,10 @@ def check_path(name: str, value: object) -> str:
     return str(os.fspath(value))
 
 
-def check_rgb(name: str, value: object) -> np.ndarray:
+def check_rgb(name: str, value: object) -> "np.ndarray":
     """The linear RGB image as an array. Raises UserError unless it is numbers of shape (height, width, 3)."""
+    import numpy as np  # not at the top: `isonoise --help` needs other checks only
+
     try:
         pixels = np.asarray(value)
     except ValueError:  # of ragged lists
