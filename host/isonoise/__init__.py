@@ -24,7 +24,6 @@ if TYPE_CHECKING:  # what type checkers see of `_PUBLIC_NAMES`
     from isonoise.outcome import Outcome
     from isonoise.render_scene import render
     from isonoise.renderer import Renderer
-    from isonoise.scene.compile import compile_scene
     from isonoise.scene.compiled_scene import CompiledScene
     from isonoise.scene.scene import Scene, load
     from isonoise.scene.view import View
@@ -66,7 +65,6 @@ _PUBLIC_NAMES = {
     "WaveRecord": "isonoise.wave",
     "allocation": "isonoise.strategies.allocation",
     "compare": "isonoise.comparison.compare_scenes",
-    "compile_scene": "isonoise.scene.compile",
     "load": "isonoise.scene.scene",
     "measures": "isonoise.strategies.measures",
     "read_checkpoint": "isonoise.state.checkpoint",
@@ -107,7 +105,6 @@ __all__ = [
     "WaveRecord",
     "allocation",
     "compare",
-    "compile_scene",
     "load",
     "measures",
     "read_checkpoint",
