@@ -300,7 +300,7 @@ class Scene(SceneObject):
         return compiled
 
     def build_bvh(self, compiled: CompiledScene) -> Bvh:
-        """The BVH of what `compile` has returned last; built again only if shapes have changed since the last one."""
+        """The BVH of `compiled`, which `compile` has returned last; built again only if shapes have changed since."""
         return self._cache.bvh(compiled.vertices, lambda: build_scene_bvh(compiled))
 
     def __repr__(self) -> str:
