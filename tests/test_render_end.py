@@ -138,7 +138,7 @@ def test_an_interrupt_that_a_library_swallows_is_not_lost(monkeypatch, capsys):
 
     raise_number = []
     previous = signal.signal(signal.SIGINT, signal.default_int_handler)
-    monkeypatch.setattr("isonoise.renderer_set_up.build_scene_bvh", swallow)
+    monkeypatch.setattr("isonoise.scene.load_compiled.build_scene_bvh", swallow)
     try:
         assert render("-o", "a.exr") == 130
     finally:
