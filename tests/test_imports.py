@@ -32,7 +32,7 @@ SHARED = {
 """Modules that all strategies use, and `measures` for the floor of the stated error."""
 UNUSED = (
     *("benchmark", "comparison", "convert", "selftest", "integrator.feature_superset", "integrator.feature_costs"),
-    *("distributed", "live", "notebook", "scene.formats", "scene.other_files", "scene.volume."),
+    *("distributed", "live", "notebook", "scene.formats", "scene.other_files", "scene.parameter_list", "scene.volume."),
     *("film.layers", "film.denoise"),
 )
 """Beginnings of the names of modules that a render of `cornell` does not use."""

@@ -3,13 +3,12 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from isonoise.scene.parse.elements import is_object
 from isonoise.scene.parse.plugin_tables import parameter_info
-from isonoise.scene.paths import FILM_VALUES, Place, film_value
+from isonoise.scene.paths import FILM_VALUES, Place, film_value, plain_value
 from isonoise.scene.vocabulary import find_plugin
 from isonoise.tables import LEFT, Column, Table, columns, html_table, text_table
 
@@ -63,19 +62,6 @@ class ParameterList(Mapping[str, object]):
 
     def _repr_html_(self) -> str:
         return html_table(self.table())
-
-
-def plain_value(value: object) -> object:
-    """A value of the description as users see it: a colour as three numbers, an array read-only."""
-    if isinstance(value, np.ndarray):
-        view = value.view()
-        view.flags.writeable = False
-        return view
-    if isinstance(value, dict):
-        if value.get("type") == "rgb":
-            return tuple(value["value"])
-        return MappingProxyType({name: plain_value(part) for name, part in value.items()})
-    return value
 
 
 def count_objects(description: dict) -> Table:

@@ -6,6 +6,7 @@ place of its name, as long as one parameter fits: 'film.width', 'lamp.radiance'.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -77,6 +78,19 @@ def film_parameters(place: Place, value: object) -> dict[str, object]:
         raise SceneError(f"{place.path}: it is a tuple of whole numbers, {meaning}; got {value!r}")
     removed = dict.fromkeys(_CROP) if place.key == "size" else {}
     return removed | dict(zip(names, numbers.tolist(), strict=True))
+
+
+def plain_value(value: object) -> object:
+    """A value of the description as users see it: a colour as three numbers, an array read-only."""
+    if isinstance(value, np.ndarray):
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    if isinstance(value, dict):
+        if value.get("type") == "rgb":
+            return tuple(value["value"])
+        return MappingProxyType({name: plain_value(part) for name, part in value.items()})
+    return value
 
 
 def find_place(inside: Place, elements: Mapping[str, Element], path: str) -> Place:

@@ -1,9 +1,9 @@
 """Scene: a scene whose parameters can be read and set by path. `isonoise.load` makes it, `Renderer` compiles it."""
 
-import html
 import os
 from collections.abc import Iterator, Mapping, MutableMapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +16,23 @@ from isonoise.scene.compile_cache import CompileCache
 from isonoise.scene.compiled_scene import CompiledScene
 from isonoise.scene.files import note_files, record_files
 from isonoise.scene.load import LoadedScene, load_scene
-from isonoise.scene.parameter_list import ParameterList, count_objects, plain_value
 from isonoise.scene.parse.edit import SceneEditor
 from isonoise.scene.parse.elements import Element, copy_objects, is_object
-from isonoise.scene.paths import Place, ScenePathError, film_parameters, film_value, find_place, parameter_places
+from isonoise.scene.paths import (
+    Place,
+    ScenePathError,
+    film_parameters,
+    film_value,
+    find_place,
+    parameter_places,
+    plain_value,
+)
 from isonoise.scene.view import NO_VIEW, View, apply_view
 from isonoise.scene.vocabulary import find_plugin
 from isonoise.scene.vocabulary.plugin import COLOURS
-from isonoise.tables import html_table
+
+if TYPE_CHECKING:
+    from isonoise.scene.parameter_list import ParameterList
 
 _DEFAULTS = {"film": {"type": "hdrfilm"}, "sampler": {"type": "multijitter"}}
 """What a sensor has if the file gives none, by kind."""
@@ -174,10 +183,14 @@ class SceneObject(MutableMapping):
         return f"<{self.kind} '{self.path}' of type {self.type}: {names}>"
 
     def _repr_html_(self) -> str:
+        import html  # a render does not need it
+
         return f"<div>{html.escape(repr(self))}</div>{self.params()._repr_html_()}"
 
-    def params(self) -> ParameterList:
+    def params(self) -> "ParameterList":
         """All parameters that have values, by path, with their types, shapes and meanings; prints as a table."""
+        from isonoise.scene.parameter_list import ParameterList
+
         places = parameter_places(self._scene.description)
         inside = (place for place in places if place.names[: len(self._names)] == self._names)
         return ParameterList(inside)
@@ -309,6 +322,11 @@ class Scene(SceneObject):
         return f"<isonoise.Scene {self.name}: {width}x{height} pixels, {kinds.count('shape')} shapes>"
 
     def _repr_html_(self) -> str:
+        import html
+
+        from isonoise.scene.parameter_list import count_objects
+        from isonoise.tables import html_table
+
         width, height = self["film.size"]
         counts, parameters = html_table(count_objects(self.description)), self.params()
         return (
