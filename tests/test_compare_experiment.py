@@ -14,6 +14,7 @@ from isonoise.comparison import runner
 from isonoise.comparison.experiment_file import read_experiment
 from isonoise.comparison.planning import make_plan
 from isonoise.comparison.session import EXPERIMENT_FILE
+from isonoise.comparison.summary import summarise
 from isonoise.comparison.sweep import variants
 from isonoise.comparison.tidy_tables import write_tables
 from isonoise.errors import UserError
@@ -278,3 +279,20 @@ def test_a_3x2x4_sweep_that_is_killed_twice_gives_the_same_tables():
         assert compare("e.toml", "-o", folder, scene=None) == 0
     assert len(run_files("whole")) == 24
     assert_same_results("whole", "killed")
+
+
+def test_a_folder_holds_one_budget_or_several(monkeypatch, capsys):
+    monkeypatch.setattr("isonoise.commands.compare._report", summarise)
+    write_flat_reference("a.exr")
+    text = SMALL.replace('["cornell"]', '[{ source = "cornell", reference = "a.exr" }]')
+    several = text.replace("spp = 4", "spp = [2, 4]")
+    write(text)
+    assert compare("e.toml", "-o", "results/one", scene=None) == 0
+    assert compare("e.toml", "-o", "results", scene=None) == 0  # beside another one
+    write(several)
+    assert compare("e.toml", "-o", "results/one", scene=None) == 2
+    assert "holds a comparison with one budget" in capsys.readouterr().err
+    assert compare("e.toml", "-o", "several", scene=None) == 0
+    write(text)
+    assert compare("e.toml", "-o", "several", scene=None) == 2
+    assert "holds comparisons with several budgets" in capsys.readouterr().err

@@ -97,7 +97,7 @@ def _begin(
     rerun_changed: bool,
 ) -> None:
     """Write the plan, unless the folder holds another comparison."""
-    if stored is None and any(directory.glob(f"*/{PLAN_FILE}")):
+    if stored is None and _holds_series(directory):
         raise UserError(
             f"'{directory}' holds comparisons with several budgets or devices: choose another folder with -o"
         )
@@ -120,6 +120,12 @@ def _begin(
     remove_temporary_files(directory)
     make_folder(directory / "references")
     write_plan(directory, plan)
+
+
+def _holds_series(directory: Path) -> bool:
+    """Whether the folder is that of an experiment with several budgets or devices: `experiment.make_members`."""
+    folders = ("spp-*", "time-*", "device-*", "device-*/*")
+    return any(path for folder in folders for path in directory.glob(f"{folder}/{PLAN_FILE}"))
 
 
 def _record(directory: Path, request: Request, has_workers: bool) -> None:
