@@ -20,6 +20,7 @@ from isonoise import Renderer
 from isonoise.commands import info
 from isonoise.errors import SceneError
 from isonoise.scene import compile_scene, load_description
+from isonoise.scene.scene import load
 from isonoise.scene.vocabulary import UNSUPPORTED_PLUGINS, plugins_of
 from isonoise.scene.vocabulary.plugin import COLOURS, IGNORED, SUPPORTED, UNSUPPORTED, Plugin
 
@@ -115,3 +116,13 @@ def test_every_plugin_renders(plugin, files):
     )
     renderer.step()
     assert np.isfinite(renderer.image()).all()
+
+
+@pytest.mark.parametrize("plugin", SUPPORTED_PLUGINS, ids=case_id)
+def test_every_value_can_be_read_and_set_by_path(plugin, files):
+    scene = load(scene_with(plugin, minimal_plugin(plugin, files), files))
+    before = scene.compile().hash
+    for path, value in scene.params().items():
+        if not path.endswith(".crop"):  # sets what is not set
+            scene[path] = value
+    assert scene.compile().hash == before
