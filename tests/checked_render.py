@@ -39,6 +39,7 @@ class Case:
     many: bool = False  # many paths per work-item, as on PoCL; else one, as on a GPU
     pool: int = 150
     spp: int = 2
+    layers: tuple[str, ...] = ()
 
     def source(self, folder: Path):
         return str(scene_generator.write_scene(folder, self.scene)) if isinstance(self.scene, int) else self.scene
@@ -71,6 +72,8 @@ def projections_over_floor() -> dict:
     return lamp_over_floor() | {"projector": projector, "spot": {"type": "spot", "texture": texture, "to_world": down}}
 
 
+LAYERS = ("albedo", "normal", "geometric_normal", "depth", "position", "uv", "coverage", "shape_index")
+
 # Together they cover every feature, in the kernels with one path per work-item and, where they exist, with many.
 # The large pool is for work-items that trace several rays, and for more than one block of paths.
 CASES = {
@@ -88,6 +91,8 @@ CASES = {
     "projections, many": Case(projections_over_floor(), many=True),
     "lamp": Case(filtered_lamp(), "relative-median:batch=1", pool=600, spp=10),
     "lamp, many": Case(filtered_lamp(), "relative-median", many=True, pool=600, spp=10),
+    "layers": Case(31, layers=LAYERS),
+    "layers, many": Case(24, many=True, layers=LAYERS),
 }
 
 # Deliberate faults: kernel file, text, its replacement, and a part of Oclgrind's report.
@@ -167,7 +172,8 @@ def render(case: Case) -> Renderer:
     isonoise.integrator.set_up.check_driver = lambda *_: None  # its paths would take minutes here
     with tempfile.TemporaryDirectory() as folder:
         source = case.source(Path(folder))
-        renderer = Renderer(source, strategy=case.strategy, size=(WIDTH, HEIGHT), pool_size=case.pool)
+        size = WIDTH, HEIGHT
+        renderer = Renderer(source, strategy=case.strategy, size=size, pool_size=case.pool, layers=case.layers)
     for _ in range(2):
         renderer.step(case.spp * WIDTH * HEIGHT)
     renderer.error_distribution(0.01)

@@ -43,7 +43,8 @@ def test_the_cases_cover_every_feature(many, tmp_path):
     seen, kinds = set(), set()
     for number, case in enumerate(case for case in CASES.values() if case.many == many):
         scene = compile_scene(load_description(case.source(tmp_path / str(number))))
-        on = features(scene, make_strategy(case.strategy).needs.with_sampler(scene.sampler))
+        needs = make_strategy(case.strategy).needs.with_sampler(scene.sampler).with_layers(case.layers)
+        on = features(scene, needs)
         if many and on["VOLPATH"]:
             continue
         seen |= {name for name, value in on.items() if value}
