@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-SHARE = 0.0075
+SHARE = 0.005
 """Share of the time that pictures may take."""
 RESERVE_S = 0.2
 """Seconds that pictures may take at once after a while without them, as at the beginning."""

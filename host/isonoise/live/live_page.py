@@ -25,7 +25,7 @@ IDLE_SHARE = {False: 0.1, True: 0.5}
 class LivePage:
     """A page on loopback that shows a render while it runs, and can pause and end it. Made by `isonoise.live.serve`.
 
-    Pictures are made only while somebody looks, and take about 1 % of the time at most (`budget`).
+    Pictures are made only while somebody looks, and take half a percent of the time (`budget`).
 
     Parameters
     ----------
