@@ -5,8 +5,9 @@ import pytest
 from small_scene import lamp_over_floor
 
 import isonoise
-from isonoise.argument_checks import check_integer, check_number, check_rgb, nearest
+from isonoise.argument_checks import check_integer, check_number, check_rgb
 from isonoise.errors import UserError
+from isonoise.suggestions import suggestion
 
 RGB = np.zeros((2, 3, 3), np.float32)
 
@@ -40,8 +41,8 @@ def test_rgb_images(value):
 
 
 def test_similar_names():
-    assert nearest("stratgy", ["seed", "strategy"]) == " (did you mean 'strategy'?)"
-    assert nearest("abc", ["seed", "strategy"]) == ""
+    assert suggestion("stratgy", ["seed", "strategy"]) == " (did you mean 'strategy'?)"
+    assert suggestion("abc", ["seed", "strategy"]) == ""
 
 
 @pytest.mark.parametrize(

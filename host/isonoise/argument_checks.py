@@ -1,7 +1,6 @@
 """Checks of the arguments of public functions. All errors have the same wording: name, value, what is accepted."""
 
 import contextlib
-import difflib
 import inspect
 import math
 import operator
@@ -11,17 +10,12 @@ from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex, cast
 
 from isonoise.errors import UserError
 from isonoise.limits import MAX_DEPTH, MAX_PIXELS
+from isonoise.suggestions import suggestion
 
 if TYPE_CHECKING:
     import numpy as np
 
 MAX_SEED = 2**64 - 1
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name: ` (did you mean '...'?)`, or '' if no known name is similar."""
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def check_keywords(names: Iterable[str], *functions: Callable[..., object]) -> None:
@@ -30,7 +24,7 @@ def check_keywords(names: Iterable[str], *functions: Callable[..., object]) -> N
     known = list(dict.fromkeys(each.name for each in parameters if each.kind is not each.VAR_KEYWORD))
     for name in names:
         if name not in known:
-            raise UserError(f"there is no argument '{name}'{nearest(name, known)}; known are {', '.join(known)}")
+            raise UserError(f"there is no argument '{name}'{suggestion(name, known)}; known are {', '.join(known)}")
 
 
 def check_arguments(
@@ -107,7 +101,7 @@ def check_choice(name: str, value: object, choices: Iterable[str]) -> str:
     """The value. Raises UserError unless it is one of these texts."""
     choices = list(choices)
     if not isinstance(value, str) or value not in choices:
-        hint = nearest(value, choices) if isinstance(value, str) else ""
+        hint = suggestion(value, choices) if isinstance(value, str) else ""
         raise UserError(f"{name} = {value!r} is not one of {', '.join(choices)}{hint}")
     return value
 

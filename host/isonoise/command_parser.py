@@ -1,11 +1,12 @@
 """The parser of a command: keeps line breaks in help texts, and names the nearest option or command after a typo."""
 
 import argparse
-import difflib
 import importlib
 import re
 import sys
 from collections.abc import Sequence
+
+from isonoise.suggestions import suggestion
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -39,7 +40,7 @@ class CommandParser(argparse.ArgumentParser):
     def _suggestions(self, message: str):
         choice = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
         if choice:
-            yield from _did_you_mean(choice[1], re.findall(r"[\w-]+", choice[2]))
+            yield suggestion(choice[1], re.findall(r"[\w-]+", choice[2]))
         options = [option for option in self._option_string_actions if option.startswith("--")]
         for word in self._words:
             name = word.partition("=")[0]
@@ -47,13 +48,7 @@ class CommandParser(argparse.ArgumentParser):
                 return  # what follows are no options of this parser
             if name.startswith("--") and not any(option.startswith(name) for option in options):
                 yield f"; there is no option {name}"
-                yield from _did_you_mean(name, options)
+                yield suggestion(name, options)
 
     def _has_commands(self) -> bool:
         return self._subparsers is not None
-
-
-def _did_you_mean(word: str, known: Sequence[str]):
-    close = difflib.get_close_matches(word, known, n=1)
-    if close:
-        yield f" (did you mean '{close[0]}'?)"

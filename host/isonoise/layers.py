@@ -7,8 +7,8 @@ the host the others (`isonoise.film.layers`).
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
+from isonoise.suggestions import suggestion
 
 ALL_SAMPLES, HITS, FIRST_SAMPLE, HOST = range(4)
 """How a layer is made: the mean over all camera samples of the pixel, those without a hit as 0; the mean over those
@@ -55,7 +55,7 @@ def check_layers(names: object) -> tuple[str, ...]:
     names = tuple(names)
     for name in names:
         if name not in LAYERS:
-            raise UserError(f"there is no layer '{name}'{nearest(str(name), LAYERS)}; known are {', '.join(LAYERS)}")
+            raise UserError(f"there is no layer '{name}'{suggestion(str(name), LAYERS)}; known are {', '.join(LAYERS)}")
     return tuple(name for name in LAYERS if name in names)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict
 
-from isonoise.argument_checks import check_depth, check_flag, check_integer, check_number, check_size, nearest
+from isonoise.argument_checks import check_depth, check_flag, check_integer, check_number, check_size
 from isonoise.comparison.experiment import Member, make_members
 from isonoise.comparison.experiment_file import DEFAULT_SEEDS, is_experiment, read_experiment
 from isonoise.comparison.plan import FIRST_REFERENCE_SEED
@@ -17,6 +17,7 @@ from isonoise.scene import CompiledScene
 from isonoise.scene.load_compiled import SceneSource
 from isonoise.scene.scene import Scene
 from isonoise.strategies import Strategy, describe
+from isonoise.suggestions import suggestion
 
 Scenes: TypeAlias = SceneSource | Sequence[SceneSource] | Mapping[str, SceneSource]
 Strategies: TypeAlias = str | Strategy | Sequence[str | Strategy]
@@ -67,7 +68,7 @@ def comparisons_of(scenes: Scenes, strategies: Strategies, options: ComparisonOp
     known = ComparisonOptions.__annotations__
     for name in options:
         if name not in known:
-            raise UserError(f"there is no argument '{name}'{nearest(name, known)}; known are {', '.join(known)}")
+            raise UserError(f"there is no argument '{name}'{suggestion(name, known)}; known are {', '.join(known)}")
     if not is_experiment(scenes):
         return _members(scenes, strategies, options)
     for name, value in {"strategies": strategies, **options}.items():

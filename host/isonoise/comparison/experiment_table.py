@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
 from isonoise.input_files import read_regular_file
+from isonoise.suggestions import suggestion
 
 Value = TypeVar("Value")
 Check = Callable[[str, object], Value]
@@ -54,7 +54,7 @@ class ExperimentTable:
         self.where, self._content = where, content
         for key in content:
             if key not in known:
-                raise self.error(f"there is no key '{key}'{nearest(key, known)}; known are {', '.join(known)}")
+                raise self.error(f"there is no key '{key}'{suggestion(key, known)}; known are {', '.join(known)}")
 
     def take(self, key: str, check: Check[Value], default: Value | None = None, required: bool = False) -> Value:
         """The value of a key, checked: `check` gets its name and what the file has. Raises UserError."""

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
 from isonoise.film.log import columns
+from isonoise.suggestions import suggestion
 
 METRICS = {
     "rel-mse": "relMSE, with and without the worst 0.1 % of the pixels",
@@ -59,7 +59,7 @@ def checked_metrics(names: Sequence[str]) -> tuple[str, ...]:
     known = [*METRICS, ALL]
     for name in names:
         if name not in known:
-            raise UserError(f"there is no metric '{name}'{nearest(name, known)}; known are {', '.join(known)}")
+            raise UserError(f"there is no metric '{name}'{suggestion(name, known)}; known are {', '.join(known)}")
     if not names:
         raise UserError(f"no metric is named; known are {', '.join(known)}")
     return tuple(name for name in METRICS if name in names or ALL in names)

@@ -11,10 +11,11 @@ from types import MappingProxyType
 import numpy as np
 
 from isonoise.errors import SceneError
-from isonoise.scene.parse.elements import Element, closest_name, is_object
+from isonoise.scene.parse.elements import Element, is_object
 from isonoise.scene.view import sensors_of
 from isonoise.scene.vocabulary import find_plugin
 from isonoise.scene.vocabulary.plugin import SUPPORTED
+from isonoise.suggestions import closest_name
 
 _CROP = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
 FILM_VALUES = {

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
+from isonoise.suggestions import suggestion
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -51,7 +51,7 @@ class Kind:
                 return self._import(name, entry.value)
         known = self.names()
         raise UserError(
-            f"there is no {self.noun} '{name}'{nearest(name, known)}; known are {', '.join(known)}; "
+            f"there is no {self.noun} '{name}'{suggestion(name, known)}; known are {', '.join(known)}; "
             "name your own as module:name"
         )
 
@@ -73,7 +73,7 @@ class Kind:
             if not hasattr(found, attribute):
                 names = [name for name, value in vars(module).items() if callable(value)]
                 raise UserError(
-                    f"{self.noun} '{name}': '{module_name}' has no '{attributes}'{nearest(attributes, names)}"
+                    f"{self.noun} '{name}': '{module_name}' has no '{attributes}'{suggestion(attributes, names)}"
                 )
             found = getattr(found, attribute)
         return found

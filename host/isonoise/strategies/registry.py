@@ -2,10 +2,10 @@
 
 import inspect
 
-from isonoise.argument_checks import nearest
 from isonoise.errors import UserError
 from isonoise.strategies.base import Strategy
 from isonoise.strategies.lookup import MEASURES, RULES, STRATEGIES
+from isonoise.suggestions import suggestion
 
 DEFAULT_STRATEGY = "pooled"
 BUILT_IN = STRATEGIES.built_in
@@ -95,7 +95,7 @@ def _convert(head: str, cls: type, texts: dict[str, str]) -> dict[str, object]:
     for key, text in texts.items():
         if key not in known:
             names = ", ".join(known) or "none"
-            raise UserError(f"strategy '{head}' has no parameter '{key}'{nearest(key, known)}; known are {names}")
+            raise UserError(f"strategy '{head}' has no parameter '{key}'{suggestion(key, known)}; known are {names}")
         annotation, default = known[key].annotation, known[key].default
         target_type = annotation if annotation is not inspect.Parameter.empty else type(default)
         values[key] = _value(head, key, text, target_type)

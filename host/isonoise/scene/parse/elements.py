@@ -1,14 +1,14 @@
 """Elements: the objects of a scene as they were read, with the location that every error names."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import NoReturn, Protocol
 
 from isonoise.errors import SceneError
+from isonoise.suggestions import closest_name
 
 _MAX_MESSAGE_CHARS = 2000  # files may contain names of any length
-_MAX_COMPARED_CHARS, _MAX_COMPARED_NAMES = 60, 1000  # comparing names takes time quadratic in their length
 
 
 class Location:
@@ -98,15 +98,7 @@ def with_article(noun: str) -> str:
     return f"an {noun}" if noun[:1] in "aeiou" else f"a {noun}"
 
 
-def closest_name(name: str, choices) -> str:
-    """The choice that is most similar to `name`; '' if none is similar or there are too many."""
-    ordered = sorted(choices) if len(choices) <= _MAX_COMPARED_NAMES else ()
-    by_key = {choice[:_MAX_COMPARED_CHARS].lower(): choice for choice in ordered}
-    match = get_close_matches(name[:_MAX_COMPARED_CHARS].lower(), list(by_key), n=1)
-    return by_key[match[0]] if match else ""
-
-
-def did_you_mean(name: str, choices) -> str:
+def did_you_mean(name: str, choices: Collection[str]) -> str:
     """The end of an error about an unknown name: '; did you mean ...?', or '' if no choice is similar."""
     hint = closest_name(name, choices)
     return f"; did you mean '{hint}'?" if hint else ""

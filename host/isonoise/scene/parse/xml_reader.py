@@ -11,11 +11,12 @@ import numpy as np
 
 from isonoise.errors import SceneError
 from isonoise.scene.files import is_inside, outside_message
-from isonoise.scene.parse.elements import Element, Location, Reference, closest_name, did_you_mean, path_exists
+from isonoise.scene.parse.elements import Element, Location, Reference, did_you_mean, path_exists
 from isonoise.scene.parse.xml_tags import MAX_DEPTH, Tag, iterate_tags
 from isonoise.scene.parse.xml_upgrade import needs_upgrade, upgrade_element, upgrade_tag
 from isonoise.scene.parse.xml_values import TRANSFORM_OPERATIONS, check_attributes, parse_value, transform_matrix
 from isonoise.scene.vocabulary import kinds_of
+from isonoise.suggestions import closest_name
 
 _MAX_FILES = 1000  # in total: two includes in each of 30 levels would be 10^9
 _MAX_INCLUDE_DEPTH = 15  # as in Mitsuba 3

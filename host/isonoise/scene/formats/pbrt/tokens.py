@@ -9,7 +9,8 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from isonoise.scene.parse.elements import Location, closest_name
+from isonoise.scene.parse.elements import Location
+from isonoise.suggestions import closest_name
 
 WORD, STRING, OPEN, CLOSE, END = "word", "string", "[", "]", "end"
 
