@@ -112,8 +112,10 @@ class LivePage:
         cpu_s = self._state.cpu_s()
         self._budget.spend((cpu_s - self._server_cpu_s) / self._cores)
         self._server_cpu_s = cpu_s
+        if self._due_since is not None:
+            return True  # the wave has stopped for it
         is_due = self._budget.allows(self._seconds[renderer.wave_kind is None], any(wanted.values()))
-        if is_due and self._due_since is None:
+        if is_due:
             self._due_since = time.perf_counter()
         return is_due
 
