@@ -1,5 +1,7 @@
 """`isonoise.render`: a scene in, an image with its statistics out."""
 
+from __future__ import annotations  # `help` shows the names of types
+
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -34,7 +36,7 @@ def render(
     reference: Reference | None = None,
     on_wave: Callable[[LogRow, Statistics], object] | None = None,
     progress: bool | OnProgress | None = None,
-    **options: "Unpack[RendererOptions]",
+    **options: Unpack[RendererOptions],
 ) -> Outcome:
     """Render a scene until a limit is reached.
 

@@ -1,5 +1,7 @@
 """A render in progress: a scene on a device, and the strategy that distributes the samples wave by wave."""
 
+from __future__ import annotations  # `help` shows the names of types
+
 import contextlib
 import functools
 import time
@@ -136,9 +138,9 @@ class Renderer(RenderDevices):
         allow_outside: bool = False,
         memory: int | None = None,
         view: View | None = None,
-        cluster: "Cluster | None" = None,
+        cluster: Cluster | None = None,
         layers: Sequence[str] = (),
-        on_compile: "Callable[[Renderer, str, int, int], None] | None" = None,
+        on_compile: Callable[[Renderer, str, int, int], None] | None = None,
     ):
         options = check_options(locals())  # all arguments by name
         seed, size, max_depth = options["seed"], options["size"], options["max_depth"]
@@ -197,7 +199,7 @@ class Renderer(RenderDevices):
         while not self.is_full:
             yield self.step()
 
-    def __enter__(self) -> "Renderer":
+    def __enter__(self) -> Renderer:
         return self
 
     def __exit__(self, *exception: object) -> None:

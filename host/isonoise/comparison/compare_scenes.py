@@ -1,5 +1,7 @@
 """`isonoise.compare`: compares strategies on scenes from Python, and returns the results as tables."""
 
+from __future__ import annotations  # `help` shows the names of types
+
 import os
 import tempfile
 from collections.abc import Callable, Sequence
@@ -61,7 +63,7 @@ def compare(
     output: str | os.PathLike[str] | None = None,
     rerun_changed: bool = False,
     log: Callable[[str], object] | None = None,
-    **options: "Unpack[ComparisonOptions]",
+    **options: Unpack[ComparisonOptions],
 ) -> Comparison:
     """Render scenes with several strategies and seeds, and measure every wave against a reference.
 
