@@ -35,9 +35,8 @@ def edit(path: Path, old: str, new: str) -> None:
 def test_two_checkouts_are_compared(other_checkout, capsys):
     """The other side is that in its folder, where images are twice as bright."""
     edit(other_checkout / "host/isonoise/__init__.py", '__version__ = "', '__version__ = "99.')
-    edit(
-        other_checkout / "host/isonoise/renderer.py", "return self.statistics().rgb", "return 2 * self.statistics().rgb"
-    )
+    image = "self._waves.statistics.read_rgb()"
+    edit(other_checkout / "host/isonoise/renderer.py", f"return {image}", f"return 2 * {image}")
     assert run_isonoise(*COMMAND, "--versus", str(other_checkout), "--json", "v.json", "--threshold", "0.001") == 0
     result = json.loads(Path("v.json").read_text())
     assert json_fields(result) == documented_fields()[1]

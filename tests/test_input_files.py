@@ -187,7 +187,7 @@ def test_numbers_of_the_library_are_limited():
             with pytest.raises(UserError, match=f"{name} has to be a number from 1e-30 to 1e.30"):
                 Stops(**{name: value})
     for size in ((0, 5), (5, -1), (2**40, 1), (2**15, 2**14)):
-        with pytest.raises(UserError, match=r"size = .* is out of range"):
+        with pytest.raises(UserError, match=r"size.* = .* is out of range"):
             Renderer(lamp_over_floor(), size=size)
     for depth in (2**31, 10**20, -2):
         with pytest.raises(UserError, match=r"max_depth = .* is out of range"):
@@ -207,7 +207,7 @@ def test_a_checkpoint_does_not_choose_code(capsys, monkeypatch):
     """A strategy of another module is imported only if the command line names it."""
     from isonoise.state.state import State
 
-    settings = {"overrides": {}, "seed": 0, "strategy": "evil:Strategy:a=1"}
+    settings = {"overrides": {}, "seed": 0, "strategy": "evil:Strategy:a=1", "layers": ()}
     loop = {"stops": {"quantile": 0.99, "confidence": 0.95, "spp": 1.0, "time": None, "error": None}}
     state = State(settings, {"loop": loop}, {})
     monkeypatch.setattr("isonoise.state.checkpoint.read_checkpoint", lambda path: state)
