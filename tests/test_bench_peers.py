@@ -107,6 +107,7 @@ def test_bounced_rays_are_diffuse():
     assert bounce_origins[:, 2].max() < 1e-2
 
 
+@pytest.mark.long
 def test_specialisation_report(monkeypatch, capsys):
     """The larger programs have two more features, in place of all features."""
     more = {"DIELECTRIC": True, "INSTANCES": True}

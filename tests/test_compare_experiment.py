@@ -5,6 +5,7 @@ import itertools
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -184,11 +185,12 @@ def test_settings_change_the_scene():
             SMALL.replace('["cornell"]', '[{ source = "cornell", reference = "a", grid = { max_depth = [1, 2] } }]'),
             "'reference' is one image for several scenes",
         ),
-        (
+        pytest.param(
             SMALL.replace('["uniform"]', '["mitsuba-independent"]').replace(
                 '["cornell"]', '[{ source = "cornell", set = { "$spp" = 4 } }]'
             ),
             "render scene files as they are",
+            marks=pytest.mark.skipif(not find_spec("mitsuba"), reason="Mitsuba 3 is not installed"),
         ),
     ],
 )

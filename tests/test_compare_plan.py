@@ -174,7 +174,8 @@ def test_references_are_assigned_by_order_or_by_name():
         make_plan(request(scenes=scenes, references=["a.exr"]))
 
 
-def test_presets_can_be_planned():
+def test_presets_can_be_planned(monkeypatch):
+    monkeypatch.setattr("isonoise.comparison.strategy_code.version", lambda package: "3")  # also without Mitsuba
     for preset in PRESETS.values():
         plan = make_plan(request(scenes=preset.scenes, strategies=preset.strategies))
         assert len(plan.scenes) == len(preset.scenes)

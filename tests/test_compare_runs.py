@@ -156,6 +156,7 @@ def wait_for(process, directory, pattern):
         time.sleep(0.002)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_a_killed_comparison_resumes_to_the_same_bits():
     """It is killed twice: during the reference and during the runs."""

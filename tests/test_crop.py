@@ -24,7 +24,7 @@ def statistics(scene, **options):
         return renderer.statistics()
 
 
-@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+@pytest.mark.parametrize("sampler", ["sobol", pytest.param("independent", marks=pytest.mark.long)])
 def test_pixels_of_a_window_are_those_of_the_whole_image(one_lane, sampler):
     """Bit by bit, whether the window comes from the view or from the film."""
     whole = statistics(lamp_over_floor(), size=SIZE, sampler=sampler)

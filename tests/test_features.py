@@ -111,7 +111,8 @@ def test_all_features_run_a_simple_scene(device, monkeypatch, tmp_path):
     assert_runs_as_specialised(device, monkeypatch, row, tmp_path, few)
 
 
-@pytest.mark.parametrize(("form", "off"), [pytest.param("gpu", (), marks=pytest.mark.long), ("lanes", ("VOLPATH",))])
+@pytest.mark.long
+@pytest.mark.parametrize(("form", "off"), [("gpu", ()), ("lanes", ("VOLPATH",))])
 def test_all_features_build(device, form, off):
     """Builds all kernels; the long tests launch them, which takes twice as long."""
     constants = build_constants(EVERY_STATISTIC, FORMS[form])

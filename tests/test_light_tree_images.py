@@ -55,6 +55,7 @@ def test_images_with_and_without_the_tree_agree(monkeypatch):
         assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 2.1 * Z * se).all()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_lane")
 def test_less_noise_with_distant_lights(monkeypatch):
     """300 lamps over a large floor: without the tree most samples go to distant lamps."""

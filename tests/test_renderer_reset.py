@@ -65,8 +65,17 @@ def test_the_statistics_of_a_wave():
         _ = third.statistics
 
 
-@pytest.mark.parametrize("strategy", ["uniform", STRATEGY, "pooled:unbiased=true,warmup=4"])
-@pytest.mark.parametrize("device", [None, "0/2"])
+@pytest.mark.parametrize(
+    ("strategy", "device"),
+    [
+        ("uniform", None),
+        (STRATEGY, None),
+        ("pooled:unbiased=true,warmup=4", None),
+        ("uniform", "0/2"),
+        pytest.param(STRATEGY, "0/2", marks=pytest.mark.long),
+        pytest.param("pooled:unbiased=true,warmup=4", "0/2", marks=pytest.mark.long),
+    ],
+)
 def test_a_renderer_begins_anew(strategy, device):
     """Bit by bit as a new one: with the same seed, another one, and the first one again."""
     expected = [render(lamp_over_floor(), spp=20, seed=seed, strategy=strategy).statistics for seed in (1, 2**40)]

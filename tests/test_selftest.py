@@ -160,6 +160,7 @@ def test_a_dropped_check_for_finite_numbers_fails(break_kernel, context):
     assert any("NaN" in name for name in failed(statistics.rejected_samples(context)))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_lane")
 def test_a_wrong_sign_of_the_offset_fails(break_kernel, context):
     break_kernel(
