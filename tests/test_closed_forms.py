@@ -119,6 +119,7 @@ def assert_radiance(statistics, colour: np.ndarray, pattern=1.0) -> None:
 FURNACE = [(0.0, 3), (0.5, 1), (0.5, 2), (0.5, 6), (0.9, 4), (0.9, 30), (0.99, 12), (1.0, 5)]
 
 
+@pytest.mark.usefixtures("one_lane")
 @pytest.mark.parametrize(("albedo", "depth"), FURNACE)
 @pytest.mark.parametrize("shape", ["sphere", "cube"])
 def test_furnace(shape, albedo, depth):

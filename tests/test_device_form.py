@@ -54,7 +54,7 @@ def fog() -> dict:
     return scene | {"integrator": {"type": "volpath", "max_depth": 6}}
 
 
-@pytest.mark.parametrize("scene", [lamp_over_floor, nested_triangles])
+@pytest.mark.parametrize("scene", [lamp_over_floor, pytest.param(nested_triangles, marks=pytest.mark.long)])
 def test_the_form_changes_no_bit(monkeypatch, scene):
     compiled = compile_scene(load_description(scene()))
     needs = BASIC_NEEDS.with_sampler(compiled.sampler)

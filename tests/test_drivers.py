@@ -253,6 +253,7 @@ print(json.dumps(list(images.items())))
 """
 
 
+@pytest.mark.long
 def test_the_pocl_of_the_system_beside_that_of_pip(tmp_path):
     """Both are found, run in one process and compute the same bits; the newer one is the default."""
     library = ctypes.util.find_library("pocl")

@@ -67,6 +67,7 @@ VISIBLE_TRANSFORMS = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_lane")
 def test_image_equals_that_of_the_flattened_scene(tmp_path):
     """False alarms: below 1 % for the pixels, at most 0.8 % for the means."""

@@ -91,7 +91,7 @@ def test_a_renderer_begins_anew(strategy, device):
         assert np.array_equal(kept.mean, before)
 
 
-@pytest.mark.parametrize("device", [None, "0/2"])
+@pytest.mark.parametrize("device", [None, pytest.param("0/2", marks=pytest.mark.long)])
 def test_layers_begin_anew(device):
     options = {"strategy": STRATEGY, "device": device, "layers": ("depth", "albedo")}
     with Renderer(lamp_over_floor(), seed=1, **options) as renderer:
