@@ -97,15 +97,16 @@ def with_small_budget(arguments: list[str]) -> list[str]:
     if command in ("render", "compare", "bench"):
         is_file = any(word.endswith(".toml") for word in result)
         result += [] if "--size" in result or is_file else ["--size", "24x16"]
-        has_limit = {"--spp", "--time"} & set(result) or command != "render"
-        result += [] if has_limit else ["--spp", "1"]
+        if not {"--spp", "--time"} & set(result):
+            result += ["--spp", "1"] if command == "render" else ["--spp", "4,8"] if "equal-samples" in result else []
     return result
 
 
 def make_folder(folder: Path) -> dict[str, str]:
     """Write what the examples read to a folder, programs to its subfolder `bin`; return their environment."""
     scene = files("isonoise.scenes").joinpath("cornell.xml").read_text("utf-8")
-    for name in ("scene", "cornell-box", "staircase2"):
+    (folder / "scenes" / "gallery").mkdir(parents=True)
+    for name in ("scene", "cornell-box", "cbox-spheres", "veach-mis", "staircase2", "mesh-82k"):
         (folder / f"{name}.xml").write_text(scene, "utf-8")
     (folder / "bunny.ply").write_bytes(small_files.ply())
     (folder / "chair.stl").write_bytes(small_files.from_trimesh("stl"))
