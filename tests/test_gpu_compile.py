@@ -21,14 +21,15 @@ MAX_REGISTERS = {"sm_90": 128, "gfx90a": 256, "gfx1030": 256}
 """Of a kernel of a built-in scene. With 128 a multiprocessor of sm_90 runs 512 work-items at a time, a quarter of the
 most it can. On AMD's GPUs traversal takes up to 211: their compiler spends free registers on early loads, and changes
 of the source move the number by 20. With 256 two waves (gfx90a) or four (gfx1030) share a SIMD unit."""
+_LARGE_KERNELS = ("shade", "shadow_transmittance", "reduce", "accumulate_layers", "intersect", "shadow")
 MAX_REGISTERS_OF_ALL_FEATURES = {
-    "sm_90": {"shade": 248, "shadow_transmittance": 216, "reduce": 164, "intersect": 136, "shadow": 132},
-    "gfx90a": dict.fromkeys(("shade", "shadow_transmittance", "reduce", "intersect", "shadow"), 320),
-    "gfx1030": dict.fromkeys(("shade", "shadow_transmittance", "reduce", "intersect", "shadow"), 256),
+    "sm_90": dict(zip(_LARGE_KERNELS, (248, 216, 164, 255, 136, 132), strict=True)),
+    "gfx90a": dict.fromkeys(_LARGE_KERNELS, 320),
+    "gfx1030": dict.fromkeys(_LARGE_KERNELS, 256),
 }
 """Of kernels of the covering array that may use more than 128. `shade` and `shadow_transmittance` then have every kind
-of material and medium, `reduce` every statistic. For sm_90 those of all features at once, and a few for other versions
-of the compilers."""
+of material and medium, `reduce` every statistic, `accumulate_layers` the albedo of every kind of material; it runs once
+for each path. For sm_90 those of all features at once, and a few for other versions of the compilers."""
 MAX_SPILLS_OF_ALL_FEATURES = {"sm_90": 0, "gfx90a": 16, "gfx1030": 32}
 MAX_STACK_BYTES = 800
 """Private memory of a kernel of a built-in scene: a traversal stack of 66 entries takes 528, the arrays of
