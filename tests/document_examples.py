@@ -28,7 +28,7 @@ _INSTALLATION = "python3 -m venv"
 """Beginning of the blocks that .ci/run and test_package.py run."""
 STAND_INS = ("pip", "apt")
 """Programs that do nothing here."""
-TIMEOUT_S = 600
+TIMEOUT_S = 1800
 
 
 @dataclass(frozen=True)
