@@ -114,7 +114,7 @@ class TevViewer:
 
     def periodic(self) -> Periodic:
         """What shows the image during a render: for `RenderLoop`."""
-        return Periodic(INTERVAL_S, self._show_progress)
+        return Periodic(INTERVAL_S, self._show_progress, self._is_wanted)
 
     def show(self, outcome: Outcome) -> None:
         """Send the image of an outcome."""
@@ -139,9 +139,12 @@ class TevViewer:
             self._socket.close()
             self._socket = None
 
+    def _is_wanted(self) -> bool:
+        """Whether a wave should stop for an image."""
+        return self._socket is not None and time.perf_counter() >= self._next_at
+
     def _show_progress(self, loop: RenderLoop) -> None:
         start = time.perf_counter()
-        if start >= self._next_at:
-            self.show(loop.outcome_so_far("unfinished"))
-            end = time.perf_counter()
-            self._next_at = end + (end - start) / MAX_SHARE
+        self.show(loop.outcome_so_far("unfinished"))
+        end = time.perf_counter()
+        self._next_at = end + (end - start) / MAX_SHARE
